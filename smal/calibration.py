@@ -5,7 +5,7 @@ have the same heading twice: the turn between two of its views is undone by a vi
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.demonstration import Image
+from smal.likelihood import Likelihood, gamma_of, standing_out
 from smal.movement import Atom, seen_from, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import USUAL_FOCAL, Scene, focal_of
+from smal.virtual_views import TURNS_DEG, USUAL_FOCAL, Scene, focal_of
 
 Describe = Callable[[Image], NDArray[np.float32]]
 #: Turns from one view to another that a fit tries, degrees: those over which views overlap.
@@ -98,16 +99,6 @@ class _Pair(NamedTuple):
     ahead: float
     left: float
     turn_rad: float
-
-
-class Likeness(NamedTuple):
-    """How alike views are; see `smal.visual_map.VisualMap`, and `unrelated`: the mean cosine of unrelated views."""
-
-    correlation_length: float
-    unrelated: float
-    kappa: float
-    outlier_cosine: float
-    alike_cosine: float
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:
@@ -203,12 +194,8 @@ def turn_of_views(
     return found
 
 
-def likeness(frames: TaughtFrames, focal: float) -> Likeness:
-    """Measure over which way views become unlike, and how the cosines of views of one place are distributed.
-
-    The correlation length is the way over which the mean cosine falls half way to that of unrelated views. Two views
-    show one place if they were taken between a keyframe's distance and a correlation length apart, and are turned by
-    less than 5 degrees; they are unrelated if they were taken more than four lengths apart.
+def correlation_length(frames: TaughtFrames, focal: float) -> tuple[float, float]:
+    """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones.
 
     Parameters
     ----------
@@ -216,44 +203,91 @@ def likeness(frames: TaughtFrames, focal: float) -> Likeness:
     focal : float
         Focal length over the image's width; of a car alone it counts.
 
+    Returns
+    -------
+    (float, float)
+        That way, in the unit of the poses, and the mean cosine of unrelated views.
+
     Raises
     ------
     ValueError
-        No drive goes anywhere, all images look the same, or no two views show one place.
+        No drive goes anywhere, or all images look the same.
     """
-    undone_way, undone = _turns_undone(frames, focal) if frames.car else (np.empty(0), np.empty(0))
-    distances: list[NDArray[Any]] = [undone_way]
-    cosines: list[NDArray[Any]] = [undone]
+    way, cosine = _turns_undone(frames, focal) if frames.car else (np.empty(0), np.empty(0))
+    distances: list[NDArray[Any]] = [way]
+    cosines: list[NDArray[Any]] = [cosine]
     distant: list[NDArray[Any]] = []
-    for way, angle, cosine in _compared(frames):
-        same = (angle < math.radians(SETTINGS.same_deg)) & (way < SETTINGS.reach * way.max())
-        distances.append(way[same])
-        cosines.append(cosine[same])
-        distant.append(cosine[way >= 0.1 * way.max()])
+    for some in frames.spread:
+        apart, angle = frames.apart(some)
+        alike = frames.centred[some] @ frames.centred[some].T
+        same = (angle < math.radians(SETTINGS.same_deg)) & (apart < SETTINGS.reach * apart.max())
+        distances.append(apart[same])
+        cosines.append(alike[same])
+        distant.append(alike[apart >= 0.1 * apart.max()])
     unrelated = float(np.concatenate(distant).mean())
     length = _half_way(np.concatenate(distances), np.concatenate(cosines), unrelated)
     if not frames.centred.any():
         raise ValueError("all images of the demonstrations look the same")
-    least = length / SETTINGS.views_a_length
-    here: list[NDArray[Any]] = [undone[(undone_way > least) & (undone_way < length)]]
-    elsewhere: list[NDArray[Any]] = []
-    for way, angle, cosine in _compared(frames):
-        here.append(cosine[(way > least) & (way < length) & (angle < math.radians(5.0))])
-        elsewhere.append(cosine[way > 4.0 * length])
-    one, other = np.concatenate(here), np.concatenate(elsewhere)
-    if not one.size:
+    return length, unrelated
+
+
+def likelihood_of_views(
+    views: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+) -> Likelihood:
+    """Measure on the views of keyframes what views say of places.
+
+    Each keyframe's own view is looked at as if it were a robot's, from which the keyframe itself is left out:
+    its neighbours show the same place, what is more than four correlation lengths away on the same drive another one.
+    Without such places (a short drive in one room) elsewhere is what a normal distribution says.
+
+    Parameters
+    ----------
+    views : float32 array (k, 3, turns, r)
+        Of unit length.
+    poses : float64 array (k, 3)
+    drives : int32 array (k,)
+    length : float
+        The correlation length.
+
+    Raises
+    ------
+    ValueError
+        No keyframe has a neighbour.
+    """
+    count, middle = len(views), TURNS_DEG.size // 2
+    own = views[:, 1, middle]
+    reference = own[evenly(count, SETTINGS.reference)]
+    every = views.reshape(-1, views.shape[-1])
+    step_deg = float(TURNS_DEG[1] - TURNS_DEG[0])
+    here, elsewhere, neighbours, chains = [], [], [], []
+    for k in evenly(count, SETTINGS.most_frames // 4).tolist():
+        cosines = every @ own[k]
+        z = standing_out(cosines, reference @ own[k]).reshape(views.shape[:3])
+        steps = seen_from(poses, poses[k])
+        far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > 4.0 * length)
+        elsewhere.append(z[far].ravel())
+        for other in (k - 1, k + 1):
+            if 0 <= other < count and drives[other] == drives[k]:
+                turn = middle - round(math.degrees(steps[other, 2]) / step_deg)
+                if 0 <= turn < TURNS_DEG.size:
+                    here.append(float(z[other, 1, turn]))
+                    neighbours.append(float(views[other, 1, turn] @ own[k]))
+        if k + 1 < count and drives[k + 1] == drives[k]:
+            after = standing_out(own @ own[k + 1], reference @ own[k + 1])
+            on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
+            chains.append(np.stack([z[on, 1, middle], after[on + 1]]))
+    if not here:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
-    mean, deviation = float(one.mean()), max(float(one.std()), 1e-2)
-    background = float(other.mean()) if other.size else 0.0
-    return Likeness(length, unrelated, 1.0 / deviation, (mean + background) / 2.0, mean - deviation)
-
-
-def _compared(frames: TaughtFrames) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]]:
-    """Yield distances, angles and cosines between frames of each drive, (n, n) each."""
-    for some in frames.spread:
-        yield *frames.apart(some), frames.centred[some] @ frames.centred[some].T
+    ways = [float(np.hypot(*np.diff(poses[drives == one, :2], axis=0).T).sum()) for one in np.unique(drives)]
+    independent = sum((way / length) ** 2 / 2.0 for way in ways)
+    apart = np.concatenate(elsewhere)
+    if not apart.size:
+        apart = np.random.default_rng(0).standard_normal(10_000)
+    pairs = np.concatenate(chains, axis=1) if chains else np.empty((2, 0))
+    correlation = float(np.corrcoef(pairs)[0, 1]) if pairs.shape[1] > 2 else 0.5
+    return Likelihood.fit(np.array(here), apart, independent, gamma_of(float(np.mean(neighbours)), correlation))
 
 
 def _turns_undone(frames: TaughtFrames, focal: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from smal.calibration import Describe, TaughtFrames, evenly, fit_scene, focal_of_curves, likeness, turn_of_views
+from smal.calibration import (
+    Describe,
+    TaughtFrames,
+    correlation_length,
+    evenly,
+    fit_scene,
+    focal_of_curves,
+    likelihood_of_views,
+    turn_of_views,
+)
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
@@ -21,7 +30,7 @@ from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
 from smal.settings import SETTINGS
 from smal.stitches import stitched
 from smal.virtual_views import TURNS_DEG, USUAL_FOCAL, Maps, Scene, remapped
-from smal.visual_map import VisualMap
+from smal.visual_map import VisualMap, unit
 
 Progress = Callable[[int, int], None]
 
@@ -82,12 +91,12 @@ def learn(
         focal = USUAL_FOCAL  # by which the turns were measured
     if focal is None and frames.car:
         focal = focal_of_curves(frames)
-    alike = likeness(frames, focal or USUAL_FOCAL)
-    length = alike.correlation_length
+    length, unrelated = correlation_length(frames, focal or USUAL_FOCAL)
     aside = SETTINGS.aside * length
     scene = fit_scene(frames, length, focal)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
     views, basis = _make_views(images, keyframes, scene, aside, describe, progress)
+    likelihood = likelihood_of_views(views, way.poses[keyframes], way.drives[keyframes], length)
     visual_map = VisualMap(
         poses=way.poses,
         drives=way.drives,
@@ -96,10 +105,9 @@ def learn(
         views=views,
         aside=aside,
         correlation_length=length,
-        correlation_rad=_correlation_turn(views, alike.unrelated),
-        kappa=alike.kappa,
-        outlier_cosine=alike.outlier_cosine,
-        alike_cosine=alike.alike_cosine,
+        correlation_rad=_correlation_turn(views, unrelated),
+        ratio=likelihood.ratio,
+        gamma=likelihood.gamma,
         movements=way.movements,
         tick_s=tick_s,
         odometry=way.odometry,
@@ -260,7 +268,7 @@ def _make_views(
         basis = _components(np.concatenate(list(made.values())).reshape(-1, len(describe(images[0]))))
 
         def kept(frame: int) -> NDArray[np.float32]:
-            return (made[frame] if frame in made else views_of(frame)) @ basis
+            return unit((made[frame] if frame in made else views_of(frame)) @ basis)
 
         views = []
         for done, view in enumerate(pool.map(kept, keyframes.tolist()), 1):
@@ -270,13 +278,12 @@ def _make_views(
 
 
 def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the leading principal components of rows (s, m), (m, r)."""
+    """Return the leading principal components of rows (s, m), (m, r), those of much variance made smaller."""
     products = sample @ sample.T
     # All components take three times as long.
     values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1])
-    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    share = np.cumsum(values) / max(float(np.trace(products)), 1e-12)
-    count = min(int(np.searchsorted(share, SETTINGS.kept)) + 1, int((values > 1e-6 * values[0]).sum()))
-    basis = sample.T @ vectors[:, :count]
-    unit: NDArray[np.float32] = (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
-    return unit
+    kept = values > 1e-6 * values[-1]
+    values, vectors = values[kept][::-1], vectors[:, kept][:, ::-1]
+    # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
+    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + SETTINGS.whitened)).astype(np.float32)
+    return basis

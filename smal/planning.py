@@ -48,12 +48,16 @@ class Decision:
 
 
 class _Wish(NamedTuple):
-    """What a belief wants: a direction less the heading, whether its places agree on it, have a way, have arrived."""
+    """What a belief wants: a direction less the heading, and whether its places agree on it and have a way.
+
+    Whether it is likelier than not to have come to the end of a way that leads to the goal, and is sure to be there.
+    """
 
     error_rad: float
     clear: bool
     way: bool
-    arrived: bool
+    ended: bool
+    sure: bool
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -174,30 +178,32 @@ class Planner:
         self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
         wish = self._wish(belief)
         # It has arrived only after it was followed for a correlation length: a few views may show another place.
-        self.done = self.done or (wish.arrived and belief.tracked > self._map.correlation_length)
+        self.done = self.done or (wish.ended and wish.sure and belief.tracked > self._map.correlation_length)
         kind = self._kind(wish, belief.lost > 0.5)
         return Decision(kind, self._atom(kind, wish.error_rad, elapsed_s), wish.error_rad)
 
     def _wish(self, belief: Belief) -> _Wish:
         """Return what the belief wants, each place weighted by its probability."""
-        directions, left_to_go = self._directions(belief)
+        directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
         share = float(with_way.sum())
         mean = complex((with_way * np.exp(1j * directions)).sum()) / max(share, 1e-12)
-        here = (left_to_go < 0.5 * self._map.speed * self._map.tick_s) & self._leads[belief.keyframes]
+        leads = self._leads[belief.keyframes]
+        at_goal = leads & (to_end < SETTINGS.goal_s * self._map.speed)
         # Beside or beyond the end by more than views change over, it is not at it.
-        here &= np.hypot(belief.offsets[:, 0], belief.offsets[:, 1]) < self._map.correlation_length
-        arrived = float(belief.weights @ here) * (1.0 - belief.lost)
+        ended = leads & (to_end < self._map.correlation_length)
+        ended &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
+        sure = float(belief.weights @ at_goal) * (1.0 - belief.lost) > SETTINGS.sure
         clear = abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
-        return _Wish(math.atan2(mean.imag, mean.real), clear, share >= 0.5, arrived > SETTINGS.sure)
+        return _Wish(math.atan2(mean.imag, mean.real), clear, share >= 0.5, float(belief.weights @ ended) > 0.5, sure)
 
     def _kind(self, wish: _Wish, lost: bool) -> Kind:
         """Choose what kind of decision is due."""
         if self.done:
             return "goal"
         clear = wish.way and wish.clear and not lost
-        if clear and not wish.arrived:
+        if clear and not wish.ended:
             return "follow"
         if self._looked_rad < math.radians(SETTINGS.look_deg):
             return "look_around"
@@ -251,8 +257,8 @@ class Planner:
         self._turning = wanted if begins or goes_on else None
         return self._turning or Atom.FORWARD
 
-    def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return for each particle the direction to aim at less its heading, and the way that is left."""
+    def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""
         taught = self._map
         followed = self._keyframe[belief.keyframes]
         key = taught.keyframes[followed]
@@ -267,4 +273,5 @@ class Planner:
         # Near its end a way has a heading, but no point ahead any more.
         near = np.hypot(x, y) < 0.3 * self._ahead
         aim = np.where(near, aim_turned, np.arctan2(y, x))
-        return wrapped(aim - turned), taught.arc[end] - along
+        last_ahead, last_left, _ = seen_from(taught.poses[end], taught.poses[key]).T
+        return wrapped(aim - turned), taught.arc[end] - along, np.hypot(last_ahead - ahead, last_left - left)

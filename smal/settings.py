@@ -22,9 +22,15 @@ class Settings:
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
     #: alike; beyond 40 hardly anything of the taught image is left.
     turns_deg: tuple[float, ...] = tuple(5.0 * k for k in range(-8, 9))
-    #: Principal components keep this share of views, and at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
-    kept: float = 0.9
+    #: Principal components, at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
     most_components: int = 400
+    #: Components of variance v are divided by v to this power: half way to where all count alike. The largest ones are
+    #: what many places share (sky, light), the smallest are noise.
+    whitened: float = 0.25
+    #: Share of views elsewhere whose distribution is taken as it is; that of the rest is an exponential tail.
+    usual: float = 0.95
+    #: Views that say what elsewhere looks like.
+    reference: int = 256
     #: Views from which components are computed, and keyframes that are compared with all others at once: memory.
     sampled_views: int = 2500
     compared_at_once: int = 32
@@ -57,16 +63,23 @@ class Settings:
     atoms: tuple[float, float, float, float] = (0.1, 0.1, 5.0, 0.3)
 
     # -- the filter
-    #: Mean time of driving between two times that the robot is carried away, or a view of the way changes for good.
-    kidnap_s: float = 300.0
-    #: Views that show nothing of the place, since something hides it.
+    #: Probability, with each new view, that the wheels do not tell where the robot is: it was carried, or follows a
+    #: wrong place. Where the view is not like the one before it is as much likelier as that says.
+    jump: float = 2e-3
+    #: Views that show nothing of the place, since something hides it; with each new view, the probability that it shows
+    #: again, and that as much of it shows as in another light.
     hidden: float = 0.05
+    appears: float = 0.5
+    light: float = 0.01
+    #: How far the wheels may be wrong where the robot was last sure of its place, of the way since.
+    slip: float = 0.1
     #: First belief: at the start of a taught drive, beside any way, lost; and how far the heading may be off there.
-    first: tuple[float, float, float] = (0.5, 0.4, 0.1)
+    first: tuple[float, float, float] = (0.5, 0.25, 0.25)
     first_turn_deg: float = 30.0
-    #: Lost robots that are beside the way again when scouts are sent; new views that these have to explain.
-    back: float = 0.1
-    trial: float = 1.5
+    #: Starts scatter by what is driven in this time.
+    start_s: float = 0.5
+    #: Lost robots that are beside the way again, with each new view.
+    back: float = 0.02
     #: Particles of each set: more take longer and find no more; and keyframes to both sides among which one that moved
     #: finds its nearest.
     particles: int = 1000
@@ -86,8 +99,10 @@ class Settings:
     guess_s: float = 2.0
     #: What going over to another drive must save: how two drives stand to each other is less certain than either.
     go_over_s: float = 2.0
-    #: Belief with which it says that it has arrived.
-    sure: float = 0.9
+    #: Probability with which it says that it has arrived, and the time of driving within which it is then of the goal:
+    #: half of what is usually called found.
+    sure: float = 0.99
+    goal_s: float = 1.25
 
     # -- stitches
     #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.

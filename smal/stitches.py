@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.likelihood import ANY_DAY, standing_out
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
@@ -84,13 +85,19 @@ def _best_of_each_drive(visual_map: VisualMap, drives: NDArray[np.int32], names:
     for first in range(0, count, SETTINGS.compared_at_once):
         views = visual_map.views[first : first + SETTINGS.compared_at_once, 1, middle]
         cosines = (visual_map.flat_views @ views.T).reshape(*visual_map.views.shape[:3], -1)
+        ratio = np.stack(
+            [
+                visual_map.likelihood.mixed(ANY_DAY, standing_out(each, visual_map.sampled(each)), 1.0)
+                for each in np.moveaxis(cosines, -1, 0)
+            ]
+        )
         for name in names:
             there = np.flatnonzero(drives == name)
             each = cosines[there].reshape(-1, views.shape[0])
             at = each.argmax(axis=0)
             k, p, t = np.unravel_index(at, (there.size, *visual_map.views.shape[1:3]))
             for row in range(views.shape[0]):
-                if each[at[row], row] > visual_map.outlier_cosine:
+                if ratio[row, there[k[row]], p[row], t[row]] > 1.0:
                     grid = cosines[there[k[row]], :, :, row]
                     keyframe[first + row, name] = there[k[row]]
                     left[first + row, name] = (_peak(grid[:, t[row]], int(p[row])) - 1.0) * visual_map.aside

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.files.map_file import check_map
+from smal.likelihood import Likelihood
 from smal.movement import Atom, Movement
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
@@ -38,21 +39,17 @@ class VisualMap:
     keyframes : int32 array (k,)
         Taught frames that are keyframes, ascending; the first and last frame of every drive are among them.
     basis : float32 array (m, r)
-        Principal components of centred features.
+        Components of centred features.
     views : float32 array (k, 3, turns, r)
-        Components of each keyframe's views: from `aside` to the right, from there, from the left; each turned by
-        `TURNS_DEG`.
+        Components of each keyframe's views, of unit length: from `aside` to the right, from there, from the left; each
+        turned by `TURNS_DEG`.
     aside : float
         How far the views from aside are from the keyframe, in the map's unit.
     correlation_length, correlation_rad : float
         Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
-    kappa : float
-        Concentration of the cosines of views that show one place: 1 over their standard deviation. A view is e times
-        less likely where its cosine is that much smaller.
-    outlier_cosine : float
-        Cosine that views of one place and of unrelated places are equally likely to have.
-    alike_cosine : float
-        Cosine that most views of one place exceed: their mean less one standard deviation.
+    ratio : float64 array (shares, z)
+    gamma : float
+        What views say of places, see `smal.likelihood.Likelihood`.
     movements : float64 array (5, 2)
         What each atom does between two frames (`smal.movement.atom_movements`).
     tick_s : float
@@ -79,9 +76,8 @@ class VisualMap:
     aside: float
     correlation_length: float
     correlation_rad: float
-    kappa: float
-    outlier_cosine: float
-    alike_cosine: float
+    ratio: NDArray[np.float64]
+    gamma: float
     movements: NDArray[np.float64]
     tick_s: float
     odometry: bool
@@ -102,40 +98,19 @@ class VisualMap:
     @cached_property
     def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Cosines of views that lie beside each other: by turn (k, 3, turns - 1), and by place (k, 2, turns)."""
-        unit = self.views / np.maximum(np.linalg.norm(self.views, axis=-1, keepdims=True), 1e-12)
-        return (unit[:, :, 1:] * unit[:, :, :-1]).sum(axis=-1), (unit[:, 1:] * unit[:, :-1]).sum(axis=-1)
+        views = self.views
+        return (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1), (views[:, 1:] * views[:, :-1]).sum(axis=-1)
 
     @cached_property
-    def unlike(self) -> NDArray[np.bool_]:
-        """Which keyframes look unlike each other, however turned, (k, k)."""
-        count, middle = len(self.keyframes), TURNS_DEG.size // 2
-        turned = np.ascontiguousarray(self.views[:, 1]).reshape(-1, self.views.shape[-1])
-        alike = np.zeros((count, count), dtype=bool)
-        for first in range(0, count, SETTINGS.compared_at_once):
-            some = slice(first, first + SETTINGS.compared_at_once)
-            views = self.views[some, 1, middle]
-            best = (turned @ views.T).reshape(count, -1, len(views)).max(axis=1) >= self.outlier_cosine
-            alike[:, some] |= best
-            alike[some] |= best.T
-        np.fill_diagonal(alike, True)
-        return np.logical_not(alike, out=alike)
+    def reference(self) -> NDArray[np.intp]:
+        """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
+        count = len(self.keyframes)
+        return np.unique(np.linspace(0, count - 1, min(count, SETTINGS.reference)).astype(np.intp))
 
-    def outlier_of(self, cosines: NDArray[np.float32]) -> float:
-        """Return the cosine from which on a frame shows a place rather than none of the map.
-
-        That is how alike it is to the places that look unlike the one that it is most alike to. So it adapts to what
-        makes all cosines small: noise, darkness, another season; and a view that shows nothing says nothing. Where all
-        places look alike it is `outlier_cosine`. It is at most `alike_cosine`: in a street of houses that look the
-        same, fine details alone tell places apart, and other houses must not make a robot lost that is on the way.
-
-        Parameters
-        ----------
-        cosines : float32 array (k, 3, turns)
-            Of the frame with every view.
-        """
-        best = cosines.reshape(len(cosines), -1).max(axis=1)
-        others = best[self.unlike[best.argmax()]]
-        return min(float(others.max()), self.alike_cosine) if others.size else self.outlier_cosine
+    @cached_property
+    def likelihood(self) -> Likelihood:
+        """What views say of places."""
+        return Likelihood(self.ratio, self.gamma)
 
     @cached_property
     def key_poses(self) -> NDArray[np.float64]:
@@ -173,7 +148,31 @@ class VisualMap:
         """How much a movement changes the view, in correlation lengths."""
         return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.correlation_rad))
 
-    def cosines(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the cosine of a frame (m,) with every view, (k, 3, turns)."""
-        found: NDArray[np.float32] = self.flat_views @ (centred @ self.basis)
+    def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
+        return unit(centred @ self.basis)
+
+    def cosines(self, components: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the cosine of a frame's components (r,) with every view, (k, 3, turns)."""
+        found: NDArray[np.float32] = self.flat_views @ components
         return found.reshape(self.views.shape[:3])
+
+    def sampled(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return those of the cosines (k, 3, turns) that say what elsewhere looks like."""
+        sample: NDArray[np.float32] = cosines[self.reference, 1, TURNS_DEG.size // 2]
+        return sample
+
+    @cached_property
+    def next_cosine(self) -> float:
+        """Mean cosine of the views of a keyframe and the next one: below it, a view is new."""
+        own = self.views[:, 1, TURNS_DEG.size // 2]
+        of = self.drives[self.keyframes]
+        pairs = (own[1:] * own[:-1]).sum(axis=-1)[of[1:] == of[:-1]]
+        return float(pairs.mean()) if pairs.size else 0.5
+
+
+def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scale vectors (..., r) to unit length; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
+    return scaled

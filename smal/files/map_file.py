@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 
 from smal.demonstration import GOAL_NAME
 from smal.files.stored import Content
+from smal.likelihood import GRID, SHARES
 from smal.movement import Atom
 from smal.virtual_views import TURNS_DEG
 
 if TYPE_CHECKING:
     from smal.visual_map import VisualMap
 
-#: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
+#: What numbers of a map can be.
 _LONGEST = 1e6
 #: Keyframes, each of which is compared with all others: 20 km of usual views, and 1 GB while they are compared.
 _MOST_KEYFRAMES = 30_000
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
-    **dict.fromkeys(("outlier_cosine", "alike_cosine"), lambda one: -1.1 <= one <= 1.1),
-    "kappa": lambda one: 0.0 < one <= 300.0,
+    "gamma": lambda one: 0.0 < one <= 1e3,
 }
 #: Axes of its arrays.
 _AXES = {
-    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1,
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1, "ratio": 2,
     "stitched": 2, "stitch_offsets": 2,
 }  # fmt: skip
 _WHOLE = ("drives", "keyframes", "stitched")
@@ -73,7 +73,8 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
         "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
-        "components": 0 < one.basis.shape[1] <= len(one.basis) and _is_orthonormal(one.basis),
+        "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
+        "ratio": one.ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.ratio) < 100.0).all()),
         "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,
         "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
@@ -107,11 +108,6 @@ def _sound(array: object, axes: int, kind: str) -> bool:
     if not isinstance(array, np.ndarray):
         return False
     return array.ndim == axes and array.dtype.kind == kind and bool(np.isfinite(array).all())
-
-
-def _is_orthonormal(basis: NDArray[np.float32]) -> bool:
-    # Huge numbers of a damaged file would only give a warning on the way to the same answer.
-    return bool((np.abs(basis) <= 1.01).all()) and bool(np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() < 0.01)
 
 
 def _is_name(given: object) -> bool:

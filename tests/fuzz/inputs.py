@@ -25,6 +25,7 @@ from services.recordings.writer import EpisodeWriter
 from smal.features import Centering, FeatureSettings
 from smal.files import container
 from smal.files.stored import FORMAT_VERSION
+from smal.likelihood import GRID, SHARES
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.paper.transitions import NO_ACTION, learn_transitions
@@ -132,9 +133,8 @@ def smallest_map() -> Model:
         aside=0.4,
         correlation_length=1.0,
         correlation_rad=0.2,
-        kappa=10.0,
-        outlier_cosine=0.3,
-        alike_cosine=0.5,
+        ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
+        gamma=1.0,
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,
         odometry=True,

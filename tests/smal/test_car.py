@@ -55,7 +55,7 @@ def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
     across = np.hypot(*(found.poses[len(found.poses) // 2] - found.poses[0])[:2])
     assert across * unit == pytest.approx(2.0 * RADIUS, rel=0.01 if odometry else 0.25)
     assert 0.3 < found.correlation_length * unit < 1.2
-    assert found.alike_cosine > found.outlier_cosine + 0.1
+    assert found.likelihood.of(np.array([6.0])) > 2.0
 
 
 @pytest.mark.parametrize("odometry", [True, False])

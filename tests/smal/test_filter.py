@@ -1,8 +1,6 @@
 """The filter follows a robot through a painted room, finds it, and knows when it is lost."""
 
-import copy
 import math
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.features import extract
-from smal.filter import Belief, Filter, _Particles
+from smal.filter import Belief, Filter
 from smal.movement import STILL, Movement, placed
-from smal.settings import SETTINGS
+from smal.particles import Particles
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
@@ -116,19 +114,30 @@ def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> 
     # A particle may be seen from another keyframe, and stays where it is.
     np.testing.assert_allclose(poses_of(after, visual_map), poses_of(before, visual_map), atol=1e-9)
     np.testing.assert_allclose(after.weights, before.weights, atol=2e-4)
-    # It may have been carried away meanwhile, once in 300 s.
-    assert before.lost <= after.lost < before.lost + 0.03
+    assert after.lost == pytest.approx(before.lost, abs=1e-3)
     assert after.tracked == before.tracked
 
 
-def test_a_view_that_is_not_new_does_not_count_however_it_looks() -> None:
-    """Not for the scouts either, whose first view it may be: of a robot that may well have been carried away."""
+def test_noise_of_the_camera_is_no_new_view() -> None:
+    rng, found = np.random.default_rng(1), Filter(*usual_map())
+    before = follow(drive(way=((0.1, 0.0),)), found)[-1]
+    image = ROOM.look(drive(way=((0.1, 0.0),)).poses[-1])
+    for _ in range(100):
+        noisy = np.clip(image + rng.normal(0.0, 5.0, image.shape), 0, 255).astype(np.uint8)
+        after = found.observe(extract(noisy, COLOR), STILL, TICK)
+    assert after.lost == pytest.approx(before.lost, abs=0.02)
+    assert np.bincount(after.keyframes, after.weights).max() < 1.2 * np.bincount(before.keyframes, before.weights).max()
+
+
+@pytest.mark.parametrize("to", [40, 70])
+def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
+    """Within two seconds it no longer believes to be where it was taken away."""
     one, found = drive(), Filter(*usual_map())
-    far = extract(ROOM.look(one.poses[-1]), COLOR)
-    for pose, movement in list(zip(one.poses, [STILL, *one.movements()], strict=True))[:40]:
-        before = found.observe(extract(ROOM.look(pose), COLOR), movement, 0.1 * SETTINGS.kidnap_s)
-        after = copy.deepcopy(found).observe(far, STILL, 0.0)
-        assert after.lost == pytest.approx(before.lost)
+    follow(Drive(one.poses[:20], one.atoms[:20]), found)
+    for pose in one.poses[to : to + 20]:
+        belief = found.observe(extract(ROOM.look(pose), COLOR), STILL, TICK)
+    old = belief.weights[np.hypot(*(poses_of(belief, usual_map()[0])[:2].T - one.poses[19, :2]).T) < 0.5].sum()
+    assert old * (1.0 - belief.lost) < 0.1
 
 
 @settings(deadline=None)
@@ -143,26 +152,27 @@ def test_the_likelihood_does_not_jump_between_the_virtual_views(key: int, aside:
     cosines = np.random.default_rng(seed).uniform(-1.0, 1.0, visual_map.views.shape[:3]).astype(np.float32)
     keys = np.full(2, key)
     offsets = np.array([[0.0, aside * visual_map.aside, math.radians(TURNS_DEG[turn] + by)] for by in (-1e-6, 1e-6)])
-    particles = _Particles(visual_map, keys, placed(offsets, visual_map.key_poses[keys]))
-    found, beyond = particles._interpolated(cosines)
+    particles = Particles(visual_map, keys, placed(offsets, visual_map.key_poses[keys]))
+    found, beyond, _ = particles.interpolated(cosines)
     assert found[0] == pytest.approx(found[1], abs=1e-4)
     assert beyond[0] == pytest.approx(beyond[1], abs=1e-4)
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_hidden_frames_do_not_move_the_belief(moves: bool) -> None:
-    """Noise hides half a metre, most of a correlation length; the belief goes on by the wheels."""
+@pytest.mark.parametrize(("contrast", "frames"), [(0.0, 10), (3.0, 10), (70.0, 3)])
+def test_hidden_frames_do_not_move_the_belief(moves: bool, contrast: float, frames: int) -> None:
+    """Grey hides half a metre, most of a correlation length, or noise a few frames: it goes on by the wheels."""
     seen = drive(way=((2.2, 0.0),))
     found = Filter(*usual_map())
     follow(Drive(seen.poses[:20], seen.atoms[:20]), found)
     rng = np.random.default_rng(0)
-    for number in range(20, 30):
-        hidden = rng.integers(0, 256, (ROWS, COLUMNS, 3), dtype=np.uint8)
+    for number in range(20, 20 + frames):
+        hidden = np.clip(rng.normal(128.0, contrast, (ROWS, COLUMNS, 3)), 0, 255).astype(np.uint8)
         movement = Movement.between(*seen.poses[number - 1 : number + 1]) if moves else STILL
         belief = found.observe(extract(hidden, COLOR), movement, TICK)
         metres, degrees = off(belief, seen.poses[number if moves else 19])
-        assert metres < 0.1
-        assert degrees < 2.0
+        assert metres < 0.5 * usual_map()[0].correlation_length
+        assert degrees < 5.0
         assert belief.lost < 0.5
 
 
@@ -194,28 +204,28 @@ def test_a_kidnapped_robot_is_found(to: int) -> None:
 
 
 def at_home(found: Filter) -> None:
-    """Show the way from its second metre on; the robot is not lost any more within a correlation length and a half."""
+    """Show the way from its second metre on; within two and a half correlation lengths it is not lost any more."""
     one = drive()
     back = follow(Drive(one.poses[20:60], one.atoms[20:60]), found)
-    assert max(belief.lost for belief in back[20:]) < 0.25
+    assert max(belief.lost for belief in back[30:]) < 0.25
     assert off(back[-1], one.poses[59])[0] < 0.2
 
 
-@cache
 def elsewhere(seed: int) -> tuple[list[float], Filter]:
-    """Return what is lost over four correlation lengths through another room."""
+    """Return what is lost over seven correlation lengths through another room."""
     one, found = drive(), Filter(*usual_map())
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
-    far = drive((3.5, 4.0, 0.0), ((4.0 * usual_map()[0].correlation_length, 0.0),))
+    far = drive((3.5, 4.0, 0.0), ((7.0 * usual_map()[0].correlation_length, 0.0),))
     return [belief.lost for belief in follow(far, found, Room(seed))], found
 
 
-@pytest.mark.parametrize("seed", [1, 7])
-def test_in_another_room_it_is_lost_and_back_from_there_it_is_not(seed: int) -> None:
-    lost, found = elsewhere(seed)
-    assert lost[0] < 0.01
-    assert min(lost[len(lost) // 2 :]) > 0.5
-    at_home(copy.deepcopy(found))
+def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
+    """Rooms may look alike by chance: lost in most of them."""
+    rooms = [elsewhere(seed) for seed in range(1, 6)]
+    assert max(lost[0] for lost, _ in rooms) < 0.2
+    assert float(np.median([lost[-1] for lost, _ in rooms])) > 0.5
+    for _, found in rooms[:2]:
+        at_home(found)
 
 
 @settings(deadline=None, derandomize=True, max_examples=15)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.filter import Belief, Filter
+from smal.likelihood import GRID, SHARES
 from smal.movement import Atom
 from smal.planning import Planner, cost_to_go
 from smal.settings import SETTINGS
@@ -49,9 +50,8 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         aside=0.2,
         correlation_length=0.5,
         correlation_rad=0.2,
-        kappa=6.0,
-        outlier_cosine=0.2,
-        alike_cosine=0.5,
+        ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
+        gamma=1.0,
         movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
         tick_s=TICK,
         odometry=True,

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from smal.features import Centering, FeatureSettings
+from smal.likelihood import GRID, SHARES
 from smal.model import Model
 from smal.planning import Planner
 from smal.robot import Localizer
@@ -43,9 +44,8 @@ def map_of(metres: float, components: int) -> Model:
         aside=0.4,
         correlation_length=2.0,
         correlation_rad=0.2,
-        kappa=10.0,
-        outlier_cosine=0.3,
-        alike_cosine=0.5,
+        ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
+        gamma=1.0,
         movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
         tick_s=0.1,
         odometry=True,

@@ -1,0 +1,117 @@
+"""How much a view speaks for a place: log p(view | here) - log p(view | elsewhere), measured on what was taught.
+
+A view stands out at a place by z: its cosine with the view from there, less the median of its cosines with a fixed
+sample of taught views, over their spread. So noise, darkness and another season, which make all cosines small, change z
+little, and the size of the map does not enter.
+
+*Elsewhere* z is distributed as it is between taught views of different places, look-alikes included. *Here* a view
+stands out by a share of what it did between neighbouring taught views, with the scatter of elsewhere: on the taught day
+by all of it, under other light or behind something by less. Nobody knows the share beforehand, but it lasts: the filter
+follows it as it follows the place. With the share 0 something hides the place, and a view says nothing.
+
+Neighbouring views are no independent witnesses. They correlate by s^gamma, where s is their cosine; a view is new by
+(1 - s^gamma) / (1 + s^gamma), which is what one more value of a first-order autoregression tells.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from smal.settings import SETTINGS
+
+#: What z is tabulated for; beyond it the ends hold.
+GRID = np.arange(-6.0, 40.125, 0.25)
+#: Upper ends of the ranges of the share.
+SHARES = np.linspace(0.0, 1.0, 5)
+#: Their probabilities on a day of which nothing is known.
+ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)))
+_FINE = np.linspace(0.0, 1.0, 101)
+
+
+def scale(sample: NDArray[Any]) -> tuple[float, float]:
+    """Return the median of the cosines (n,) of a view with a sample of elsewhere, and their spread.
+
+    The spread is the median absolute deviation, scaled to the standard deviation of a normal distribution.
+    """
+    middle = float(np.median(sample))
+    return middle, 1.4826 * float(np.median(np.abs(sample - middle)))
+
+
+def standing_out(cosines: NDArray[Any], sample: NDArray[Any]) -> NDArray[Any]:
+    """Return by how much the cosines of a view stand out from those with a sample of elsewhere; 0 if it is blank."""
+    middle, spread = scale(sample)
+    return (cosines - middle) / spread if spread > 1e-6 else np.zeros_like(cosines)
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """The log ratio for each z, and how fast views become new.
+
+    Parameters
+    ----------
+    ratio : float64 array (shares, z)
+        log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point, ascending.
+    gamma : float
+        Above 0; neighbouring views correlate by their cosine to this power.
+    """
+
+    ratio: NDArray[np.float64]
+    gamma: float
+
+    @classmethod
+    def fit(cls, here: NDArray[Any], elsewhere: NDArray[Any], independent: float, gamma: float) -> "Likelihood":
+        """Measure it.
+
+        Parameters
+        ----------
+        here, elsewhere : arrays
+            z of neighbouring taught views, and of views of different places.
+        independent : float
+            How many of the latter are independent.
+        gamma : float
+        """
+        width = GRID[1] - GRID[0]
+        edges = np.append(GRID, GRID[-1] + width) - width / 2.0
+        # Too few views stand out by much to be counted. Excesses over a high threshold are exponential; what n of them
+        # let expect of the next one, whose mean is not known, is a Pareto distribution (Lomax).
+        least = float(np.quantile(elsewhere, SETTINGS.usual))
+        above = elsewhere[elsewhere > least] - least
+        mean = max(float(above.mean()), width) if above.size else 1.0
+        count = max((1.0 - SETTINGS.usual) * independent, 1.0)
+        usual = np.histogram(elsewhere[elsewhere <= least], edges)[0].astype(np.float64)
+        tail = (1.0 + np.maximum(GRID - least, 0.0) / (count * mean)) ** (-count - 1.0) * (least <= GRID)
+        p0 = SETTINGS.usual * usual / max(usual.sum(), 1.0) + (1.0 - SETTINGS.usual) * tail / tail.sum()
+        p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
+        zero = int(np.argmin(np.abs(GRID)))
+        ratio = np.zeros((SHARES.size, GRID.size))
+        for row, least, most in zip(ratio[1:], SHARES[:-1], SHARES[1:], strict=True):
+            shares = _FINE[(least <= _FINE) & (most >= _FINE)]
+            shown = np.clip(np.multiply.outer(shares, np.maximum(here, 0.0)).ravel(), 0.0, GRID[-1])
+            p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[zero : zero + GRID.size]
+            # What stands out more never speaks less for a place.
+            row[:] = isotonic_regression(np.log(np.maximum(p1, 1e-300) / p0), weights=p0 + p1).x
+        # Any view may be hidden.
+        return cls(np.clip(ratio, math.log(SETTINGS.hidden), 50.0), gamma)
+
+    def of(self, z: NDArray[Any], share: int = -1) -> NDArray[np.float64]:
+        """Return the log ratio of each z, for one of the shares."""
+        ratio: NDArray[np.float64] = np.interp(z, GRID, self.ratio[share])
+        return ratio
+
+    def mixed(self, shares: NDArray[np.float64], z: NDArray[Any], newness: float) -> NDArray[np.float64]:
+        """Return the likelihood ratio of each z where shares have these probabilities, of a view that is so new."""
+        ratio: NDArray[np.float64] = np.interp(z, GRID, shares @ np.exp(newness * self.ratio))
+        return ratio
+
+    def correlation(self, cosine: float) -> float:
+        """Return how far two views of this cosine say the same, 0 to 1."""
+        return math.pow(max(cosine, 0.0), self.gamma)
+
+
+def gamma_of(cosine: float, correlation: float) -> float:
+    """Return the exponent by which views of this mean cosine correlate so."""
+    return math.log(min(max(correlation, 0.01), 0.99)) / math.log(min(max(cosine, 0.01), 0.99))

@@ -1,0 +1,164 @@
+"""Particles: poses beside taught keyframes, and how probable each of them is."""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.likelihood import ANY_DAY, SHARES
+from smal.movement import MotionNoise, Movement, seen_from, wrapped
+from smal.settings import SETTINGS
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VisualMap
+
+
+class View(NamedTuple):
+    """What a robot's view looks like.
+
+    Parameters
+    ----------
+    cosines : float32 array (k, 3, turns)
+        With every view of the map.
+    middle, spread : float
+        Median and spread of its cosines with the sample of elsewhere.
+    newness : float
+        How much of it the views before have not told, 0 to 1.
+    """
+
+    cosines: NDArray[np.float32]
+    middle: float
+    spread: float
+    newness: float
+
+    def stands_out(self, cosines: NDArray[Any]) -> NDArray[Any]:
+        """Return by how much cosines stand out."""
+        return (cosines - self.middle) / self.spread if self.spread > 1e-6 else np.zeros_like(cosines)
+
+
+class Particles:
+    """Poses in the axes of the drive of their keyframe, and weights that sum to 1."""
+
+    def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
+        self._map = visual_map
+        self.keyframes, self.poses = keyframes, poses
+        self.followed = np.zeros(len(poses))
+        self.weights = np.full(len(poses), 1.0 / len(poses))
+        #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
+        self.shares = FIRST_SHARES
+
+    def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> None:
+        """Predict: move all by a movement with noise, and find their keyframes."""
+        ahead_noise, turn_noise, drift, jitter = rng.standard_normal((4, len(self.poses)))
+        # A diffusion: errors grow with the square root of the way, whatever the rate of frames and the speed.
+        way = math.sqrt(abs(movement.ahead) / self._map.correlation_length)
+        ahead = movement.ahead + noise.ahead * way * self._map.correlation_length * ahead_noise
+        turn = movement.turn_rad + noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
+        turn += noise.drift_rad * way * drift + noise.jitter_rad * math.sqrt(newness) * jitter
+        middle = self.poses[:, 2] + turn / 2.0
+        self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
+        self.followed += self._map.lengths(movement) * self._map.correlation_length
+        first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
+        near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
+        apart = self.poses[:, None] - self._map.key_poses[near]
+        far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / self._map.correlation_length**2
+        # A turn is covered by the virtual views: it counts for less than the place.
+        far += (wrapped(apart[..., 2]) / (3.0 * self._map.correlation_rad)) ** 2
+        self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
+
+    def offsets(self) -> NDArray[np.float64]:
+        """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
+        return seen_from(self.poses, self._map.key_poses[self.keyframes])
+
+    def update(self, seen: View, rng: np.random.Generator) -> float:
+        """Weigh by a view; return how much likelier it is here than elsewhere."""
+        found, beyond, away = self.interpolated(seen.cosines)
+        z = seen.stands_out(found)
+        ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
+        # Where it looks away from all that was taught, the view says nothing; far aside is like nowhere.
+        ratio[1:] = np.maximum(ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.ratio[1:, :1])
+        ratio *= np.exp(-2.0 * np.square(away))
+        likelihood = self.shares[:, None] * np.exp(seen.newness * ratio)
+        joint = likelihood * self.weights
+        total = float(joint.sum())
+        self.weights, shares = joint.sum(axis=0) / total, joint.sum(axis=1) / total
+        self.shares = shares + (shares @ _CHANGES - shares) * seen.newness
+        if (self.weights**2).sum() > 2.0 / len(self.weights):
+            self.keep(systematic(self.weights, len(self.weights), rng))
+        return total
+
+    def cosine(self, seen: View) -> float:
+        """Return the mean cosine of a view with those of these places."""
+        return float(self.weights @ self.interpolated(seen.cosines)[0])
+
+    def interpolated(
+        self, cosines: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the cosine with the view at each particle's offset, and how far that lies and is turned beyond views.
+
+        Between two views the one between them is their sum, scaled to unit length; what lies beyond the outermost ones
+        is in correlation lengths and turns.
+        """
+        offsets = self.offsets()
+        by_turn, by_place = self._map.neighbour_cosines
+        k = self.keyframes
+        step = float(TURNS_DEG[1] - TURNS_DEG[0])
+        turned = (np.degrees(offsets[:, 2]) - TURNS_DEG[0]) / step
+        inside = np.clip(turned, 0.0, TURNS_DEG.size - 1)
+        t = np.minimum(inside.astype(np.intp), TURNS_DEG.size - 2)
+        f = inside - t
+        aside = np.clip(offsets[:, 1] / self._map.aside, -1.0, 1.0) + 1.0
+        p = np.minimum(aside.astype(np.intp), 1)
+        g = aside - p
+
+        def at(place: NDArray[np.intp]) -> NDArray[np.float64]:
+            mixed = (1.0 - f) * cosines[k, place, t] + f * cosines[k, place, t + 1]
+            scaled: NDArray[np.float64] = mixed / _norm(f, by_turn[k, place, t])
+            return scaled
+
+        places_alike = (1.0 - f) * by_place[k, p, t] + f * by_place[k, p, t + 1]
+        found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, places_alike)
+        length = self._map.correlation_length
+        beyond = np.hypot(
+            np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,
+            np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0) / length,
+        )
+        turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
+        return found, beyond, turned_beyond * math.radians(step) / self._map.correlation_rad
+
+    def keep(self, which: NDArray[np.intp]) -> None:
+        """Keep some particles, alike in weight."""
+        self.keyframes, self.poses, self.followed = self.keyframes[which], self.poses[which], self.followed[which]
+        self.weights = np.full(which.size, 1.0 / which.size)
+
+
+def _changes() -> NDArray[np.float64]:
+    """Return how the share that shows changes with a new view, (from, to); in the long run, a part is hidden."""
+    hides = SETTINGS.appears * SETTINGS.hidden / (1.0 - SETTINGS.hidden)
+    rows = (1.0 - hides - SETTINGS.light) * np.eye(SHARES.size) + SETTINGS.light * ANY_DAY
+    rows[:, 0] += hides
+    rows[0] = SETTINGS.appears * ANY_DAY
+    rows[0, 0] = 1.0 - SETTINGS.appears
+    return rows
+
+
+_CHANGES: Final = _changes()
+FIRST_SHARES: Final = (1.0 - SETTINGS.hidden) * ANY_DAY + SETTINGS.hidden * (SHARES == 0.0)
+
+
+def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the length of a mixture of two unit vectors, of which the second has this share.
+
+    Views beside each other are never opposite; a damaged map must not divide by zero.
+    """
+    squared = (1.0 - share) ** 2 + share**2 + 2.0 * share * (1.0 - share) * np.maximum(cosine, -0.5)
+    length: NDArray[np.float64] = np.sqrt(squared)
+    return length
+
+
+def systematic(weights: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw so many indices by their weights (n,), as evenly as can be (systematic resampling)."""
+    edges = np.cumsum(weights, dtype=np.float64)
+    marks = (rng.random() + np.arange(count)) / max(count, 1) * edges[-1]
+    found: NDArray[np.intp] = np.minimum(np.searchsorted(edges, marks), len(weights) - 1)
+    return found

@@ -1,0 +1,81 @@
+"""What a view says of a place: calibrated, monotone, and the same whatever dims all views alike."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.likelihood import ANY_DAY, GRID, SHARES, Likelihood, gamma_of, standing_out
+
+
+def drawn(rng: np.random.Generator, stands_out: float, tail: float) -> tuple[np.ndarray, np.ndarray]:
+    """Draw z of views that show the place on days of any kind, and of views that do not."""
+    elsewhere = np.where(rng.random(40_000) < 0.95, rng.standard_normal(40_000), 1.6 + rng.exponential(tail, 40_000))
+    here = rng.random(40_000) * stands_out + rng.permutation(elsewhere)
+    return here, elsewhere
+
+
+@settings(deadline=None, max_examples=20)
+@given(stands_out=st.floats(2.0, 20.0), tail=st.floats(0.3, 3.0), seed=st.integers(0, 2**16))
+def test_probabilities_are_as_often_right_as_they_say(stands_out: float, tail: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    here, elsewhere = drawn(rng, stands_out, tail)
+    found = Likelihood.fit(np.full(100, stands_out), elsewhere, 1e6, 1.0)
+    z = np.concatenate([here, elsewhere])
+    said = 1.0 - 1.0 / (1.0 + found.mixed(ANY_DAY, z, 1.0))
+    true = np.repeat([1.0, 0.0], len(here))
+    bins = np.clip((said * 10).astype(int), 0, 9)
+    off = sum((bins == k).mean() * abs(said[bins == k].mean() - true[bins == k].mean()) for k in set(bins.tolist()))
+    assert off < 0.05
+
+
+@settings(deadline=None, max_examples=50)
+@given(here=st.lists(st.floats(-2.0, 30.0), min_size=1, max_size=50), seed=st.integers(0, 2**16))
+def test_a_view_that_stands_out_more_never_speaks_less(here: list[float], seed: int) -> None:
+    elsewhere = np.random.default_rng(seed).standard_normal(500)
+    found = Likelihood.fit(np.array(here), elsewhere, 1e6, 1.0)
+    assert (np.diff(found.ratio) >= 0.0).all()
+    assert np.isfinite(found.ratio).all()
+
+
+def test_the_size_of_the_map_does_not_enter() -> None:
+    elsewhere = np.random.default_rng(0).standard_normal(1000)
+    one = Likelihood.fit(np.full(20, 8.0), elsewhere, 1e6, 1.0)
+    other = Likelihood.fit(np.full(2000, 8.0), np.tile(elsewhere, 64), 1e6, 1.0)
+    np.testing.assert_allclose(one.ratio, other.ratio, atol=1e-9)
+
+
+def test_places_that_look_alike_make_views_say_less() -> None:
+    rng = np.random.default_rng(0)
+    plain = rng.standard_normal(5000)
+    alike = np.where(rng.random(5000) < 0.05, rng.normal(8.0, 1.0, 5000), plain)
+    unlike_street, street = (Likelihood.fit(np.full(20, 9.0), each, 1e6, 1.0) for each in (plain, alike))
+    assert street.of(np.array([8.0])) < unlike_street.of(np.array([8.0])) - 3.0
+
+
+def test_of_few_views_elsewhere_little_is_concluded() -> None:
+    elsewhere = np.random.default_rng(0).standard_normal(1000)
+    few, many = (Likelihood.fit(np.full(20, 9.0), elsewhere, independent, 1.0) for independent in (20.0, 1e4))
+    assert few.of(np.array([8.0])) < many.of(np.array([8.0])) - 3.0
+
+
+@settings(deadline=None)
+@given(scale=st.floats(0.01, 10.0), shift=st.floats(-1.0, 1.0), seed=st.integers(0, 2**16))
+def test_what_dims_all_views_alike_changes_nothing(scale: float, shift: float, seed: int) -> None:
+    cosines, sample = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 40))
+    usual = standing_out(cosines, sample)
+    np.testing.assert_allclose(
+        standing_out(scale * cosines + shift, scale * sample + shift), usual, rtol=1e-6, atol=1e-6
+    )
+
+
+def test_a_blank_view_stands_out_nowhere() -> None:
+    assert not standing_out(np.zeros(5), np.zeros(9)).any()
+
+
+@pytest.mark.parametrize(("cosine", "correlation"), [(0.5, 0.25), (0.9, 0.6), (0.3, 0.3)])
+def test_views_correlate_as_was_measured(cosine: float, correlation: float) -> None:
+    found = Likelihood(np.zeros((SHARES.size, GRID.size)), gamma_of(cosine, correlation))
+    assert found.correlation(cosine) == pytest.approx(correlation)
+    assert found.correlation(1.0) == 1.0
+    assert found.correlation(-0.2) == 0.0
