@@ -52,6 +52,16 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made_once(tmp_path_factory, "taught", make)
 
 
+@pytest.fixture(scope="session")
+def taught_paper(taught: Path) -> Path:
+    """Learn the paper's model from the same drive, beside the other; return its file."""
+    model = taught / "paper.smal"
+    if not model.exists():
+        done = run_smal("learn", taught / "drives", "--scheme", "paper", "--out", model)
+        assert done.returncode == 0, done.stderr
+    return model
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """Start Debian's Chromium, which deploy/setup.sh --tests installs, for tests of pages."""

@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -20,7 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from schemas.codec import printable
 from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX
-from services.kit.errors import UsageError, describe_os_error
+from services.kit.errors import UsageError
 from services.table import roles
 
 CA_KEY_FILE: Final = "ca.key"
@@ -89,19 +90,10 @@ def certificate_of(
     authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
 ) -> x509.Certificate:
     """Return a certificate of a role; with hosts it is a router's as well."""
-    hosts = list(hosts)
-    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     names = dict.fromkeys([x509.DNSName(role), *map(_general_name, hosts)])
-    return _signed(
-        role,
-        authority.certificate.subject,
-        key,
-        authority.key,
-        days,
-        x509.BasicConstraints(ca=False, path_length=None),
-        x509.ExtendedKeyUsage(uses),
-        x509.SubjectAlternativeName(names),
-    )
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if len(names) > 1 else [])]
+    extensions = x509.BasicConstraints(False, None), x509.ExtendedKeyUsage(uses), x509.SubjectAlternativeName(names)
+    return _signed(role, authority.certificate.subject, key, authority.key, days, *extensions)
 
 
 def check_host(host: str) -> str:
@@ -160,14 +152,11 @@ def read_authority(folder: Path) -> Authority:
 
     Raises UsageError when they are not there, or do not belong together.
     """
-    path = folder / CA_KEY_FILE
-    authorities = _authorities(folder)
+    path, authorities = folder / CA_KEY_FILE, _authorities(folder)
     try:
         key = _read_key(path)
-    except OSError as error:
-        raise UsageError(f"cannot read {path}, which signs: {error.strerror or error}") from None
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}") from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}, which signs: {_why(error)}") from None
     for authority in authorities:
         if isinstance(key, ec.EllipticCurvePrivateKey) and key.public_key() == authority.public_key():
             return Authority(authority, key)
@@ -208,10 +197,8 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     except x509.ExtensionNotFound:
         return False, "it does not say what it may be used for"
-    except OSError as error:
-        return False, f"it or its key cannot be read: {describe_os_error(error)}"
-    except ValueError as error:
-        return False, f"it or its key cannot be read: {error}"
+    except (OSError, ValueError) as error:
+        return False, f"it or its key cannot be read: {_why(error)}"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     is_router = ExtendedKeyUsageOID.SERVER_AUTH in uses
     open_to = _open_to_others(key_path)
@@ -243,11 +230,10 @@ def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[boo
 
 
 def _has_signed(authority: x509.Certificate, certificate: x509.Certificate) -> bool:
-    try:
+    with suppress(ValueError, TypeError, InvalidSignature):
         certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
+        return True
+    return False
 
 
 #: An authority signs, and nothing else.
@@ -279,9 +265,13 @@ def _authorities(folder: Path) -> list[x509.Certificate]:
     try:
         return x509.load_pem_x509_certificates(path.read_bytes())
     except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}; `smal secure init` makes it") from None
+        raise UsageError(f"{path}: {_why(error)}; `smal secure init` makes it") from None
     except ValueError:
         raise UsageError(f"{path}: no certificate") from None
+
+
+def _why(error: OSError | ValueError) -> str:
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
 
 
 def _name(common: str) -> x509.Name:

@@ -16,7 +16,7 @@ from schemas.rpc import ResetRequest
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import recording
-from services.cli.stack.processes import Access, flags, stack_for
+from services.cli.stack import Access, flags, stack_for
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, ExpertService
 from services.kit.errors import UsageError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from tqdm import tqdm
@@ -12,9 +12,8 @@ from typer import Option
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.experiments.evaluation.plan import PLANS, in_world
-from services.experiments.evaluation.pool import do_all
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import Unit, units
+from services.experiments.evaluation.units import units
 from services.kit.errors import UsageError
 
 
@@ -49,22 +48,10 @@ def evaluate(
     results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:
-            _work(planned, results, workers)
+            begun = len(results.findings)
+            with tqdm(total=len(planned), initial=begun, desc="evaluating", unit="unit", dynamic_ncols=True) as bar:
+                results.complete(planned, workers, bar.update)
         from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
         page = write_page(plan, results)
     typer.echo(f"results: {page}")
-
-
-def _work(planned: list[Unit], results: Results, workers: int) -> None:
-    """Do what is left to do, with one bar over all of it."""
-    done = set(results.findings)
-    with tqdm(total=len(planned), initial=len(done), desc="evaluating", unit="unit", dynamic_ncols=True) as bar:
-
-        def finish(unit: Unit, found: dict[str, Any]) -> None:
-            results.add(unit, found)
-            bar.set_postfix_str(f"{unit.kind} {unit['world']}", refresh=False)
-            bar.update()
-
-        if len(done) < len(planned):
-            do_all(planned, done, results.work, workers, finish)

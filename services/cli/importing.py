@@ -17,8 +17,8 @@ from typer import Argument, Option
 
 from schemas.codec import printable
 from services.cli import options, outputs
+from services.cli.child import tied
 from services.cli.progress import Bars
-from services.cli.stack.child import tied
 from services.importers.job import FORMATS, Job, Report, check_format
 from services.importers.ticks import QUANTILE, STILL, TURNING
 from services.kit.errors import JobError, UsageError
@@ -72,7 +72,7 @@ def import_recordings(
     outputs.check_file(json_file, "--json")
     if to_s is not None and to_s <= from_s:
         raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")
-    with outputs.made_folder(out, "--out"), outputs.workshop(out, ".import-") as folder:
+    with outputs.workshop(out, "--out") as folder:
         job = Job(
             format=form, path=str(path), folder=str(folder), robot=robot, goal=goal,
             success=None if failed is None else not failed, reckon=not no_odometry,

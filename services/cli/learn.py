@@ -16,7 +16,7 @@ from typer import Argument, Option
 from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.progress import Bars
-from services.experiments.matching.report import described_by
+from services.experiments.words import described_by
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings, states_shared_by_episodes
@@ -42,7 +42,6 @@ def learn(
     ] = None,
     gamma: Annotated[float | None, Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: options.Modalities = None,
-    weights: options.Weights = None,
     include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
     memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Paper: stop rather than take more.")] = None,
     json_file: options.JsonFile = None,
@@ -71,7 +70,7 @@ def learn(
     outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
     files = find_recordings(recordings)
-    features = _features(files, scheme, modalities, weights)
+    features = _features(files, scheme, modalities)
     bar = _Lines() if progress else Bars()
     try:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
@@ -112,9 +111,7 @@ def _settings(scheme: Scheme, given: dict[str, Any]) -> LearningSettings:
         raise UsageError(str(error)) from None
 
 
-def _features(
-    files: list[Path], scheme: Scheme, modalities: FeatureSettings | None, weights: str | None
-) -> FeatureSettings:
+def _features(files: list[Path], scheme: Scheme, modalities: FeatureSettings | None) -> FeatureSettings:
     """Return what is learned from: what is asked for, or what the recordings hold, of which a map takes no depth."""
     features = modalities or features_of_recordings(files)
     if scheme == "filter" and "depth" in features.needs:
@@ -123,7 +120,7 @@ def _features(
                 f"--modalities {modalities.text}: a map of views has no depth; leave depth out, or give --scheme paper"
             )
         features = features.of_images() or FeatureSettings()
-    return options.weighted(features, weights)
+    return features
 
 
 class _Lines:

@@ -12,16 +12,12 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.progress import Bars
-from services.experiments.matching.image_folder import (
-    ImageFolder,
-    describe_frames,
-    list_folder,
-    read_truth_of,
-    say_skipped,
-)
-from services.experiments.matching.report import Quality, Result, Traverses, as_json, as_text, described_by
+from services.experiments.matching.image_folder import ImageFolder, Traverse, describe_frames, list_folder
+from services.experiments.matching.report import Quality, Result, as_json, as_text, in_folders
+from services.experiments.matching.truth_file import read_truth
+from services.experiments.words import counted, described_by
 from services.kit.errors import JobError, UsageError
-from smal.evaluation.ground_truth import IntervalTruth, judge
+from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.features import FeatureSettings
 from smal.place_recognition import Matches
@@ -40,7 +36,6 @@ def match(
     name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,
-    weights: options.Weights = None,
     penalty: Annotated[float | None, Option(help="Weight of the regularization; see above.")] = None,
     tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
     reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
@@ -75,28 +70,29 @@ def match(
 
     Example: smal match summer winter --length 10 --truth truth.csv --json matches.json --plot matches.png
     """
-    method, settings = choose(name, length, modalities, weights, penalty)
+    method, settings = choose(name, length, modalities, penalty)
     folders = [one for one in (reference_dir, query_dir, reference_depth, query_depth) if one is not None]
     _check_outputs(json_file, plot, [] if truth is None else [truth], folders)
-    references, queries = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
-    named = (("--reference-depth", reference_depth, references), ("--query-depth", query_depth, queries))
+    known, asked = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
+    named = (("--reference-depth", reference_depth, known), ("--query-depth", query_depth, asked))
     depths = [_depth_folder(settings.features, *one) for one in named]
-    expected = None if truth is None else read_truth_of(truth, queries, references)
+    expected = None if truth is None else read_truth(truth, len(asked.frames), len(known.frames))
     began_s = time.perf_counter()
-    traverses = Traverses(
-        references,
-        queries,
-        describe_frames(references, settings.features, depths[0], "reading references"),
-        describe_frames(queries, settings.features, depths[1], "reading queries"),
-    )
+    references = describe_frames(known, settings.features, depths[0], "reading references")
+    queries = describe_frames(asked, settings.features, depths[1], "reading queries")
     read_s = time.perf_counter()
-    _check_windows(traverses, settings.length)
-    found = traverses.in_folders(_match(method, traverses, settings))
+    for one in (references, queries):
+        one.say_skipped()
+    for one in (references, queries):
+        if one.numbers.size < settings.length:
+            few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
+            raise JobError(f"{one.folder.path}: {few}; choose a shorter --length")
+    found = in_folders(_match(method, references, queries, settings), references, queries)
     matches = found if tau is None else found.above(tau)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
     quality = None if expected is None else _quality(matches, expected, settings.length)
     unsure = int(found.matched.sum() - matches.matched.sum())
-    result = Result(name, settings, tau, traverses, matches, unsure, quality, seconds)
+    result = Result(name, settings, tau, references, queries, matches, unsure, quality, seconds)
     written: list[Path] = []
     try:
         if json_file is not None:
@@ -112,7 +108,7 @@ def match(
 
 
 def choose(
-    name: str, length: int | None, modalities: FeatureSettings | None, weights: str | None, penalty: float | None
+    name: str, length: int | None, modalities: FeatureSettings | None, penalty: float | None
 ) -> tuple[Method, MatchSettings]:
     """Take a method of the table, and its own settings where nothing is asked for.
 
@@ -121,17 +117,17 @@ def choose(
     if name not in METHODS:
         raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
     method = METHODS[name]
-    if not method.any_features and (modalities or weights):
-        flag = f"--weights {weights}" if modalities is None else f"--modalities {modalities.text}"
-        raise UsageError(f"{flag}: the method {name} has its own features, {', '.join(method.features.modalities)}")
+    if not method.any_features and modalities:
+        own = ", ".join(method.features.modalities)
+        raise UsageError(f"--modalities {modalities.text}: the method {name} has its own features, {own}")
     if length not in (None, method.length) and not method.any_length:
         raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
     if penalty is not None and method.penalty is None:
         raise UsageError(f"--penalty {penalty:g}: the method {name} has none")
     if penalty is not None and not 0.0 < penalty < 1.0:
         raise UsageError(f"--penalty {penalty:g}: must be above 0 and below 1")
-    features = options.weighted(modalities or method.features, weights)
-    return method, MatchSettings(features, length or method.length, method.penalty if penalty is None else penalty)
+    penalty = method.penalty if penalty is None else penalty
+    return method, MatchSettings(modalities or method.features, length or method.length, penalty)
 
 
 def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
@@ -162,32 +158,21 @@ def _depth_folder(features: FeatureSettings, option: str, path: Path | None, col
     return folder
 
 
-def _check_windows(traverses: Traverses, length: int) -> None:
-    """Name what was skipped; without a whole window of both there is nothing to match."""
-    pairs = ((traverses.references, traverses.reference_frames), (traverses.queries, traverses.query_frames))
-    for folder, described in pairs:
-        say_skipped(folder, described)
-    for folder, described in pairs:
-        if described.numbers.size < length:
-            frames = "1 image is" if described.numbers.size == 1 else f"{described.numbers.size} images are"
-            raise JobError(f"{folder.path}: {frames} too few for a window of {length}; choose a shorter --length")
-
-
-def _match(method: Method, traverses: Traverses, settings: MatchSettings) -> Matches:
-    references, queries = traverses.reference_frames.features, traverses.query_frames.features
+def _match(method: Method, references: Traverse, queries: Traverse, settings: MatchSettings) -> Matches:
+    sizes = len(queries.features), len(references.features)
     with closing(Bars("frame")) as bars:
         try:
-            return method.match(references, queries, settings, lambda done: bars("matching", done, len(queries)))
+            return method.match(
+                references.features, queries.features, settings, lambda done: bars("matching", done, sizes[0])
+            )
         except ValueError as error:
             raise JobError(f"cannot match these folders: {error}") from None
         except MemoryError:
-            raise JobError(
-                f"matching {len(queries)} and {len(references)} frames takes more memory than there is"
-            ) from None
+            raise JobError("matching {} and {} frames takes more memory than there is".format(*sizes)) from None
 
 
 def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
-    judgement = judge(matches, truth)
+    judgement = truth.judge(matches)
     judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
     intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
     return Quality(PrecisionRecall.of(judgement), intervals, judged, to_find)
@@ -196,10 +181,9 @@ def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
 def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
     from services.experiments.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
 
-    folders = result.traverses
     figure = draw_matches(
         result.matches,
-        len(folders.references.frames),
+        len(result.references.folder.frames),
         truth,
         None if result.quality is None else result.quality.curve,
         f"{result.name}, l = {result.settings.length}, {described_by(result.settings.features)}"

@@ -42,7 +42,7 @@ def show(
 
     OUT/index.html shows the taught ways with the places where they part and meet, and the cost to go to each goal; of
     a model of the paper's scheme its states and the reward. A model keeps no images: with --recordings the page has
-    those of the drives, and where the belief was wide when recognition follows them once more. The page needs nothing
+    some of each drive, and where the belief was wide when recognition follows them once more. The page needs nothing
     from a network.
 
     Example: smal model show campus.smal --recordings drives --out shown

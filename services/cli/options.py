@@ -15,7 +15,7 @@ from schemas.codec import describe
 from schemas.episode import GoalName
 from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
-from services.cli.stack.processes import flags
+from services.cli.stack import flags
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
@@ -105,9 +105,6 @@ Modalities = Annotated[
         help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
         "[default: those of the model, the recordings or the method; else color,hog]",
     ),
-]
-Weights = Annotated[
-    str | None, Option(metavar="NUMBERS", help="How much each modality counts, in their order. [default: all the same]")
 ]
 
 
@@ -216,17 +213,6 @@ def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goa
     if refusal is not None:
         raise UsageError(f"--model {path}: {refusal}")
     return model
-
-
-def weighted(features: FeatureSettings, weights: str | None) -> FeatureSettings:
-    """Give ``--weights`` to modalities.
-
-    Raises UsageError when they are no positive numbers, or not as many as the modalities.
-    """
-    try:
-        return features if weights is None else FeatureSettings.parse(features.text, weights)
-    except ValueError as error:
-        raise UsageError(f"--weights {weights}: {error}") from None
 
 
 def feature_flags(modalities: FeatureSettings | None, model: FeatureSettings | None = None) -> tuple[str, ...]:

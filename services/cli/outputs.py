@@ -30,20 +30,6 @@ def make_folder(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written to")
 
 
-@contextmanager
-def made_folder(path: Path, option: str) -> Iterator[None]:
-    """Make the folder as `make_folder` does; at a failure it is gone again where it is new and nothing is in it."""
-    new = not path.exists()
-    make_folder(path, option)
-    try:
-        yield
-    except BaseException:
-        if new:
-            with suppress(OSError):
-                path.rmdir()
-        raise
-
-
 def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:
     """Check, before the work begins, that a file of results can be written, if one is wanted.
 
@@ -67,10 +53,21 @@ def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), 
 
 
 @contextmanager
-def workshop(folder: Path, prefix: str) -> Iterator[Path]:
-    """Make a folder in another, in which results lie until all of them are whole; then, or at a failure, it is gone."""
-    with interrupted_by_signals(), tempfile.TemporaryDirectory(prefix=prefix, dir=folder) as made:
-        yield Path(made)
+def workshop(folder: Path, option: str) -> Iterator[Path]:
+    """Make a folder, and another in it, in which results lie until all of them are whole; then that one is gone.
+
+    At a failure the folder is gone too, where it is new and nothing else is in it. Raises as `make_folder`.
+    """
+    new = not folder.exists()
+    make_folder(folder, option)
+    try:
+        with interrupted_by_signals(), tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as made:
+            yield Path(made)
+    except BaseException:
+        if new:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 @contextmanager
@@ -82,12 +79,10 @@ def new_folder(path: Path, option: str) -> Iterator[Path]:
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise UsageError(f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name")
     place = path.resolve()
-    make_folder(place.parent, option)
-    with workshop(place.parent, f".{place.name}-") as shop:
-        whole = shop / place.name
-        whole.mkdir()
-        yield whole
-        whole.rename(place)
+    with workshop(place.parent, option) as shop:
+        (shop / place.name).mkdir()
+        yield shop / place.name
+        (shop / place.name).rename(place)
 
 
 @contextmanager

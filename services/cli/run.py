@@ -14,7 +14,7 @@ from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, ResetRequest
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
-from services.cli.stack.processes import Access, flags, stack_for
+from services.cli.stack import Access, flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of

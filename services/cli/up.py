@@ -14,7 +14,7 @@ from typer import Option
 from services.cli import certificates, options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
-from services.cli.stack.processes import Stack, StackPlan, flags
+from services.cli.stack import Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import encrypted, how_secure

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
     from services.simulator.scene.surfaces import Vector
 
@@ -93,19 +92,17 @@ def import_world(
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
 
 
-def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...], example: str) -> list[float]:
+def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:
     numbers = [float(part) for part in text.split(",")] if re.fullmatch(rf"{_NUMBER}(,{_NUMBER})*", text) else []
-    if len(numbers) not in counts:
-        raise UsageError(f"{option} {text!r}: expected {wanted}, for example {example}")
-    if not all(map(math.isfinite, numbers)):
-        raise UsageError(f"{option} {text!r}: larger than any world")
+    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+        raise UsageError(f"{option} {text!r}: expected {wanted}")
     return numbers
 
 
 def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -> Pose | None:
     if text is None:
         return None
-    x, y, heading_deg = (*_numbers(option, text, wanted, counts, "12.5,-3,90"), 0.0)[:3]
+    x, y, heading_deg = (*_numbers(option, text, f"{wanted}, for example 12.5,-3,90", counts), 0.0)[:3]
     return Pose(x, y, math.remainder(math.radians(heading_deg), math.tau))
 
 
@@ -114,7 +111,7 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
         return None
     if radius is None:
         raise UsageError(f"--around {around}: needs --radius, in metres")
-    latitude, longitude = _numbers("--around", around, "LAT,LON in degrees", (2,), "39.751,-105.223")
+    latitude, longitude = _numbers("--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,))
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
     return Surroundings(latitude, longitude, radius)
@@ -122,29 +119,27 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
 
 def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:
     terrain = world.place
-    if not isinstance(terrain, Terrain) or terrain.source is None:
-        raise TypeError("only a map's terrain has a summary")
+    assert isinstance(terrain, Terrain)  # noqa: S101 - of a map
+    assert terrain.source is not None  # noqa: S101
     source = terrain.source
     x_min, y_min, x_max, y_max = terrain.bounds
     yield "size", f"{x_max - x_min:.0f} x {y_max - y_min:.0f} m"
     yield "roads", f"{sum(road.line.length for road in terrain.roads) / 1000:.2f} km"
     yield "  drivable and connected", f"{sum(lane.length for lane in terrain.lanes) / 1000:.2f} km"
     yield "  points of the graph", f"{len(lane_graph(terrain).points)}"
-    counts = {
-        "buildings": len(terrain.buildings),
-        "  from relations": source.used.get("building relation", 0),
-        "  drawn as their parts": source.used.get("building part", 0),
-        "trees": len(terrain.trees),
-        "areas": len(terrain.areas),
-        "barriers": len(terrain.barriers),
-    }
-    without = (
-        ("skipped", terrain.skipped, source.skipped),
-        ("left out", sum(source.left_out.values()), source.left_out),
-    )
-    for name, count, reasons in (*((name, count, {}) for name, count in counts.items()), *without):
-        yield name, str(count)
-        yield from ((f"  {reason}", str(of_it)) for reason, of_it in reasons.items())
+    counts = [
+        ("buildings", len(terrain.buildings)),
+        ("  from relations", source.used.get("building relation", 0)),
+        ("  drawn as their parts", source.used.get("building part", 0)),
+        ("trees", len(terrain.trees)),
+        ("areas", len(terrain.areas)),
+        ("barriers", len(terrain.barriers)),
+        ("skipped", terrain.skipped),
+        *((f"  {reason}", count) for reason, count in source.skipped.items()),
+        ("left out", sum(source.left_out.values())),
+        *((f"  {reason}", count) for reason, count in source.left_out.items()),
+    ]
+    yield from ((name, str(count)) for name, count in counts)
     yield "route", f"{route_length_m(plan_route(world, (world.start.x, world.start.y))):.1f} m"
     yield "time", f"{took_s:.1f} s"
 
@@ -183,28 +178,25 @@ def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     before = min(_BEFORE_VICTIM * world.scale.found_m, route.length / 2)
     along = np.linspace(0.0, route.length - before, views)
-    poses = [world.start, *(_facing(route, float(metres)) for metres in along[1:])]
-    last = poses[-1]
-    to_victim = math.atan2(world.victim.y - last.y, world.victim.x - last.x)
-    return list(zip(map(float, along), [*poses[:-1], Pose(last.x, last.y, to_victim)], strict=True))
-
-
-def _facing(route: shapely.LineString, metres: float) -> Pose:
-    here, there = (shapely.get_coordinates(route.interpolate(d))[0] for d in (metres, metres + _AHEAD_M))
-    east, north = there - here
-    return Pose(float(here[0]), float(here[1]), math.atan2(north, east))
+    here, there = (shapely.get_coordinates(route.interpolate(along + ahead)) for ahead in (0.0, _AHEAD_M))
+    there[-1] = world.victim.x, world.victim.y
+    headings = np.arctan2(*(there - here).T[::-1])
+    poses = [world.start, *(Pose(*one) for one in np.column_stack([here, headings])[1:].tolist())]
+    return list(zip(along.tolist(), poses, strict=True))
 
 
 def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None:
+    from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
+
     from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - loads the renderer
 
     places = viewpoints(world, views)
     world_map(world, places).savefig(out / "map.png", dpi=150)
     eye = SceneCamera(world, settings)
     for number, (metres, pose) in enumerate(tqdm(places, desc="rendering", unit="picture", dynamic_ncols=True)):
-        _write(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
+        imsave(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
     if isinstance(world.place, Terrain):
-        _write(out / "aerial.png", eye.look(*aerial_view(world)))
+        imsave(out / "aerial.png", eye.look(*aerial_view(world)))
 
 
 def aerial_view(world: World) -> tuple[Vector, Vector]:
@@ -234,12 +226,3 @@ def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
     axes.legend(loc="upper right")
     axes.set_title(world.name)
     return figure
-
-
-def _write(path: Path, image: NDArray[np.uint8]) -> None:
-    import cv2  # noqa: PLC0415 - takes long to load, and few commands need it
-
-    good, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not good:
-        raise JobError(f"{path}: the picture cannot be encoded")
-    path.write_bytes(data.tobytes())

@@ -5,11 +5,22 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
+from services.kit.jpeg import encode_jpeg, shrunk
+
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+
+#: How wide a camera image is shown, pixels.
+_FRAME_PX: Final = 320
+#: Called with what is being done, how much of it is and how much there is.
+Advance = Callable[[str, int, int], object]
 
 
 def page(title: str, body: str, width_rem: int = 60) -> str:
@@ -27,18 +38,33 @@ def tiles(values: Mapping[str, str]) -> str:
 def png(figure: Figure, dpi: int = 110) -> bytes:
     """Draw a figure as a PNG file."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
+    with warnings.catch_warnings():
+        # Of letters in names of drives.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 
 def image(data: bytes, alt: str, kind: str = "png") -> str:
     """Embed a picture that is as wide as the page."""
-    return f'<img class="wide" src="{source(data, kind)}" alt="{html.escape(alt)}">'
+    data_url = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    return f'<img class="wide" src="{data_url}" alt="{html.escape(alt)}">'
 
 
-def source(data: bytes, kind: str) -> str:
-    """Return a picture's file as the ``src`` of an image."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+def titled(figure: Figure, title: str, said: str) -> str:
+    """Return a figure with its title, which is text, and its caption, which is HTML."""
+    picture = image(png(figure), title)
+    return f'<figure class="own"><h3>{html.escape(title)}</h3>{picture}<figcaption>{said}</figcaption></figure>'
+
+
+def strip(pictures: Mapping[str, NDArray[np.uint8]]) -> str:
+    """Show camera images, (height, width, 3) RGB, beside each other, each with what it is."""
+    figures = (
+        f"<figure>{image(encode_jpeg(shrunk(seen, _FRAME_PX)), said, 'jpeg')}"
+        f"<figcaption>{html.escape(said)}</figcaption></figure>"
+        for said, seen in pictures.items()
+    )
+    return f'<div class="strip">{"".join(figures)}</div>'
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> str:
@@ -57,10 +83,10 @@ _PAGE: Final = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
 <style>
 :root {{ color-scheme: light dark; --back: #fff; --text: #222; --muted: #5f5f5f; --line: #ddd; --soft: #eee;
-  --c0: #0b5fa5; --c1: #c2410c; --c2: #1a7f37; --c3: #7b1fa2; --c4: #8a6100; --c5: #0e7490; --bad: #c62828; }}
+  --c2: #1a7f37; --c4: #8a6100; --bad: #c62828; }}
 @media (prefers-color-scheme: dark) {{
   :root {{ --back: #15181c; --text: #e6e8ea; --muted: #a3abb4; --line: #3b424a; --soft: #262b31;
-    --c0: #6cb2f0; --c1: #ff9a66; --c2: #5fcf80; --c3: #d0a0f5; --c4: #e0b040; --c5: #4fc3d9; --bad: #ff8a80; }} }}
+    --c2: #5fcf80; --c4: #e0b040; --bad: #ff8a80; }} }}
 body {{ font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--back);
   max-width: {width_rem}rem; margin: 2rem auto; padding: 0 1rem; }}
 h1 {{ font-size: 1.6rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.25rem; margin-top: 2.5rem; }}
@@ -68,15 +94,10 @@ h3 {{ font-size: 1.05rem; }}
 .tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(8rem, 1fr)); gap: .6rem; }}
 .tiles div {{ border: 1px solid var(--line); border-radius: .5rem; padding: .6rem .8rem; }}
 .tiles b {{ display: block; font-size: 1.3rem; }} .tiles span {{ color: var(--muted); font-size: .85rem; }}
-.wide {{ width: 100%; }}
-.strip {{ display: grid; grid-template-columns: repeat(3, 1fr); gap: .5rem; }}
+.strip {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(10rem, 1fr)); gap: .5rem; }}
 figure {{ margin: 0; min-width: 0; }} figure.own {{ margin-bottom: 1.5rem; }}
-.strip img, .wide {{ width: 100%; border-radius: .3rem; }}
+.wide {{ width: 100%; border-radius: .3rem; }}
 .pair {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); gap: 1.5rem; }}
-.pair svg {{ display: block; width: 100%; height: auto; }} .pair svg text {{ font-family: system-ui, sans-serif; }}
-.states {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); gap: 1rem; }}
-.states img {{ display: block; width: 100%; height: auto; border-radius: .3rem; background: var(--soft); }}
-summary {{ cursor: pointer; padding: .5rem 0; overflow-wrap: anywhere; }}
 .note {{ border-left: .3rem solid var(--c4); margin: 1rem 0; padding: .5rem 1rem;
   background: var(--soft); overflow-wrap: anywhere; }}
 figcaption {{ color: var(--muted); font-size: .85rem; }}

@@ -6,7 +6,7 @@ precision = right answers / answers,  recall = right answers / queries that have
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,15 +33,10 @@ class PrecisionRecall:
 
     @classmethod
     def of(cls, judgement: Judgement) -> Self:
-        """Return the curve of a method's answers.
+        """Return the curve of a method's answers; ValueError when no query has anything to find.
 
         Queries that are not judged do not count. A query that is judged and has nothing to find does not count for
         recall; an answer to it is wrong. A query that has something to find and no answer counts for recall.
-
-        Raises
-        ------
-        ValueError
-            No query has anything to find.
         """
         ranking = _Ranking(judgement)
         answers, right = ranking.counts(np.ones((1, judgement.judged.sum()), dtype=np.int64))
@@ -62,8 +57,7 @@ class PrecisionRecall:
         return float(self.recall[self.precision == 1.0].max(initial=0.0))
 
 
-@dataclass(frozen=True)
-class Intervals:
+class Intervals(NamedTuple):
     """Bootstrap intervals (low, high) of the two figures of a curve."""
 
     auc: tuple[float, float]
@@ -94,18 +88,10 @@ def intervals_of(figures: NDArray[np.float64]) -> Intervals:
 def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0) -> NDArray[np.float64]:
     """Compute the figures of the curve for other draws of the queries: the circular block bootstrap.
 
-    Successive queries see nearly the same, so that single ones drawn at random would pass for far more evidence than
-    they are. Blocks of successive judged queries are drawn instead, the last followed by the first (Politis & Romano
-    1992), until there are as many queries as before.
-
-    Parameters
-    ----------
-    judgement : Judgement
-        Its queries in the order of the traverse.
-    block : int
-        Queries that are kept together, 1 to all judged: see `block_length`.
-    resamples, seed : int
-        The same seed, block and judged queries give the same draws: differences of two methods' figures are paired.
+    Successive queries, in the order of the traverse, see nearly the same, so that single ones drawn at random would
+    pass for far more evidence than they are. Blocks of successive judged queries are drawn instead (`block_length`),
+    the last followed by the first (Politis & Romano 1992), until there are as many queries as before. The same seed,
+    block and judged queries give the same draws: differences of two methods' figures are paired.
 
     Returns
     -------
@@ -113,8 +99,6 @@ def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: 
         Area and recall at 100 % precision; NaN where a draw has no query with anything to find.
     """
     ranking = _Ranking(judgement)
-    if not 1 <= block <= ranking.findable.size:
-        raise ValueError(f"a block needs 1 to {ranking.findable.size} queries, got {block}")
     parts = [ranking.figures(draws) for draws in _draws(ranking.findable.size, block, resamples, seed)]
     return np.concatenate(parts)
 

@@ -16,7 +16,8 @@ def run(name: str, arguments: list[str]) -> int:
         with interrupted_by_signals():
             importlib.import_module(f"tests.benchmarks.{name}.benchmark").main(arguments)
     except KeyboardInterrupt:
-        return 130  # `smal bench` says it
+        sys.stderr.write("smal: interrupted\n")
+        return 130
     except (UsageError, JobError, OSError) as error:
         said = describe_os_error(error) if isinstance(error, OSError) else str(error)
         sys.stderr.write(f"smal: {said}\n")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from services.cli.stack.child import tied
+from services.cli.child import tied
 from services.kit.errors import JobError
 
 _SMAL: Final = "from services.cli.main import main; main()"

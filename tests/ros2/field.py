@@ -24,7 +24,7 @@ from schemas.pose import Pose as PoseMessage
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
-from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
+from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from services.expert.driver import ExpertService
 from services.kit.bus import RpcError
 from services.kit.node import Detail

@@ -24,7 +24,7 @@ from schemas.codec import decode
 from schemas.command import Command
 from schemas.odometry import Odometry
 from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
-from services.cli.stack.processes import free_endpoint
+from services.cli.stack import free_endpoint
 from services.kit.bus import Bus, Router, RpcError
 from services.robot.loop import STAND_WITHIN_S
 from tests.benchmarks.faults.proxy import link

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from services.cli.stack.processes import free_endpoint
+from services.cli.stack import free_endpoint
 from services.kit.node import ServiceError
 from services.kit.raw_image import LARGEST_BYTES
 from services.ros2.config import read_config

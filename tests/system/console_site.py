@@ -19,7 +19,7 @@ from schemas.codec import decode
 from schemas.command import CommandApplied
 from schemas.pose import Pose
 from schemas.rpc import Nothing, Status
-from services.cli.stack.processes import Stack
+from services.cli.stack import Stack
 from services.expert.driver import RouteDriver
 from services.kit.bus import Bus, RpcError
 from services.simulator.world import load_world
@@ -107,7 +107,10 @@ def data(page: Page, name: str) -> str:
     return page.get_attribute("body", f"data-{name}") or ""
 
 
-def begin_a_drive(page: Page, site: Site) -> None:
+def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
+    """Begin a drive in a world."""
+    eventually(lambda: page.locator(f"#world-form option[value='{world}']").count() == 1)
+    page.select_option("#world-form [name=world]", world)
     before = data(page, "episode")
     insist(page, site, lambda: page.click("#drive-form button"), lambda: data(page, "episode") not in ("", before))
     # Pressed twice, it has begun two, and the page follows.
@@ -161,9 +164,9 @@ def was_lost(page: Page, site: Site) -> bool:
     return arm(page, site)
 
 
-def drive_to_the_victim(page: Page, site: Site) -> None:
+def drive_to_the_victim(page: Page, site: Site, name: str) -> None:
     """Drive by keys, as the scripted expert would."""
-    world, here = load_world("yard"), site.poses[-1]
+    world, here = load_world(site.root / "worlds" / f"{name}.json"), site.poses[-1]
     driver = RouteDriver(plan_route(world, (here.x_m, here.y_m)), SPEED_M_S, world.scale.found_m)
     held = ""
     while not driver.arrived(here.x_m, here.y_m):

@@ -43,9 +43,9 @@ WHOLE_LOOP_S = 240.0
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     """By clicks and keys alone."""
     began_s = time.monotonic()
-    begin_a_drive(page, site)
+    begin_a_drive(page, site, "near")
     eventually(lambda: page.is_visible("#map .victim"))
-    drive_to_the_victim(page, site)
+    drive_to_the_victim(page, site, "near")
     page.click("#found")
     eventually(lambda: data(page, "outcome") == "found")
     eventually(lambda: page.locator("#recordings input:checked").count() == 1)
@@ -116,7 +116,7 @@ def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) ->
     eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
     page.select_option("#world-form [name=variation]", "dark")
     page.fill("#drive-form [name=name]", "By night")
-    begin_a_drive(page, site)
+    begin_a_drive(page, site, "My town-")
     assert data(page, "episode").startswith("by-night-")
     eventually(lambda: "in My town-" in page.inner_text("#episode"))
     assert site.robot("variation") == "dark"

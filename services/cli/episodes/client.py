@@ -22,7 +22,7 @@ from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.pose import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
-from services.cli.stack.processes import Access
+from services.cli.stack import Access
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
@@ -113,20 +113,11 @@ class EpisodeClient:
         check: Callable[[], None] = lambda: None,
         world: str | None = None,
     ) -> EpisodeRecord:
-        """Run one episode to its end.
+        """Run one episode to its end; JobError when the robot is in another world than asked for, or falls silent.
 
-        Parameters
-        ----------
-        on_begin
-            Called with the robot's reply, before any message of the episode is handled; may raise JobError.
-        done
-            Ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
-        on_tick
-            Called with the tick, now and then, for a progress bar.
-        check
-            Raises when the stack can no longer work.
-        world
-            Where it must be. JobError when the robot is elsewhere, or falls silent.
+        `on_begin` is called with the robot's reply, before any message of the episode is handled, and may raise
+        JobError. `done` ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
+        `on_tick` is called with the tick, now and then, and `check` raises when the stack can no longer work.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False

@@ -7,21 +7,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.cli.episodes.client import EpisodeRecord
-from services.experiments.html import image, page, png, source, table, tiles
-from services.kit.jpeg import encode_jpeg, shrunk
+from services.experiments.drawing import look_at
+from services.experiments.html import image, page, png, strip, table, tiles
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored
 
 #: Camera images shown of the example run.
 STRIP: Final = 6
-#: Half the side of what is shown, in sizes of what happened.
-_AROUND: Final = 1.5
 OUTCOME_COLOURS: Final = {
     "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666"
 }  # fmt: skip
@@ -32,6 +29,8 @@ def write_report(
 ) -> Path:
     """Write ``index.html`` into a folder and return its path."""
     shown = next((record for record in records if record.outcome == "found"), records[0])
+    ticks = sorted(shown.frames)
+    some = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(STRIP, len(ticks))).astype(int)]
     low, high = summary["wilson_95"]
     latencies_ms = summary["decision_latency_ms"].items()
     latency = {name: "none taken" if ms is None else f"{ms:.0f} ms" for name, ms in latencies_ms}
@@ -58,35 +57,13 @@ def write_report(
         "<h2>Where the robot went</h2>",
         routes,
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
-        _strip(shown),
-        "<h2>How long a decision takes</h2>",
-        image(png(_latencies(records)), "decision latency"),
+        strip({f"frame {tick}": shown.frames[tick] for tick in some}),
         "<h2>Every run</h2>",
         table(["outcome", "seed", "frames", "decisions", "state unknown"], rows, left=1),
     ]
     path = folder / "index.html"
     path.write_text(page(f"SMAL: {world or records[0].world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
     return path
-
-
-def _latencies(records: list[EpisodeRecord]) -> Figure:
-    figure = Figure(figsize=(9, 2.6), layout="constrained")
-    axes = figure.add_subplot()
-    values = [ms for record in records for ms in record.decision_latencies_ms]
-    axes.hist(values, bins=50, color="#1f5fa8")
-    axes.set(xlabel="from the last frame's readiness to its command at the actuator (ms)", ylabel="decisions")
-    return figure
-
-
-def _strip(record: EpisodeRecord) -> str:
-    ticks = sorted(record.frames)
-    if not ticks:
-        return "<p>No camera image was kept.</p>"
-    figures = []
-    for k in np.linspace(0, len(ticks) - 1, min(STRIP, len(ticks))).astype(int):
-        view = source(encode_jpeg(shrunk(record.frames[ticks[k]], 320)), "jpeg")
-        figures.append(f'<figure><img src="{view}" alt="camera"><figcaption>frame {ticks[k]}</figcaption></figure>')
-    return f'<div class="strip">{"".join(figures)}</div>'
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
@@ -118,19 +95,9 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     else:
         draw_map(there, axes)
         seen.append(np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)]))
-        _look_at(axes, np.concatenate(seen), there.place.bounds)
+        look_at(axes, np.concatenate(seen), there.place.bounds)
     # Beside the map, where it hides nothing.
     handles, labels = axes.get_legend_handles_labels()
     by_label = dict(zip(labels, handles, strict=True))
     figure.legend(by_label.values(), by_label.keys(), loc="outside lower center", ncols=6)
     return figure
-
-
-def _look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:
-    """Show the part of a map where something happened, and about as much around it; a small map whole."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half_m = _AROUND * float((high - low).max())
-    middle = (low + high) / 2
-    x_min, y_min, x_max, y_max = bounds
-    axes.set_xlim(max(x_min, middle[0] - half_m), min(x_max, middle[0] + half_m))
-    axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))

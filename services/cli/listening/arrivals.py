@@ -15,18 +15,13 @@ from services.kit.tables import number, table
 Record = dict[str, Any]
 #: Headings of a table for people, with the name of the figure in a record and the factor to its unit.
 RATES: Final = {
-    "Hz": ("rate_hz", 1.0),
-    "mean ms": ("mean_s", 1e3),
-    "min ms": ("min_s", 1e3),
-    "max ms": ("max_s", 1e3),
+    "Hz": ("rate_hz", 1.0), "mean ms": ("mean_s", 1e3), "min ms": ("min_s", 1e3), "max ms": ("max_s", 1e3),
     "std dev ms": ("std_s", 1e3),
-}
+}  # fmt: skip
 SIZES: Final = {
-    "kB/s": ("bytes_per_s", 1e-3),
-    "mean kB": ("mean_bytes", 1e-3),
-    "min kB": ("min_bytes", 1e-3),
+    "kB/s": ("bytes_per_s", 1e-3), "mean kB": ("mean_bytes", 1e-3), "min kB": ("min_bytes", 1e-3),
     "max kB": ("max_bytes", 1e-3),
-}
+}  # fmt: skip
 
 
 @dataclass
@@ -44,16 +39,12 @@ class Arrivals:
     def rates(self) -> Record:
         """Return how many came and how regularly, from the first to the last; None for what so few do not tell."""
         gaps_s = np.diff(self.times_s)
-        rate_hz = len(gaps_s) / float(gaps_s.sum()) if gaps_s.any() else None
-        found: Record = {
-            "messages": len(self.sizes),
-            "rate_hz": rate_hz,
-            "bytes_per_s": None if rate_hz is None else rate_hz * float(np.mean(self.sizes)),
-        }
-        if not len(gaps_s):
-            return found | dict.fromkeys(("mean_s", "min_s", "max_s", "std_s"))
-        figures = {"mean_s": gaps_s.mean(), "min_s": gaps_s.min(), "max_s": gaps_s.max(), "std_s": gaps_s.std()}
-        return found | {name: float(value) for name, value in figures.items()}
+        rate_hz = 1.0 / float(gaps_s.mean()) if gaps_s.any() else None
+        bytes_per_s = None if rate_hz is None else rate_hz * float(np.mean(self.sizes))
+        figures = (gaps_s.mean(), gaps_s.min(), gaps_s.max(), gaps_s.std()) if gaps_s.size else (None,) * 4
+        spread = {name: one if one is None else float(one)
+                  for name, one in zip(("mean_s", "min_s", "max_s", "std_s"), figures, strict=True)}  # fmt: skip
+        return {"messages": len(self.sizes), "rate_hz": rate_hz, "bytes_per_s": bytes_per_s} | spread
 
 
 def sizes(arrivals: Iterable[Arrivals], elapsed_s: float) -> Record:

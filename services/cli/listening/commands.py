@@ -15,7 +15,7 @@ import typer
 from typer import Argument, Option
 
 from schemas.codec import DecodeError
-from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, OBSERVATION, POSE, ROOT, STATE
+from schemas.topics import APPLIED, COMMANDS, JPEG, OBSERVATION, POSE, ROOT, STATE
 from services.cli import options
 from services.cli.listening import arrivals
 from services.cli.listening.arrivals import Arrivals
@@ -133,7 +133,7 @@ def latency(
             bad.append(key)
 
     with _listening(reach) as bus:
-        for topic in (frames, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED):
+        for topic in (frames, OBSERVATION, STATE, *COMMANDS.values(), APPLIED):
             # Images in a session of their own, so that nothing else waits behind them; the rest in one, in order.
             bus.listen(topic.key(bus.robot), take, lane="ordinary" if topic is JPEG else "urgent")
         wait(f"frames ({frames.name}) and commands of {bus.robot}", seconds)
@@ -142,22 +142,20 @@ def latency(
     if not trace.drivers():
         came = f"{trace.commands} commands came, and {trace.frames} frames by {frames.name}; none was for the other"
         raise JobError(f"{came}; drive {reach.robot} meanwhile, and give --camera where it has no {POSE.name}")
+    found = {driver: trace.breakdown(driver) for driver in trace.drivers()}
     if as_json:
-        drivers = {driver: trace.record(driver) for driver in trace.drivers()}
+        drivers = {
+            driver: {"all": [{"from": start, "to": end} | spread for (start, end), spread in each.items()]}
+            for driver, each in found.items()
+        }
         told = {"robot": reach.robot, "frame": frames.name, "frames": trace.frames, "drivers": drivers}
         say(json.dumps(told, indent=2))
-    else:
-        say("\n".join(table(list(_rows(trace)))))
-
-
-def _rows(trace: LatencyTrace) -> Iterator[list[str]]:
-    for driver in trace.drivers():
-        found = trace.breakdown(driver)
-        # A source that commands while a higher one drives is measured as well, up to its command.
-        yield from rows(f"{driver}, every tick" if (FRAME, ACCEPTED) in found else f"{driver}, not obeyed", found)
-        decisions = trace.breakdown(driver, decisions_only=True)
-        if driver == "policy" and decisions:
-            yield from rows(f"{driver}, ticks with a decision", decisions)
+        return
+    # A source that commands while a higher one drives is measured as well, up to its command.
+    titles = {
+        driver: driver if (FRAME, ACCEPTED) in each else f"{driver}, not obeyed" for driver, each in found.items()
+    }
+    say("\n".join(table([row for driver, each in found.items() for row in rows(titles[driver], each)])))
 
 
 def key_expression(keys: str | None, robot: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from schemas.base import SOURCES, Message, Source
 from schemas.command import CommandApplied
-from schemas.topics import ACTION, APPLIED, COMMANDS, OBSERVATION, STATE
+from schemas.topics import APPLIED, COMMANDS, OBSERVATION, STATE
 from services.kit.tables import number
 
 Hop = tuple[str, str]
@@ -33,10 +33,7 @@ DRIVERS: Final[dict[Source, str]] = {source: COMMANDS[source].name for source in
 class LatencyTrace:
     """Collects arrivals: of each tick that began here, when each of its messages came first.
 
-    Parameters
-    ----------
-    frames
-        Name of the topic whose messages begin a tick.
+    `frames` is the name of the topic whose messages begin a tick.
     """
 
     def __init__(self, frames: str) -> None:
@@ -51,58 +48,38 @@ class LatencyTrace:
         return len(self._ticks_s)
 
     def see(self, message: Message, at_s: float) -> None:
-        """Note a message that came at a time."""
-        topic = message.topic_name
+        """Note a message that came at a time; what the actuator does belongs to the frame that it answers."""
+        topic, tick = message.topic_name, message.tick
         self.commands += topic in DRIVERS.values()
         if topic == self._frames:
-            self._ticks_s.setdefault((message.episode, message.tick), {FRAME: at_s})
-        elif isinstance(message, CommandApplied):
-            self._see_applied(message, at_s)
-        elif seen_s := self._ticks_s.get((message.episode, message.tick)):
+            self._ticks_s.setdefault((message.episode, tick), {FRAME: at_s})
+        if isinstance(message, CommandApplied):
+            obeyed = message.source is not None and message.reason == "command"
+            tick = message.answered_tick if obeyed and message.answered_tick is not None else -1
+        seen_s = self._ticks_s.get((message.episode, tick), {})
+        if not isinstance(message, CommandApplied):
             seen_s.setdefault(topic, at_s)
-
-    def _see_applied(self, message: CommandApplied, at_s: float) -> None:
-        """Note what the actuator does; it belongs to the frame that the obeyed command answered."""
-        if message.source is None or message.reason != "command" or message.answered_tick is None:
-            return
-        seen_s = self._ticks_s.get((message.episode, message.answered_tick))
-        if seen_s is not None and _of(APPLIED.name, message.source) not in seen_s:
-            seen_s[_of(APPLIED.name, message.source)] = at_s
+        elif seen_s and f"{topic} of {message.source}" not in seen_s:
+            seen_s[f"{topic} of {message.source}"] = at_s
             if message.latency_ns is not None:
-                seen_s[_of(ACCEPTED, message.source)] = seen_s[FRAME] + 1e-9 * message.latency_ns
+                seen_s[f"{ACCEPTED} of {message.source}"] = seen_s[FRAME] + 1e-9 * message.latency_ns
 
     def drivers(self) -> list[Source]:
         """Return who commanded."""
         return [driver for driver in DRIVERS if self.breakdown(driver)]
 
-    def breakdown(self, driver: Source, *, decisions_only: bool = False) -> Breakdown:
-        """Return the spread of each hop of a driver, over all ticks or only over those with a decision."""
-        ticks_s = [
-            seen_s
-            for seen_s in self._ticks_s.values()
-            if DRIVERS[driver] in seen_s and (ACTION.name in seen_s or not decisions_only)
-        ]
+    def breakdown(self, driver: Source) -> Breakdown:
+        """Return the spread of each hop of a driver."""
+        ticks_s = [seen_s for seen_s in self._ticks_s.values() if DRIVERS[driver] in seen_s]
         found: Breakdown = {}
         for hop in hops(driver):
-            start, end = (_of(name, driver) for name in hop)
+            # What the actuator says is of one driver.
+            start, end = (f"{name} of {driver}" if name in (APPLIED.name, ACCEPTED) else name for name in hop)
             ms = [1e3 * (seen_s[end] - seen_s[start]) for seen_s in ticks_s if start in seen_s and end in seen_s]
             if ms:
                 p50, p95 = np.percentile(ms, [50, 95]).tolist()
                 found[hop] = {"ticks": len(ms), "p50_ms": p50, "p95_ms": p95, "max_ms": max(ms)}
         return found
-
-    def record(self, driver: Source) -> dict[str, list[dict[str, Any]]]:
-        """Return both breakdowns of a driver for JSON."""
-        both = {"all": self.breakdown(driver), "decisions": self.breakdown(driver, decisions_only=True)}
-        return {
-            name: [{"from": start, "to": end} | spread for (start, end), spread in found.items()]
-            for name, found in both.items()
-        }
-
-
-def _of(name: str, driver: Source) -> str:
-    """Return by what name a tick keeps an arrival: what the actuator says is of one driver."""
-    return f"{name} of {driver}" if name in (APPLIED.name, ACCEPTED) else name
 
 
 def hops(driver: Source) -> list[Hop]:

@@ -21,21 +21,14 @@ _WHETHER, _WHAT, _NOISE = range(3)
 
 @dataclass(frozen=True)
 class Degradation:
-    """How bad the robot's view is.
-
-    Parameters
-    ----------
-    occlusion
-        Share of the frames that are occluded: a rectangle of one random colour hides 50 to 100 % of them.
-    noise
-        Standard deviation of Gaussian noise on every pixel and channel, grey levels.
-    shake
-        Strength of the camera's shake, for the simulation (`open_simulation`); None for as usual in that world.
-    """
+    """How bad the robot's view is."""
 
     occlusion: float = 0.0
+    """Share of the frames that are occluded: a rectangle of one random colour hides 50 to 100 % of them."""
     noise: float = 0.0
+    """Standard deviation of Gaussian noise on every pixel and channel, grey levels."""
     shake: float | None = None
+    """Strength of the camera's shake, for the simulation (`open_simulation`); None for as usual in that world."""
 
     @property
     def meaning(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,14 +31,9 @@ Via = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive that teaches.
+    """One drive that teaches: what `smal learn` would make of it, with images, as JPEG.
 
-    Attributes
-    ----------
-    demonstration
-        What `smal learn` would make of it, with images, as JPEG.
-    poses
-        (f, 3) float64, x, y in metres and heading in radians of every frame; the truth, which learning must not use.
+    And the truth, which learning must not use: poses (f, 3), x, y in metres and heading in radians of every frame.
     """
 
     demonstration: Demonstration
@@ -73,77 +67,50 @@ def _expert(simulation: Simulation, via: Via) -> RouteDriver:
     return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
 
 
-def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via = ()) -> Drive:
-    """Have the expert drive once.
+def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via = ()) -> dict[str, NDArray[Any]]:
+    """Have the expert drive once; return the arrays of which `drive_of` makes a drive.
 
-    Raises
-    ------
-    ValueError
-        It did not reach the victim: `smal learn` leaves out such a drive.
+    ValueError when it did not reach the victim: `smal learn` leaves out such a drive.
     """
-    views, poses, jpegs, odometry = [], [], [], []
-    atoms: list[Atom] = []
+    rows = []
     for view, atom in views_of_expert(simulation, seed, via):
         if atom is None:
             raise ValueError(f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim")
-        views.append(extract(view.image, features))
-        poses.append((view.pose.x, view.pose.y, view.pose.heading))
-        odometry.append(rounded(view.odometry)[:3])
-        jpegs.append(view.jpeg)
-        atoms.append(atom)
-    focal = simulation.focal_px / view.image.shape[1]
-    made = np.array(atoms, dtype=np.int8)
-    return _drive(f"drive-{seed}", np.stack(views), made, np.array(odometry), np.array(poses), jpegs, focal)
+        pose = view.pose.x, view.pose.y, view.pose.heading
+        focal = simulation.focal_px / view.image.shape[1]
+        rows.append((extract(view.image, features), atom, rounded(view.odometry)[:3], pose, view.jpeg, focal))
+    described, atoms, odometry, poses, jpegs, focals = zip(*rows, strict=True)
+    return {
+        "seed": np.array(seed),
+        "focal": np.array(focals[0]),
+        "features": np.stack(described),
+        "atoms": np.array(atoms, dtype=np.int8),
+        "odometry": np.array(odometry),
+        "poses": np.array(poses),
+        "jpegs": np.frombuffer(b"".join(jpegs), dtype=np.uint8),
+        "jpeg_ends": np.cumsum([len(jpeg) for jpeg in jpegs]),
+    }
 
 
-def _drive(
-    name: str, features: NDArray[np.float32], atoms: NDArray[np.int8], odometry: NDArray[np.float64],
-    poses: NDArray[np.float64], jpegs: list[bytes], focal: float,
-) -> Drive:  # fmt: skip
-    images = RecordedImages(jpegs, name, decode_jpeg)
-    return Drive(Demonstration(name, features, atoms, images=images, odometry=odometry, focal=focal), poses)
-
-
-def save_drive(path: Path, one: Drive) -> None:
-    """Write a drive of `drive` to a file (npz) that is there only when it is complete."""
-    what = one.demonstration
-    assert isinstance(what.images, RecordedImages)  # noqa: S101 - those of `drive` are
-    assert what.odometry is not None  # noqa: S101
-    jpegs = what.images.recorded
-    save_arrays(
-        path,
-        meta=np.frombuffer(json.dumps([what.name, what.focal]).encode(), dtype=np.uint8),
-        features=what.features,
-        atoms=what.atoms,
-        odometry=what.odometry,
-        poses=one.poses,
-        jpegs=np.frombuffer(b"".join(jpegs), dtype=np.uint8),
-        jpeg_ends=np.cumsum([len(jpeg) for jpeg in jpegs]),
-    )
-
-
-def load_drive(path: Path) -> Drive:
-    """Read a drive."""
-    held = load_arrays(path)
-    name, focal = json.loads(held["meta"].tobytes())
+def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
+    """Return the drive that arrays of `drive` are."""
+    name = f"drive-{held['seed']}"
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
-    return _drive(name, held["features"], held["atoms"], held["odometry"], held["poses"], jpegs, focal)
+    images = RecordedImages(jpegs, name, decode_jpeg)
+    made = Demonstration(
+        name, held["features"], held["atoms"], images=images, odometry=held["odometry"], focal=float(held["focal"])
+    )
+    return Drive(made, held["poses"])
 
 
-def save_arrays(path: Path, **arrays: NDArray[np.generic]) -> None:
+def save_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays to a file (npz) that is there only when it is complete."""
     with replacing(path) as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file.
-
-    Raises
-    ------
-    ValueError
-        It cannot be read; the text names it.
-    """
+    """Read the arrays of a file; ValueError names one that cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as held:
             return {name: held[name] for name in held.files}

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from schemas.rpc import ResetRequest
-from services.experiments.evaluation.drives import drive
-from services.experiments.evaluation.plan import TEACHING_SEED, Errand
-from services.experiments.evaluation.recognition import FEATURES
+from services.experiments.evaluation.drives import drive, drive_of
+from services.experiments.evaluation.plan import TEACHING_SEED
 from services.experiments.evaluation.search import search
 from services.simulator.camera import CameraSettings
 from services.simulator.simulation import open_simulation
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
+from smal.features import FeatureSettings
 from smal.mapping import learn
 from smal.robot import Robot
 
@@ -37,8 +37,9 @@ class Taught:
 
 @dataclass(frozen=True)
 class Task:
-    """What is taught, and what is then asked for; ``right`` is how a search should end."""
+    """What is taught, and what is then asked for; ``right`` is how a search should end, ``meaning`` is for people."""
 
+    meaning: str
     taught: tuple[Taught, ...]
     start: Pose
     goal: str
@@ -55,28 +56,41 @@ _JOINED = (Taught(_SOUTH_WEST, _NORTH, "north"), Taught(_NORTH_WEST, _SOUTH, "so
 #: By way of the far corner of the quarter.
 _DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))
 
-TASKS: Final[dict[Errand, Task]] = {
-    "shorter way": Task((_DETOUR, _TO_NORTH), _WEST, "north", _NORTH),
-    "fork, to the left": Task((_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH),
-    "fork, to the right": Task((_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH),
-    "joined, northwards": Task(_JOINED, _NORTH_WEST, "north", _NORTH),
-    "joined, southwards": Task(_JOINED, _SOUTH_WEST, "south", _SOUTH),
-    "nobody there": Task((_TO_NORTH,), _WEST, "north", _SOUTH, "false_goal"),
-}
+TASKS: Final = {
+    "shorter way": Task(
+        "taught a detour, then a shorter way; sent where both lead", (_DETOUR, _TO_NORTH), _WEST, "north", _NORTH
+    ),
+    "fork, to the left": Task(
+        "taught two ways that part; sent to the end of the one", (_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH
+    ),
+    "fork, to the right": Task(
+        "the same, sent to the end of the other", (_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH
+    ),
+    "joined, northwards": Task(
+        "taught two ways that share a stretch; sent from the begin of one to the end of the other",
+        _JOINED, _NORTH_WEST, "north", _NORTH,
+    ),
+    "joined, southwards": Task("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
+    "nobody there": Task(
+        "the person lies elsewhere now: it has to say that it has arrived, and be wrong",
+        (_TO_NORTH,), _WEST, "north", _SOUTH, "false_goal",
+    ),
+}  # fmt: skip
 
 
-def run_errand(world: str, camera: CameraSettings, errand: Errand, seeds: range) -> dict[str, Any]:
+def run_errand(
+    world: str, camera: CameraSettings, features: FeatureSettings, errand: str, seeds: range
+) -> dict[str, Any]:
     """Teach one errand, and do it with each seed.
 
     Returns
     -------
     How it ended with each seed, and the way driven, metres; of each taught drive its way.
     """
-    task = TASKS[errand]
-    made = [
-        drive(open_simulation(world, camera, task=(one.start, one.victim)), FEATURES, TEACHING_SEED + number, one.via)
-        for number, one in enumerate(task.taught)
-    ]
+    task, made = TASKS[errand], []
+    for number, one in enumerate(task.taught):
+        there = open_simulation(world, camera, task=(one.start, one.victim))
+        made.append(drive_of(drive(there, features, TEACHING_SEED + number, one.via)))
     model = learn([
         replace(each.demonstration, name=f"{errand} {number}", goal=one.goal)
         for number, (each, one) in enumerate(zip(made, task.taught, strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from schemas.rpc import Start
 from smal.paper.learning import LearningSettings
@@ -13,6 +13,23 @@ from smal.paper.learning import LearningSettings
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length
 #: Seeds of what is learned from begin here, as in the README; those of what is recognized beyond all of them.
 TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
+#: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
+JUDGED_TICKS: Final = 4
+#: How often the searches of SMAL and of its best peer are done, and errands.
+RUNS: Final = 10
+#: Who searches: a name for people, and how each decides. All have the same drives.
+CONTROLLERS: Final = {
+    "smal": ("SMAL", "the filter and the planner, at every frame"),
+    "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
+    "paper": ("the paper's scheme", "a decision every l frames"),
+    "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
+    "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
+}
+_BEST: Final = ("smal", "teach-and-repeat")
+#: Light and season other than those of the drives.
+VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
+#: Frame at which robots are carried away: a good way from the start, and far from the goal.
+_KIDNAP: Final = 100
 
 
 @dataclass(frozen=True)
@@ -28,44 +45,19 @@ class Criterion:
         return f"within {self.distance_m:g} m and {self.angle_deg:g}°"
 
 
-#: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
-JUDGED_TICKS: Final = 4
-#: Who searches: a name for people, and how each decides. Peers have the same drives.
-CONTROLLERS: Final = {
-    "smal": ("SMAL", "the filter and the planner, at every frame"),
-    "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
-    "paper": ("the paper's scheme", "a decision every l frames"),
-    "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
-    "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
-    "seqslam": ("continuing from where SeqSLAM says", "goes on from where SeqSLAM says that it is"),
-}
-#: Light and season other than those of the drives.
-VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
-
-
 @dataclass(frozen=True)
 class Recognizer:
-    """A way to say which demonstrated frame the robot is at: Eq. 9 ("smal") of a length, or a peer."""
+    """A way to say which demonstrated frame the robot is at: Eq. 9 of a length, or the nearest frames."""
 
-    name: Literal["smal", "nearest", "seqslam"]
+    eq9: bool
     length: int
 
     @property
     def title(self) -> str:
         """For people."""
-        if self.name == "smal":
+        if self.eq9:
             return "single image (l = 1)" if self.length == 1 else f"Eq. 9, l = {self.length}"
-        if self.name == "seqslam":
-            return f"SeqSLAM, {self.length} frames"
         return "nearest frame" if self.length == 1 else f"nearest {self.length} frames"
-
-
-#: Peers that recognize, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
-PEER_RECOGNIZERS: Final = (
-    Recognizer("nearest", 1),
-    Recognizer("nearest", 5),
-    *(Recognizer("seqslam", length) for length in (10, 20, 40)),
-)
 
 
 @dataclass(frozen=True)
@@ -93,52 +85,33 @@ class Trial:
     @property
     def condition(self) -> str:
         """What is special about it, in a few words."""
-        said = [self.variation] if self.variation != "day" else []
-        said += [self.degradation] if self.degradation != "clean" else []
-        said += ["from anywhere"] if self.start == "anywhere" else []
-        said += ["kidnapped"] if self.kidnap_tick else []
-        return ", ".join(said) or "as taught"
-
-
-#: Tasks of `errands`, each with a line for people.
-Errand = Literal[
-    "shorter way", "fork, to the left", "fork, to the right", "joined, northwards", "joined, southwards", "nobody there"
-]
-ERRANDS: Final[dict[Errand, str]] = {
-    "shorter way": "taught a detour, then a shorter way; sent where both lead",
-    "fork, to the left": "taught two ways that part; sent to the end of the one",
-    "fork, to the right": "the same, sent to the end of the other",
-    "joined, northwards": "taught two ways that share a stretch; sent from the begin of one to the end of the other",
-    "joined, southwards": "the same, the other way round",
-    "nobody there": "the person lies elsewhere now: it has to say that it has arrived, and be wrong",
-}
+        said = {
+            self.variation: self.variation != "day",
+            self.degradation: self.degradation != "clean",
+            "from anywhere": self.start == "anywhere",
+            "kidnapped": self.kidnap_tick > 0,
+        }
+        return ", ".join(name for name, holds in said.items() if holds) or "as taught"
 
 
 @dataclass(frozen=True)
 class WorldPlan:
-    """What is done in one world.
-
-    Attributes
-    ----------
-    criteria
-        Of right recognition, and of a right belief; the first one is that of the figures.
-    drives, queries
-        That recognition is learned from, and held-out ones whose frames are to be recognized, every `JUDGED_TICKS`.
-    lengths, recognized
-        l for precision and recall, and degradations of the queries.
-    template_frames
-        At most so many for Algorithm 2, whose time grows with their cube.
-    """
+    """What is done in one world."""
 
     world: str
     criteria: tuple[Criterion, ...]
+    """Of right recognition, and of a right belief; the first one is that of the figures."""
     drives: int = 1
     queries: int = 0
+    """That recognition is learned from, and held-out ones whose frames are to be recognized, every `JUDGED_TICKS`."""
     lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
     recognized: tuple[str, ...] = ()
+    """l for precision and recall, and degradations of the queries."""
     trials: tuple[Trial, ...] = ()
-    errands: tuple[Errand, ...] = ()
+    errands: bool = False
+    """Whether those are done too, which only the world ``terrace`` has."""
     template_frames: int = 1000
+    """At most so many for Algorithm 2, whose time grows with their cube."""
 
     @property
     def title(self) -> str:
@@ -146,14 +119,14 @@ class WorldPlan:
         return Path(self.world).stem
 
     @property
+    def recognizers(self) -> tuple[Recognizer, ...]:
+        """Who recognizes: Eq. 9 at all lengths (l = 1 is the single image), the nearest frame, and the nearest five."""
+        return (*(Recognizer(True, length) for length in self.lengths), Recognizer(False, 1), Recognizer(False, 5))
+
+    @property
     def first_judged_tick(self) -> int:
         """Frame of a held-out drive from which on every method has a whole window, and all are judged."""
         return max(one.length for one in self.recognizers) - 1
-
-    @property
-    def recognizers(self) -> tuple[Recognizer, ...]:
-        """Who recognizes."""
-        return (*(Recognizer("smal", length) for length in self.lengths), *PEER_RECOGNIZERS)
 
 
 @dataclass(frozen=True)
@@ -170,26 +143,21 @@ class Plan:
     omitted: tuple[str, ...] = ()
 
 
-_INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
-_OUTDOOR: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
-#: All that a camera suffers at once: hidden frames, noise, shake.
-_BOTH: Final = ("clean", "poor")
-#: Frame at which robots are carried away: a good way from the start, and far from the goal.
-_KIDNAP: Final = 100
+def _usual(runs: int) -> tuple[Trial, ...]:
+    """Return the searches of the best two after one drive: from the start, anywhere beside the way, and kidnapped."""
+    return tuple(
+        trial
+        for name in _BEST
+        for trial in (
+            Trial(name, 1, runs), Trial(name, 1, runs, start="anywhere"), Trial(name, 1, runs, kidnap_tick=_KIDNAP)
+        )
+    )  # fmt: skip
 
 
-def _conditions(controller: str, runs: int) -> tuple[Trial, ...]:
-    """Return searches after one drive, under every condition."""
-    return (
-        Trial(controller, 1, runs, start="anywhere"),
-        Trial(controller, 1, runs, kidnap_tick=_KIDNAP),
-        Trial(controller, 1, runs, degradation="poor"),
-        *(Trial(controller, 1, runs, variation=name) for name in VARIATIONS),
-    )
-
-
-#: How often the searches of SMAL and its best peer, and errands, are done.
-RUNS: Final = 10
+def _conditions(runs: int) -> tuple[Trial, ...]:
+    """Return those, and the same from the start with a poor camera and in other light."""
+    spoilt = [{"degradation": "poor"}, *({"variation": name} for name in VARIATIONS)]
+    return (*_usual(runs), *(Trial(name, 1, runs, **one) for name in _BEST for one in spoilt))  # type: ignore[arg-type]
 
 
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
@@ -198,15 +166,13 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
     The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
     that imitate have `others` runs.
     """
-    best = ("smal", "teach-and-repeat")
-    return tuple(dict.fromkeys([
-        *(Trial(name, drives, runs) for drives in counts for name in best),
-        *(Trial(name, drives, others) for drives in counts for name in CONTROLLERS if name not in best),
-        *(trial for name in best for trial in _conditions(name, runs)),
-        *(Trial("paper", max(counts), others, length, view) for length in lengths for view in _BOTH),
-    ]))  # fmt: skip
+    each = (Trial(name, drives, runs if name in _BEST else others) for drives in counts for name in CONTROLLERS)
+    paper = (Trial("paper", max(counts), others, length, view) for length in lengths for view in ("clean", "poor"))
+    return tuple(dict.fromkeys([*each, *_conditions(runs), *paper]))
 
 
+_INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
+_OUTDOOR: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
 FULL: Final = Plan(
     "full",
     (
@@ -219,12 +185,7 @@ FULL: Final = Plan(
             for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
         ),
         # A street of houses that look the same, and streets to choose from.
-        WorldPlan(
-            "terrace", _OUTDOOR, errands=tuple(ERRANDS),
-            trials=tuple(one for name in ("smal", "teach-and-repeat") for one in (
-                Trial(name, 1, RUNS), Trial(name, 1, RUNS, start="anywhere"), Trial(name, 1, RUNS, kidnap_tick=_KIDNAP)
-            )),
-        ),
+        WorldPlan("terrace", _OUTDOOR, errands=True, trials=_usual(RUNS)),
     ),
 )  # fmt: skip
 
@@ -232,7 +193,7 @@ QUICK: Final = Plan(
     "quick",
     (
         WorldPlan(
-            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognized=_BOTH,
+            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognized=("clean", "poor"),
             trials=_trials((1, 2), 3, 3, (1, 5)),
         ),
     ),
@@ -251,7 +212,5 @@ def in_world(world: str, aside_m: float) -> Plan:
 
     A belief is right within twice the distance at which searches begin beside the way.
     """
-    best = ("smal", "teach-and-repeat")
-    trials = [one for name in best for one in (Trial(name, 1, RUNS), *_conditions(name, RUNS))]
     criterion = Criterion(2.0 * aside_m, 25.0)
-    return Plan(f"in {Path(world).stem}", (WorldPlan(world, (criterion,), trials=tuple(trials)),))
+    return Plan(f"in {Path(world).stem}", (WorldPlan(world, (criterion,), trials=_conditions(RUNS)),))

@@ -7,21 +7,21 @@ code has found out is never taken for this one's.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Final
 
-from services.experiments.evaluation.units import Unit
+from services.experiments.evaluation.units import Finding, Unit
 from services.kit.errors import JobError
 from smal.files.container import replacing
 
-#: What a unit found out: numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
-Finding = Mapping[str, Any]
-
-
-def file_of(folder: Path, unit: Unit) -> Path:
-    """Return the file that a unit leaves for others, if it leaves any: a drive, a model, pictures."""
-    return folder / f"{unit.digest}.data"
+_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Results:
@@ -38,19 +38,64 @@ class Results:
         self.work.mkdir(parents=True, exist_ok=True)
         self.findings: dict[Unit, Finding] = {unit: found for unit in units if (found := self._read(unit)) is not None}
 
+    def _path(self, unit: Unit) -> Path:
+        return self.work / f"{unit.name}.json"
+
     def _read(self, unit: Unit) -> Finding | None:
-        path = self.work / f"{unit.digest}.json"
+        path = self._path(unit)
         if not path.exists():
             return None
         try:
             found: Finding = json.loads(path.read_text(encoding="utf-8"))["finding"]
-        except (ValueError, LookupError, TypeError):
+            missing = found.get("file") and not unit.file(self.work).exists()
+        except (ValueError, LookupError, TypeError, AttributeError):
             raise JobError(f"{path}: is no result; delete it to have it made again") from None
-        return found if not found.get("file") or file_of(self.work, unit).exists() else None
+        return None if missing else found
 
     def add(self, unit: Unit, finding: Finding) -> None:
         """Write what a unit found out."""
-        text = json.dumps({"unit": unit.key, "finding": finding}, allow_nan=False) + "\n"
-        with replacing(self.work / f"{unit.digest}.json") as file:
+        text = json.dumps({"unit": repr(unit), "finding": finding}, allow_nan=False) + "\n"
+        with replacing(self._path(unit)) as file:
             file.write(text.encode())
         self.findings[unit] = finding
+
+    def complete(self, units: Sequence[Unit], workers: int, done: Callable[[], object]) -> None:
+        """Do all units that are not done, by at least one process; call `done` in this one after each.
+
+        Raises
+        ------
+        JobError
+            A unit failed, or a worker ended; what was done until then is kept.
+        """
+        with _pool(workers) as pool:
+            while left := [unit for unit in units if unit not in self.findings]:
+                ready = [unit for unit in left if self.findings.keys() >= set(unit.needs)]
+                under_way = {pool.submit(unit.timed, self.work): unit for unit in ready}
+                for future in as_completed(under_way):
+                    unit = under_way[future]
+                    what = f"{type(unit).__name__.lower()} in {unit.site.world}"
+                    try:
+                        self.add(unit, future.result())
+                    except BrokenProcessPool:
+                        said = f"a worker was killed, perhaps for memory, at {what} or beside it; run again to go on"
+                        raise JobError(said) from None
+                    except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
+                        raise JobError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())}") from None
+                    done()
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Start processes when there is work; at the end, however it comes, none is left."""
+    # Read when a process loads its libraries; two that compute with two threads each are slower than with one.
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    before = set(multiprocessing.active_children())
+    # Ctrl-C, which goes to the whole group, is left to the process that ends the others.
+    ignoring = (signal.SIGINT, signal.SIG_IGN)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), signal.signal, ignoring)
+    try:
+        yield pool
+    finally:
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        pool.shutdown(cancel_futures=True)

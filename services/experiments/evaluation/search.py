@@ -8,7 +8,7 @@ frame on. So the same seed gives the same poses (a test says so).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, cast
 
@@ -31,8 +31,8 @@ from smal.robot import Place
 
 #: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
-#: Frames from one kept picture of an example route to the next, and of one kept position of any way.
-PICTURE_TICKS, WAY_TICKS = 10, 5
+#: Frames from one kept picture of an example route to the next.
+PICTURE_TICKS: Final = 10
 
 
 class Driver(Protocol):
@@ -50,30 +50,20 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What happened in one search.
-
-    Attributes
-    ----------
-    outcome
-        "false_goal": the robot said that it was there, and was not.
-    poses
-        (ticks + 1, 3) float64: x, y in metres, heading in radians.
-    atoms
-        (ticks,) int8, what was done from each frame to the next.
-    shortest_m
-        Of the way from the start to where the victim counts as found.
-    places
-        Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
-    pictures
-        What the robot saw at chosen ticks, (height, width, 3) uint8 RGB.
-    """
+    """What happened in one search."""
 
     outcome: RunOutcome
+    """"false_goal": the robot said that it was there, and was not."""
     poses: NDArray[np.float64]
+    """(ticks + 1, 3): x, y in metres, heading in radians."""
     atoms: NDArray[np.int8]
+    """(ticks,), what was done from each frame to the next."""
     shortest_m: float
+    """Way from the start to where the victim counts as found."""
     places: tuple[Place | None, ...] = ()
+    """Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it."""
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    """What the robot saw at chosen ticks, (height, width, 3) RGB."""
     kidnap_tick: int = 0
 
     @property
@@ -90,20 +80,12 @@ def search(
     driver: Driver,
     request: ResetRequest,
     degrader: Degrader | None = None,
-    keep: Callable[[int], bool] = lambda _tick: False,
+    picture_ticks: int = 0,
 ) -> Search:
-    """Let somebody search for the victim.
+    """Let somebody search for the victim, who sees images through a degrader.
 
-    Parameters
-    ----------
-    simulation
-        Where a degradation shakes the camera, opened with that shake.
-    request
-        Seed, start, kidnapping, and after how many frames the search times out.
-    degrader
-        Of the images that the driver sees.
-    keep
-        Of which ticks to keep the picture.
+    Where a degradation shakes the camera, the simulation is opened with that shake. `picture_ticks` are the frames from
+    one kept picture to the next; 0: none is kept.
     """
     episode = LockstepEpisode(simulation, request)
     driver.reset()
@@ -115,7 +97,7 @@ def search(
     while True:
         tick, view = episode.tick, episode.view
         image = view.image if degrader is None else degrader.apply(tick, view.image)
-        if keep(tick):
+        if picture_ticks and tick % picture_ticks == 0:
             pictures[tick] = image
         if outcome is not None:
             break
@@ -139,17 +121,14 @@ def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) ->
     `taught` are the true poses of all taught frames, (n, 3); a belief is right that is as near to the truth as the
     criterion says.
     """
-    positions = found.poses[:, :2]
-    aside_m = np.asarray(KDTree(taught[:, :2]).query(positions)[0], dtype=np.float64)
-    said = {
+    aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
+    said: dict[str, Any] = {
         "outcome": found.outcome,
         "ticks": len(found.atoms),
         "shortest_m": round(found.shortest_m, 2),
         "driven_m": round(found.driven_m, 2),
         "aside_rms_m": round(float(np.sqrt(np.mean(aside_m**2))), 4),
         "aside_max_m": round(float(aside_m.max()), 4),
-        "aside_m": aside_m[::WAY_TICKS].round(3).tolist(),
-        "way": np.concatenate([positions[:-1:WAY_TICKS], positions[-1:]]).round(2).tolist(),
     }
     if found.places:
         sure = np.array([place is not None for place in found.places])

@@ -1,28 +1,61 @@
-"""The units of work that a plan comes to: each is a pure function of its settings and of the units that it needs."""
+"""The units of work that a plan comes to: each is a pure function of its fields and of the units that it needs."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cache
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, TypeVar
 
+import numpy as np
+
+from schemas.rpc import ResetRequest
+from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
+from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
+from services.experiments.evaluation.errands import TASKS, run_errand
+from services.experiments.evaluation.objective import objectives
 from services.experiments.evaluation.plan import (
     DEFAULT_LENGTH,
     QUERY_SEED,
     RUN_SEED,
     RUNS,
     TEACHING_SEED,
+    Criterion,
     Plan,
     Recognizer,
     Trial,
     WorldPlan,
 )
+from services.experiments.evaluation.recognition import (
+    NearestImitation,
+    judged,
+    query_drive,
+    recognize_nearest,
+    recognize_states,
+)
+from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
+from services.kit.jpeg import encode_jpeg
+from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.simulation import Simulation, open_simulation
+from smal.evaluation.teach_and_repeat import TeachAndRepeat
+from smal.features import Centering, FeatureSettings
+from smal.mapping import learn as learn_map
+from smal.model import Model
+from smal.paper.learning import LearningSettings, learn
+from smal.paper.model import Model as PaperModel
+from smal.paper.robot import Robot as PaperRobot
+from smal.robot import Robot
 
-Kind = Literal["teach", "learn", "queries", "recognize", "objective", "search", "errand"]
+#: What a unit found out: numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
+Finding = dict[str, Any]
+U = TypeVar("U", bound="Unit")
+#: Of all drives and queries.
+FEATURES: Final = FeatureSettings()
 #: What holds our packages: a checkout, or where they are installed.
 _PACKAGES: Final = Path(__file__).parents[3]
 # Whatever a result depends on; that the report is written differently invalidates nothing.
@@ -30,68 +63,231 @@ _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
     "services/experiments/evaluation/*.py",
 )  # fmt: skip
-_OF_NO_RESULT: Final = ("plan.py", "units.py", "results.py", "pool.py")
-
-
-@dataclass(frozen=True)
-class Unit:
-    """A piece of work that is done once.
-
-    Attributes
-    ----------
-    kind
-        What to do, a row of `work.KINDS`.
-    settings
-        All that determines it: names, with numbers and texts.
-    needs
-        Units whose files it reads, which must be done before.
-    """
-
-    kind: Kind
-    settings: tuple[tuple[str, Any], ...]
-    needs: tuple[Unit, ...] = field(default=(), repr=False)
-
-    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - as JSON has it
-        """Return one of the settings."""
-        return dict(self.settings)[name]
-
-    @property
-    def key(self) -> str:
-        """What determines it, in one line for people."""
-        return "/".join([self.kind, *(f"{name}={value}" for name, value in self.settings)])
-
-    @property
-    def digest(self) -> str:
-        """Name of its result's files: another setting, or another version of the code, is another result."""
-        text = json.dumps([code_fingerprint(), self.kind, self.settings])
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-    @property
-    def series(self) -> tuple[Any, ...]:
-        """What it has in common with those that differ in their seed alone."""
-        return self.kind, *(one for one in self.settings if one[0] != "seed")
-
-
-def sources() -> list[Path]:
-    """Return the code, the shaders and the worlds that results depend on."""
-    found = {path for pattern in _SOURCES for path in _PACKAGES.glob(pattern)}
-    found -= {Path(__file__).with_name(name) for name in _OF_NO_RESULT}
-    return sorted(path for path in found if path.is_file() and path.suffix != ".pyc")
 
 
 @cache
 def code_fingerprint() -> str:
-    """Return the digest of the code that results depend on."""
+    """Return the digest of the code, the shaders and the worlds that results depend on."""
     digest = hashlib.sha256()
-    for path in sources():
-        digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
+    for path in sorted({path for pattern in _SOURCES for path in _PACKAGES.glob(pattern)}):
+        if path.is_file() and path.suffix != ".pyc":
+            digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
-def whole_series(units: Sequence[Unit], done: Collection[Unit]) -> list[Unit]:
-    """Return those units that can be reported: all that differ in their seed alone are done."""
-    torn = {unit.series for unit in units if unit not in done}
-    return [unit for unit in units if unit.series not in torn]
+@dataclass(frozen=True)
+class Site:
+    """Where: a world, what its file holds (another map of the same name is another world), and the camera's size."""
+
+    world: str
+    content: str
+    camera: tuple[int, int]
+
+    @classmethod
+    def of(cls, world: str, camera: tuple[int, int]) -> Site:
+        """Return the site of a world, a name or a path."""
+        path = Path(world)
+        return cls(world, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "", camera)
+
+
+@dataclass(frozen=True)
+class Unit(ABC):
+    """A piece of work that is done once, by any process; ``needs`` are the units whose files it reads."""
+
+    site: Site
+    needs: tuple[Unit, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its result's files: other fields or needs, or another version of the code, are another result."""
+        return hashlib.sha256(f"{code_fingerprint()} {self!r}".encode()).hexdigest()[:24]
+
+    def file(self, folder: Path) -> Path:
+        """Return the file that it leaves for others."""
+        return folder / f"{self.name}.data"
+
+    @abstractmethod
+    def do(self, folder: Path) -> Finding:
+        """Find it out; ``file`` says whether a file was left."""
+
+    def timed(self, folder: Path) -> Finding:
+        """Find it out, and the processor time that it takes."""
+        began_s = time.process_time()
+        found = self.do(folder)
+        return found | {"cpu_s": round(time.process_time() - began_s, 3)}
+
+    def needed(self, kind: type[U]) -> tuple[U, ...]:
+        """Return the needs of one kind."""
+        return tuple(one for one in self.needs if isinstance(one, kind))
+
+
+# What a worker keeps open from one unit to the next: two worlds at most are at work at a time, and a model with its
+# inner products may take a gigabyte.
+
+
+@lru_cache(maxsize=4)
+def simulation_in(site: Site, shake: float | None = None, variation: str = "day") -> Simulation:
+    """Open a world."""
+    return open_simulation(site.world, CameraSettings(*site.camera), shake=shake, variation=variation)
+
+
+@lru_cache(maxsize=1)
+def _drives(units: tuple[Teach, ...], folder: Path) -> tuple[Drive, ...]:
+    return tuple(drive_of(load_arrays(unit.file(folder))) for unit in units)
+
+
+@lru_cache(maxsize=2)
+def _paper_model(unit: Learn, folder: Path) -> PaperModel:
+    return PaperModel.load(unit.file(folder))
+
+
+@dataclass(frozen=True)
+class Teach(Unit):
+    """Have the expert drive."""
+
+    seed: int
+
+    def do(self, folder: Path) -> Finding:
+        """Save the drive."""
+        made = drive(simulation_in(self.site), FEATURES, self.seed)
+        save_arrays(self.file(folder), **made)
+        return {"frames": len(made["poses"]), "file": True}
+
+
+@dataclass(frozen=True)
+class Learn(Unit):
+    """Learn a map of drives (length 0), or a model of the paper."""
+
+    length: int
+
+    def do(self, folder: Path) -> Finding:
+        """Save the model."""
+        demonstrations = [one.demonstration for one in _drives(self.needed(Teach), folder)]
+        if not self.length:
+            learn_map(demonstrations, FEATURES).save(self.file(folder))
+            return {"file": True}
+        model, report = learn(demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length))
+        model.save(self.file(folder))
+        return {"states": report.states, "file": True}
+
+
+@dataclass(frozen=True)
+class Query(Unit):
+    """Drive a way that is not taught, and keep what is seen under every degradation."""
+
+    degradations: tuple[str, ...]
+    seed: int
+
+    def do(self, folder: Path) -> Finding:
+        """Save the features of all views."""
+        arrays: dict[str, Any] = {}
+        # Shake moves the camera and not the robot: the way is the same.
+        for shake in dict.fromkeys(DEGRADATIONS[name].shake for name in self.degradations):
+            views = {name: DEGRADATIONS[name] for name in self.degradations if DEGRADATIONS[name].shake == shake}
+            arrays |= query_drive(simulation_in(self.site, shake), FEATURES, self.seed, views)
+        save_arrays(self.file(folder), **arrays)
+        return {"frames": len(arrays["poses"]), "file": True}
+
+
+@dataclass(frozen=True)
+class Recognize(Unit):
+    """Have a method recognize the frames of held-out drives."""
+
+    recognizer: Recognizer
+    degradation: str
+    criteria: tuple[Criterion, ...]
+
+    def do(self, folder: Path) -> Finding:
+        """Judge the answers of each drive."""
+        taught, found = _drives(self.needed(Teach), folder), []
+        for query in self.needed(Query):
+            held = load_arrays(query.file(folder))
+            views = held[self.degradation]
+            if self.recognizer.eq9:
+                matches = recognize_states(_paper_model(*self.needed(Learn), folder), views)
+            else:
+                centering = Centering.fit([one.demonstration.features for one in taught], FEATURES)
+                drives = [centering.apply(one.demonstration.features) for one in taught]
+                matches = recognize_nearest(drives, centering.apply(views), self.recognizer.length)
+            demonstrated = np.concatenate([one.poses for one in taught])
+            found.append(judged(matches, demonstrated, held["poses"], self.criteria))
+        return {"queries": found}
+
+
+@dataclass(frozen=True)
+class Objective(Unit):
+    """Compare solvers of Eq. 7 on a window of a held-out drive, with at most so many template frames."""
+
+    templates: int
+
+    def do(self, folder: Path) -> Finding:
+        """See `objectives`."""
+        (query,) = self.needed(Query)
+        views = load_arrays(query.file(folder))["clean"]
+        return objectives(_paper_model(*self.needed(Learn), folder), views, self.templates)
+
+
+@dataclass(frozen=True)
+class Searches(Unit):
+    """Have one driver search under one condition, with all seeds of a trial."""
+
+    trial: Trial
+    patience: float
+    criterion: Criterion
+
+    @property
+    def is_example(self) -> bool:
+        """Whether pictures of a search are kept: SMAL's after one drive, from the start, as it was taught."""
+        return self.trial == Trial("smal", 1, self.trial.runs)
+
+    def do(self, folder: Path) -> Finding:
+        """Search with each seed; save what was seen in the first search of an example that finds the victim."""
+        taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
+        simulation, driver = simulation_in(self.site, how.shake, trial.variation), self._driver(taught, folder)
+        poses = np.concatenate([one.poses for one in taught])
+        most_ticks = round(self.patience * max(len(one.poses) for one in taught))
+        found, shown = [], False
+        for seed in range(RUN_SEED, RUN_SEED + trial.runs):
+            request = ResetRequest(
+                seed=seed, purpose="run", start=trial.start, kidnap_tick=trial.kidnap_tick or None, max_ticks=most_ticks
+            )
+            keeps = self.is_example and not shown
+            one = search(simulation, driver, request, Degrader(how, seed), PICTURE_TICKS if keeps else 0)
+            found.append(finding(one, poses, self.criterion))
+            if keeps and one.outcome == "found":
+                shown = True
+                pictures = {str(tick): np.frombuffer(encode_jpeg(seen), np.uint8)
+                            for tick, seen in one.pictures.items()}  # fmt: skip
+                save_arrays(self.file(folder), poses=one.poses, **pictures)
+        return {"searches": found, "file": shown}
+
+    def _driver(self, taught: tuple[Drive, ...], folder: Path) -> Driver:
+        """Return who drives."""
+        demonstrations = [one.demonstration for one in taught]
+        match self.trial.controller:
+            case "smal":
+                (learned,) = self.needed(Learn)
+                return Robot(Model.load(learned.file(folder)))
+            case "paper":
+                return PaperRobot(_paper_model(*self.needed(Learn), folder))
+            case "teach-and-repeat":
+                return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG))
+            case nearest:
+                return NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
+
+
+@dataclass(frozen=True)
+class Errand(Unit):
+    """Do an errand."""
+
+    errand: str
+    runs: int
+
+    def do(self, folder: Path) -> Finding:
+        """See `run_errand`."""
+        del folder
+        seeds = range(RUN_SEED, RUN_SEED + self.runs)
+        return run_errand(self.site.world, CameraSettings(*self.site.camera), FEATURES, self.errand, seeds)
 
 
 def units(plan: Plan) -> list[Unit]:
@@ -104,72 +300,35 @@ def units(plan: Plan) -> list[Unit]:
         found[unit] = None
 
     for world in plan.worlds:
-        for unit in _of_world(world, plan):
+        for unit in _units_of(world, plan):
             add(unit)
     return list(found)
 
 
-def _of_world(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
-    at = _at(world, plan)
-    yield from (search_unit(world, plan, trial, RUN_SEED + k) for trial in world.trials for k in range(trial.runs))
-    queries = [query_unit(world, plan, QUERY_SEED + k) for k in range(world.queries)]
-    for recognizer in world.recognizers if queries else ():
-        for degradation in world.recognized:
-            yield from (recognize_unit(world, plan, recognizer, degradation, query) for query in queries)
-    if queries:
-        settings = (*at, ("drives", world.drives), ("templates", world.template_frames))
-        yield Unit("objective", settings, (_learned(world, plan, world.drives, DEFAULT_LENGTH), queries[0]))
-    for errand in world.errands:
-        yield Unit("errand", (*at, ("errand", errand), ("runs", RUNS)))
+def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
+    """Yield the units of a world that the report is about."""
+    site = Site.of(world.world, plan.camera)
 
+    def teaching(drives: int) -> tuple[Teach, ...]:
+        return tuple(Teach(site, (), TEACHING_SEED + k) for k in range(drives))
 
-def _at(world: WorldPlan, plan: Plan) -> tuple[tuple[str, Any], ...]:
-    """Return where: another map in a file of the same name is another world."""
-    path = Path(world.world)
-    content = (("content", hashlib.sha256(path.read_bytes()).hexdigest()[:12]),) if path.is_file() else ()
-    return (("world", world.world), *content, ("camera", plan.camera))
+    def learned(drives: int, length: int) -> tuple[Learn]:
+        return (Learn(site, teaching(drives), length),)
 
-
-def _taught(world: WorldPlan, plan: Plan, drives: int) -> tuple[Unit, ...]:
-    return tuple(Unit("teach", (*_at(world, plan), ("seed", TEACHING_SEED + k))) for k in range(drives))
-
-
-def _learned(world: WorldPlan, plan: Plan, drives: int, length: int) -> Unit:
-    """Learn a map (length 0), or a model of the paper."""
-    settings = (*_at(world, plan), ("drives", drives), ("length", length))
-    return Unit("learn", settings, _taught(world, plan, drives))
-
-
-def query_unit(world: WorldPlan, plan: Plan, seed: int) -> Unit:
-    """Drive a way that is not taught, and keep what is seen under every degradation; the objective's is clear."""
+    for trial in world.trials:
+        length = {"smal": 0, "paper": trial.length}.get(trial.controller)
+        model = () if length is None else learned(trial.drives, length)
+        yield Searches(site, (*teaching(trial.drives), *model), trial, plan.patience, world.criteria[0])
+    # The objective's view is a clear one.
     degradations = tuple(dict.fromkeys(("clean", *world.recognized)))
-    return Unit("queries", (*_at(world, plan), ("degradations", degradations), ("seed", seed)))
-
-
-def recognize_unit(world: WorldPlan, plan: Plan, recognizer: Recognizer, degradation: str, query: Unit) -> Unit:
-    """Have a method recognize the frames of a held-out drive."""
-    criteria = tuple((one.distance_m, one.angle_deg) for one in world.criteria)
-    settings = (
-        *_at(world, plan), ("drives", world.drives), ("method", recognizer.name),
-        ("length", recognizer.length), ("degradation", degradation), ("criteria", criteria), ("seed", query["seed"]),
-    )  # fmt: skip
-    smal = recognizer.name == "smal"
-    model = (_learned(world, plan, world.drives, recognizer.length),) if smal else ()
-    return Unit("recognize", settings, (*_taught(world, plan, world.drives), *model, query))
-
-
-def search_unit(world: WorldPlan, plan: Plan, trial: Trial, seed: int) -> Unit:
-    """Search once."""
-    criterion = (world.criteria[0].distance_m, world.criteria[0].angle_deg)
-    settings = (
-        *_at(world, plan), *settings_of(trial), ("patience", plan.patience),
-        ("criterion", criterion), ("seed", seed),
-    )  # fmt: skip
-    length = {"smal": 0, "paper": trial.length}.get(trial.controller)
-    model = () if length is None else (_learned(world, plan, trial.drives, length),)
-    return Unit("search", settings, (*_taught(world, plan, trial.drives), *model))
-
-
-def settings_of(trial: Trial) -> tuple[tuple[str, Any], ...]:
-    """Return what determines a trial, but for its runs."""
-    return tuple((name, value) for name, value in asdict(trial).items() if name != "runs")
+    queries = tuple(Query(site, (), degradations, QUERY_SEED + k) for k in range(world.queries))
+    if queries:
+        for recognizer in world.recognizers:
+            model = learned(world.drives, recognizer.length) if recognizer.eq9 else ()
+            needs = (*teaching(world.drives), *queries, *model)
+            for name in world.recognized:
+                yield Recognize(site, needs, recognizer, name, world.criteria)
+        yield Objective(site, (*learned(world.drives, DEFAULT_LENGTH), queries[0]), world.template_frames)
+    if world.errands:
+        for errand in TASKS:
+            yield Errand(site, (), errand, RUNS)

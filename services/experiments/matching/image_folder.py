@@ -21,14 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from schemas.codec import printable
 from services.experiments.matching.image_reading import is_named_as_image, quiet_opencv, read_color, read_depth
+from services.experiments.words import listed
 from services.kit.errors import JobError, UsageError
-from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.truth_file import TruthFileError, read_truth
 from smal.features import FeatureSettings, extract
 
-#: Names that are spelled out when files are skipped.
-NAMED: Final = 10
 #: Each holds one decoded image, 300 MB of the largest that OpenCV is allowed to decode.
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 
@@ -43,22 +41,25 @@ class ImageFolder:
 
 
 @dataclass(frozen=True, eq=False)
-class DescribedFrames:
-    """The features of the frames that could be read.
+class Traverse:
+    """A folder, and what of it is compared: raw features (n, m) of readable frames, and their numbers (n,)."""
 
-    Parameters
-    ----------
-    features : float32 array (n, m)
-        Raw features of `extract`.
-    numbers : int64 array (n,)
-        Which frame of the folder each row describes, ascending.
-    unreadable : tuple of str
-        Names of the others.
-    """
-
+    folder: ImageFolder
     features: NDArray[np.float32]
     numbers: NDArray[np.int64]
-    unreadable: tuple[str, ...]
+
+    @property
+    def unreadable(self) -> list[str]:
+        """Names of the frames that could not be read."""
+        known = set(self.numbers.tolist())
+        return [name for number, name in enumerate(self.folder.frames) if number not in known]
+
+    def say_skipped(self) -> None:
+        """Name on standard error what of the folder was skipped."""
+        skipped = {"no images": self.folder.others, "unreadable, and kept in the count of frames": self.unreadable}
+        for why, names in skipped.items():
+            if names:
+                sys.stderr.write(f"smal: {self.folder.path}: skipped {len(names)}, {why}: {_named(names)}\n")
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
@@ -74,10 +75,7 @@ def natural_key(name: str) -> tuple[list[str | int], str]:
 def list_folder(path: Path, argument: str) -> ImageFolder:
     """Find the frames of a folder, which the argument of the command line names.
 
-    Raises
-    ------
-    UsageError
-        When there is no such folder, or nothing in it is an image.
+    Raises UsageError when there is no such folder, or nothing in it is an image.
     """
     try:
         with os.scandir(path) as entries:
@@ -91,45 +89,19 @@ def list_folder(path: Path, argument: str) -> ImageFolder:
         raise UsageError(f"{argument} {path}: {error.strerror}") from None
     names.sort(key=natural_key)
     with quiet_opencv():
-        is_frame = [is_named_as_image(name) or read_color(path / name) is not None for name in names]
-    frames = tuple(name for name, is_one in zip(names, is_frame, strict=True) if is_one)
-    others = tuple(name for name, is_one in zip(names, is_frame, strict=True) if not is_one)
+        frames = tuple(name for name in names if is_named_as_image(name) or read_color(path / name) is not None)
     if not frames:
-        raise UsageError(f"{argument} {path}: no image in this folder (files: {len(others)})")
-    return ImageFolder(path, frames, others)
+        raise UsageError(f"{argument} {path}: no image in this folder (files: {len(names)})")
+    known = set(frames)
+    return ImageFolder(path, frames, tuple(name for name in names if name not in known))
 
 
-def read_truth_of(path: Path, queries: ImageFolder, references: ImageFolder) -> IntervalTruth:
-    """Read ``--truth``.
-
-    Raises
-    ------
-    UsageError
-        When the file is no truth of these folders, or there is nothing to find.
-    """
-    try:
-        truth = read_truth(path, len(queries.frames), len(references.frames))
-    except TruthFileError as error:
-        raise UsageError(f"--truth {error}") from None
-    if not truth.findable.any():
-        raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
-    return truth
-
-
-def describe_frames(
-    folder: ImageFolder,
-    settings: FeatureSettings,
-    depth: ImageFolder | None,
-    title: str,
-) -> DescribedFrames:
+def describe_frames(folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, title: str) -> Traverse:
     """Compute the features of the frames, with a progress bar of this title.
 
     Where the features need them, there are as many depth images in the same order.
 
-    Raises
-    ------
-    JobError
-        When no frame can be read, a feature cannot be computed, or the features do not fit into memory.
+    Raises JobError when no frame can be read, a feature cannot be computed, or the features do not fit into memory.
     """
     count = len(folder.frames)
     try:
@@ -137,27 +109,17 @@ def describe_frames(
     except MemoryError:
         raise JobError(f"{folder.path}: the features of {count} frames do not fit into memory") from None
     numbers: list[int] = []
-    unreadable: list[str] = []
     with quiet_opencv(), ThreadPoolExecutor(_WORKERS) as pool:
         described = pool.map(partial(_describe, folder, settings, depth), range(count))
         bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
         for number, one in enumerate(bar):
-            if one is None:
-                unreadable.append(folder.frames[number])
-            else:
+            if one is not None:
                 features[len(numbers)] = one
                 numbers.append(number)
     if not numbers:
-        raise JobError(_nothing_readable(folder, depth, unreadable))
-    return DescribedFrames(features[: len(numbers)], np.array(numbers, np.int64), tuple(unreadable))
-
-
-def _nothing_readable(folder: ImageFolder, depth: ImageFolder | None, names: list[str]) -> str:
-    """Say whose fault it is that no frame can be described."""
-    with quiet_opencv():
-        if depth is not None and any(read_color(folder.path / name) is not None for name in names):
-            return f"{depth.path}: none of {len(depth.frames)} images is depth: one channel of 16 bits"
-    return f"{folder.path}: no image can be read: {_named(names)}"
+        without = "" if depth is None else f" with a depth image, of one channel of 16 bits, in {depth.path}"
+        raise JobError(f"{folder.path}: no image can be read{without}: {_named(folder.frames)}")
+    return Traverse(folder, features[: len(numbers)], np.array(numbers, np.int64))
 
 
 def _describe(
@@ -175,23 +137,5 @@ def _describe(
         raise JobError(f"{path}: {error}") from None
 
 
-def say_skipped(folder: ImageFolder, described: DescribedFrames) -> None:
-    """Name on standard error what of a folder was skipped."""
-    for names, one, many in (
-        (folder.others, "1 file that is no image", "files that are no images"),
-        (described.unreadable, "1 unreadable image, kept in the count of frames",
-         "unreadable images, kept in the count of frames"),
-    ):  # fmt: skip
-        if names:
-            what = one if len(names) == 1 else f"{len(names)} {many}"
-            sys.stderr.write(f"smal: {folder.path}: skipped {what}: {_named(names)}\n")
-
-
 def _named(names: Sequence[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(map(printable, names[:NAMED])) + more
-
-
-def printable(name: str) -> str:
-    """Return a file's name with nothing in it that moves a terminal, or that UTF-8 cannot hold."""
-    return "".join(c if c.isprintable() else "?" for c in name)
+    return listed([printable(name, 255) for name in names])

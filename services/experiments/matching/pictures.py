@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.experiments.drawing import COLOURS, MUTED, styled
-from smal.evaluation.ground_truth import IntervalTruth, judge
+from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall
 from smal.place_recognition import Matches
 
@@ -66,7 +66,7 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
     if truth is not None:
         # What the truth says nothing about is neither right nor wrong.
         mark(np.flatnonzero(matched & ~truth.judged), "not judged", s=1.3 * size, color="#b8b8b8", lw=0, zorder=4)
-        judgement = judge(matches, truth)
+        judgement = truth.judge(matches)
         wrong = np.flatnonzero(judgement.answered & judgement.judged & ~judgement.right)
         mark(wrong, "wrong", s=3.0 * size, facecolors="none", edgecolors=_WRONG, linewidths=0.9, zorder=2)
     if (without := np.flatnonzero(~matched)).size:

@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from services.experiments.matching.image_folder import DescribedFrames, ImageFolder, printable
+from schemas.codec import printable
+from services.experiments.matching.image_folder import Traverse
+from services.experiments.words import counted, described_by
 from services.kit.tables import table
 from smal.evaluation.precision_recall import Intervals, PrecisionRecall
-from smal.features import FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
 
 #: Matches that are printed where no file takes them all.
 _SHOWN: Final = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Traverses:
-    """The two folders, and what of them is compared."""
-
-    references: ImageFolder
-    queries: ImageFolder
-    reference_frames: DescribedFrames
-    query_frames: DescribedFrames
-
-    def in_folders(self, matches: Matches) -> Matches:
-        """Turn rows of the features into numbers of frames.
-
-        Windows run over the frames that could be read; a query that could not has no match.
-        """
-        count = len(self.queries.frames)
-        reference, score = np.full(count, NONE, dtype=np.int64), np.zeros(count)
-        found = matches.matched
-        where = self.query_frames.numbers[found]
-        reference[where] = self.reference_frames.numbers[matches.reference[found]]
-        score[where] = matches.score[found]
-        return Matches(reference, score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,65 +42,79 @@ class Result:
     name: str
     settings: MatchSettings
     tau: float | None
-    traverses: Traverses
+    references: Traverse
+    queries: Traverse
     matches: Matches
     unsure: int
     quality: Quality | None
     seconds: dict[str, float]
 
 
+def in_folders(matches: Matches, references: Traverse, queries: Traverse) -> Matches:
+    """Turn rows of the features into numbers of frames.
+
+    Windows run over the frames that could be read; a query that could not has no match.
+    """
+    count = len(queries.folder.frames)
+    reference, score = np.full(count, NONE, dtype=np.int64), np.zeros(count)
+    where = queries.numbers[matches.matched]
+    reference[where] = references.numbers[matches.reference[matches.matched]]
+    score[where] = matches.score[matches.matched]
+    return Matches(reference, score)
+
+
 def as_json(result: Result) -> dict[str, object]:
     """Return the result as ``--json`` writes it."""
     pairs = zip(result.matches.reference.tolist(), result.matches.score.tolist(), strict=True)
-    folders = result.traverses
+    references, queries, settings = result.references, result.queries, result.settings
     written: dict[str, object] = {
         "method": result.name,
-        "length": result.settings.length,
+        "length": settings.length,
         "tau": result.tau,
-        "references": str(folders.references.path),
-        "queries": str(folders.queries.path),
+        "references": str(references.folder.path),
+        "queries": str(queries.folder.path),
         "matches": [
             {"query": query, "reference": None if reference == NONE else reference, "score": score}
             for query, (reference, score) in enumerate(pairs)
         ],
-    }
-    if result.quality is not None:
-        curve, intervals = result.quality.curve, result.quality.intervals
-        written |= {
-            "auc": curve.auc,
-            "auc_95": list(intervals.auc),
-            "recall_at_100_precision": curve.recall_at_100_precision,
-            "recall_at_100_precision_95": list(intervals.recall_at_100_precision),
-            "judged": result.quality.judged,
-            "to_find": result.quality.to_find,
-        }
-    return written | {
-        "modalities": list(result.settings.features.modalities),
-        "penalty": result.settings.penalty,
-        "weights": list(result.settings.features.weights),
-        "reference_names": [printable(name) for name in folders.references.frames],
-        "query_names": [printable(name) for name in folders.queries.frames],
-        "unreadable_references": [printable(name) for name in folders.reference_frames.unreadable],
-        "unreadable_queries": [printable(name) for name in folders.query_frames.unreadable],
-        "other_files": len(folders.references.others) + len(folders.queries.others),
+        "modalities": list(settings.features.modalities),
+        "penalty": settings.penalty,
+        "weights": list(settings.features.weights),
+        "reference_names": _printable(references.folder.frames),
+        "query_names": _printable(queries.folder.frames),
+        "unreadable_references": _printable(references.unreadable),
+        "unreadable_queries": _printable(queries.unreadable),
+        "other_files": len(references.folder.others) + len(queries.folder.others),
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
     }
+    if (quality := result.quality) is not None:
+        written |= {
+            "auc": quality.curve.auc,
+            "auc_95": list(quality.intervals.auc),
+            "recall_at_100_precision": quality.curve.recall_at_100_precision,
+            "recall_at_100_precision_95": list(quality.intervals.recall_at_100_precision),
+            "judged": quality.judged,
+            "to_find": quality.to_find,
+        }
+    return written
 
 
 def as_text(result: Result, written: list[Path]) -> Iterator[str]:
     """Yield the lines that are printed; `written` are the files of results."""
-    folders, matches = result.traverses, result.matches
+    matches, settings = result.matches, result.settings
+    windows = "single frames" if settings.length == 1 else f"windows of {settings.length} frames"
+    penalty = "" if settings.penalty is None else f", penalty {settings.penalty:g}"
     rows = {
-        "method": f"{result.name}, {_windows(result.settings)}",
-        "features": described_by(result.settings.features),
-        "references": _frames(folders.references, folders.reference_frames),
-        "queries": _frames(folders.queries, folders.query_frames),
+        "method": f"{result.name}, {windows}{penalty}",
+        "features": described_by(settings.features),
+        "references": _frames(result.references),
+        "queries": _frames(result.queries),
         "matched": f"{matches.matched.sum()} of {matches.matched.size} query frames{_why_not_all(result)}",
         "seconds": ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.seconds.items()),
     }
-    if result.quality is not None:
-        curve, intervals = result.quality.curve, result.quality.intervals
-        rows["judged"] = f"{result.quality.judged} query frames, {result.quality.to_find} of them to be found"
+    if (quality := result.quality) is not None:
+        curve, intervals = quality.curve, quality.intervals
+        rows["judged"] = f"{quality.judged} query frames, {quality.to_find} of them to be found"
         rows["AUC"] = _with_interval(curve.auc, intervals.auc)
         rows["recall at 100 % precision"] = _with_interval(
             curve.recall_at_100_precision, intervals.recall_at_100_precision
@@ -136,37 +128,22 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
         yield from _some_matches(result)
 
 
-def _windows(settings: MatchSettings) -> str:
-    windows = "single frames" if settings.length == 1 else f"windows of {settings.length} frames"
-    return windows if settings.penalty is None else f"{windows}, penalty {settings.penalty:g}"
-
-
 def _why_not_all(result: Result) -> str:
     """Explain the frames without a match."""
-    unreadable, early = len(result.traverses.query_frames.unreadable), result.settings.length - 1
-    nothing = result.matches.matched.size - int(result.matches.matched.sum()) - unreadable - early - result.unsure
+    unreadable, early, matched = len(result.queries.unreadable), result.settings.length - 1, result.matches.matched
     reasons = {
         "before the first window": early,
         "unreadable": unreadable,
-        "like no reference": nothing,
+        "like no reference": int((~matched).sum()) - unreadable - early - result.unsure,
         f"not above tau {result.tau or 0.0:g}": result.unsure,
     }
     said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
     return f" ({said})" if said else ""
 
 
-def _frames(folder: ImageFolder, described: DescribedFrames) -> str:
-    unreadable = f" ({len(described.unreadable)} of them unreadable)" if described.unreadable else ""
-    frames = "1 frame" if len(folder.frames) == 1 else f"{len(folder.frames)} frames"
-    return f"{frames}{unreadable} in {folder.path}"
-
-
-def described_by(features: FeatureSettings) -> str:
-    """Name the modalities, and their weights unless all are the same."""
-    if len(set(features.weights)) == 1:
-        return " ".join(features.modalities)
-    pairs = zip(features.modalities, features.weights, strict=True)
-    return " ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
+def _frames(traverse: Traverse) -> str:
+    unreadable = f" ({len(traverse.unreadable)} of them unreadable)" if traverse.unreadable else ""
+    return f"{counted(len(traverse.folder.frames), 'frame')}{unreadable} in {traverse.folder.path}"
 
 
 def _with_interval(value: float, interval: tuple[float, float]) -> str:
@@ -175,16 +152,18 @@ def _with_interval(value: float, interval: tuple[float, float]) -> str:
 
 def _some_matches(result: Result) -> Iterator[str]:
     """Yield a few matches, evenly spread; all of them are for a file."""
-    matches, folders = result.matches, result.traverses
-    count = matches.matched.size
+    matches, count = result.matches, result.matches.matched.size
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).astype(int)).tolist()
+    references, queries = (_printable(one.folder.frames) for one in (result.references, result.queries))
     rows = [["query", "", "reference", "", "score"]]
     for query in shown:
-        found = ["-", "", "-"]
-        if (reference := int(matches.reference[query])) != NONE:
-            name = printable(folders.references.frames[reference])
-            found = [str(reference), name, f"{matches.score[query]:.3f}"]
-        rows.append([str(query), printable(folders.queries.frames[query]), *found])
+        reference = int(matches.reference[query])
+        found = [str(reference), references[reference], f"{matches.score[query]:.3f}"]
+        rows.append([str(query), queries[query], *(["-", "", "-"] if reference == NONE else found)])
     yield from table(rows, left=4)
     if len(shown) < count:
         yield f"{len(shown)} of {count} query frames; --json FILE writes every match"
+
+
+def _printable(names: Sequence[str]) -> list[str]:
+    return [printable(name, 255) for name in names]

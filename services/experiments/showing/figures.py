@@ -46,16 +46,9 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
     """Draw the taught ways, those that are joined in one picture, and where they part and meet."""
     places = ways.key_poses[:, :2]
     groups = [np.flatnonzero(ways.groups == group) for group in range(int(ways.groups.max()) + 1)]
-    sizes = [np.ptp(places[np.isin(ways.of, drives)], axis=0) for drives in groups]
-    # Upright where the way is, within what is no wider than high or higher than one and a half times.
-    shape = max(float(high / max(wide, 1e-9)) for wide, high in sizes)
-    columns = min(2, len(groups))
-    rows = -(-len(groups) // columns)
-    figure = new_figure(rows * WIDTH_IN / columns * float(np.clip(shape, 0.4, 1.2)) + 1.1)
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in panels[len(groups) :]:
-        axes.remove()
-    for axes, drives in zip(panels, groups, strict=False):
+    figure = new_figure(0.7 * WIDTH_IN * len(groups) + 1.1)
+    panels = list(figure.subplots(len(groups), 1, squeeze=False)[:, 0])
+    for axes, drives in zip(panels, groups, strict=True):
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel=ways.unit, ylabel=ways.unit)
         axes.margins(0.12)
@@ -72,7 +65,7 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
                 label, marker = ("fork", _FORK) if one.fork else ("ways meet", _MEETING)
                 _mark(axes, places[one.keyframe], marker, 8, label, color=TEXT)
                 _number(axes, number, places[one.keyframe])
-    legend(figure, panels[: len(groups)], 3)
+    legend(figure, panels, 3)
     return figure
 
 
@@ -96,7 +89,7 @@ def draw_cost_to_go(ways: Ways, costs: NDArray[np.float64], names: Sequence[str]
     for drive, name in enumerate(names):
         on = ways.of == drive
         if np.isfinite(costs[on]).any():
-            axes.plot(ways.way[ways.map.keyframes[on]], costs[on], lw=1.6, label=_named(name, names), **_look(drive))
+            axes.plot(ways.way[on], costs[on], lw=1.6, label=_named(name, names), **_look(drive))
     axes.set(xlabel=f"along the drive ({ways.unit})", ylabel="to go (s)")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from schemas.codec import printable
+from services.experiments.words import counted, described_by
 from services.recordings.taught import episode_of
-from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.planning import cost_to_go
@@ -19,8 +19,8 @@ from smal.planning import cost_to_go
 class StateGraph:
     """In which episodes each state was seen, and which other states came after it, ascending."""
 
-    episodes: Mapping[int, tuple[str, ...]]
-    following: Mapping[int, tuple[int, ...]]
+    episodes: Mapping[int, set[str]]
+    following: Mapping[int, list[int]]
 
     @property
     def shared(self) -> list[int]:
@@ -35,19 +35,14 @@ class StateGraph:
 
 def state_graph(model: PaperModel) -> StateGraph:
     """Read the graph of states off the drives."""
-    episodes: dict[int, dict[str, None]] = {state: {} for state in range(model.states)}
+    episodes: dict[int, set[str]] = {state: set() for state in range(model.states)}
     following: dict[int, set[int]] = {state: set() for state in range(model.states)}
     for name, stream in zip(model.names, model.state_streams, strict=True):
-        states = stream.tolist()
-        for state in states:
-            episodes[state][episode_of(name)] = None
-        for state, then in pairwise(states):
-            if then != state:
-                following[state].add(then)
-    return StateGraph(
-        {state: tuple(names) for state, names in episodes.items()},
-        {state: tuple(sorted(states)) for state, states in following.items()},
-    )
+        for state in stream.tolist():
+            episodes[state].add(episode_of(name))
+        for state, then in pairwise(stream.tolist()):
+            following[state] |= {then} - {state}
+    return StateGraph(episodes, {state: sorted(states) for state, states in following.items()})
 
 
 def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
@@ -60,8 +55,7 @@ def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
             yield f"  {printable(', '.join(names))}: {frames} frames, to {printable(goal)}"
     else:
         for name, atoms, good in zip(model.names, model.atoms, model.successful, strict=True):
-            end = "reached the goal" if good else "did not reach the goal"
-            yield f"  {printable(name)}: {len(atoms)} frames, {end}"
+            yield f"  {printable(name)}: {len(atoms)} frames, {'reached' if good else 'did not reach'} the goal"
 
 
 def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
@@ -69,7 +63,7 @@ def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
     found = {
         "model": f"{printable(file)}, {size / 1e6:.1f} MB, checksum {model.checksum[:12]}",
         "scheme": "filter, by a map of views" if isinstance(model, Model) else "paper, by states",
-        "modalities": weighted(model.feature_settings),
+        "modalities": described_by(model.feature_settings),
     }
     return found | (_of_map(model) if isinstance(model, Model) else _of_paper(model))
 
@@ -108,13 +102,7 @@ def goals_of(model: Model) -> list[str]:
     return list(dict.fromkeys(model.mapped.goals))
 
 
-def weighted(settings: FeatureSettings) -> str:
-    """Name the modalities with their weights."""
-    pairs = zip(settings.modalities, settings.weights, strict=True)
-    return ", ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
-
-
 def _goal(model: Model, goal: str) -> str:
     costs, _ = cost_to_go(model.mapped, goal)
-    drives = model.mapped.goals.count(goal)
-    return f"{printable(goal)} ({drives} drive{'s' * (drives > 1)}, at most {costs[costs < math.inf].max():.0f} s away)"
+    drives = counted(model.mapped.goals.count(goal), "drive")
+    return f"{printable(goal)} ({drives}, at most {costs[costs < math.inf].max():.0f} s away)"

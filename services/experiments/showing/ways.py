@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from smal.demonstration import Demonstration
 from smal.model import Model
@@ -22,7 +21,7 @@ from smal.visual_map import VisualMap
 
 @dataclass(frozen=True)
 class Parting:
-    """Where ways that are shared part (a fork), or meet, and the last or first keyframe of one that is shared."""
+    """Where ways that are shared part (a fork), or meet: the last or first keyframe that is shared, and whose ways."""
 
     fork: bool
     keyframe: int
@@ -42,6 +41,8 @@ class Ways:
         Drives that are joined, directly or by others, have the same number; from 0.
     shared : bool array (k,)
         Which keyframes show a place that another drive shows too.
+    way : float64 array (k,)
+        From the start of its drive to each keyframe.
     """
 
     def __init__(self, taught: VisualMap) -> None:
@@ -54,6 +55,8 @@ class Ways:
         drives = len(taught.goals)
         _, self.groups = connected_components(coo_array((np.ones(one.size), (one, other)), (drives, drives)), False)
         self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
+        arc = taught.arc[taught.keyframes]
+        self.way: NDArray[np.float64] = arc - arc[np.searchsorted(self.of, self.of)]
 
     @property
     def unit(self) -> str:
@@ -61,59 +64,39 @@ class Ways:
         return "m" if self.map.odometry else "atoms ahead"
 
     @cached_property
-    def way(self) -> NDArray[np.float64]:
-        """Way from the start of its drive to each frame, (f,)."""
-        way: NDArray[np.float64] = self.map.arc - self.map.arc[np.searchsorted(self.map.drives, self.map.drives)]
-        return way
-
-    @cached_property
     def partings(self) -> tuple[Parting, ...]:
         """Where shared ways part or meet; within a correlation length it is one place."""
         found: list[Parting] = []
         for one, other in np.unique(self.of[self.map.stitched], axis=0).tolist():
             for fork, keyframe in self._partings_of(one, other):
-                new = Parting(fork, keyframe, (one, other))
-                known = next((each for each in found if self._is_same(each, new)), None)
-                if known is not None:
-                    found.remove(known)
-                    new = Parting(fork, min(keyframe, known.keyframe), (*known.drives, one, other))
-                found.append(Parting(fork, new.keyframe, tuple(sorted(set(new.drives)))))
+                same = [each for each in found if each.fork == fork and self._is_near(each.keyframe, keyframe)]
+                found = [each for each in found if each not in same]
+                drives = {one, other}.union(*(each.drives for each in same))
+                found.append(
+                    Parting(fork, min(keyframe, *(each.keyframe for each in same), keyframe), (*sorted(drives),))
+                )
         return tuple(sorted(found, key=lambda parting: parting.keyframe))
 
-    def _is_same(self, one: Parting, other: Parting) -> bool:
-        apart = self.key_poses[one.keyframe, :2] - self.key_poses[other.keyframe, :2]
-        near = bool(np.hypot(*apart) < self.map.correlation_length)
-        return near and one.fork == other.fork and bool(set(one.drives) & set(other.drives))
+    def _is_near(self, one: int, other: int) -> bool:
+        """Whether two keyframes of drives that are joined are one place."""
+        apart = float(np.hypot(*(self.key_poses[one, :2] - self.key_poses[other, :2])))
+        joined = self.groups[self.of[one]] == self.groups[self.of[other]]
+        return bool(joined) and apart < self.map.correlation_length
 
     def _partings_of(self, one: int, other: int) -> Iterator[tuple[bool, int]]:
         """Yield where a drive leaves another (True) or comes to it (False), and the keyframe there.
 
-        Where it is not stitched to the other but stays within a correlation length of it, it has not left it. Neither
-        has it where the other one ends.
+        A stretch that is shared goes on where views are alike: over gaps of two correlation lengths. Where either of
+        the drives begins or ends with it, nothing parts or meets.
         """
-        here = np.flatnonzero(self.of == one)
-        pairs = self.map.stitched[(self.of[self.map.stitched] == (one, other)).all(axis=1)]
-        partner = dict(pairs.tolist())
-        far = self._apart(here, other) > self.map.correlation_length
-        joints = np.flatnonzero(np.isin(here, pairs[:, 0]))
-        for before, after in zip([-1, *joints], [*joints, len(here)], strict=True):
-            if not far[before + 1 : after].any():
-                continue
-            if before >= 0 and self._goes_elsewhere(partner[int(here[before])], one, ahead=True):
-                yield True, int(here[before])
-            if after < len(here) and self._goes_elsewhere(partner[int(here[after])], one, ahead=False):
-                yield False, int(here[after])
-
-    def _goes_elsewhere(self, keyframe: int, other: int, *, ahead: bool) -> bool:
-        """Whether the drive of a keyframe, on or back from it, is ever far from another: it does not end here."""
-        own = np.flatnonzero(self.of == self.of[keyframe])
-        rest = own[own > keyframe] if ahead else own[own < keyframe]
-        return bool((self._apart(rest, other) > self.map.correlation_length).any())
-
-    def _apart(self, keyframes: NDArray[np.intp], drive: int) -> NDArray[np.float64]:
-        """Return how far keyframes are from the way of a drive."""
-        way = KDTree(self.key_poses[self.of == drive, :2])
-        return np.asarray(way.query(self.key_poses[keyframes, :2])[0])
+        length, last = self.map.correlation_length, {drive: self.way[self.of == drive].max() for drive in (one, other)}
+        here, there = self.map.stitched[(self.of[self.map.stitched] == (one, other)).all(axis=1)].T
+        gaps = np.flatnonzero(np.diff(self.way[here]) > 2.0 * length)
+        for begin, end in zip([0, *(gaps + 1)], [*gaps, len(here) - 1], strict=True):
+            if min(last[one] - self.way[here[end]], last[other] - self.way[there[end]]) > length:
+                yield True, int(here[end])
+            if min(self.way[here[begin]], self.way[there[begin]]) > length:
+                yield False, int(here[begin])
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +112,9 @@ class Believed:
     lost: NDArray[np.float64]
     spread: NDArray[np.float64]
 
-    def wide(self) -> list[tuple[int, int]]:
-        """Return first and last frame of each stretch on which the robot was less likely here than not."""
-        edges = np.diff((self.here < 0.5).astype(int), prepend=0, append=0)
-        return list(zip(np.flatnonzero(edges > 0).tolist(), (np.flatnonzero(edges < 0) - 1).tolist(), strict=True))
 
-
-def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[int], object]) -> Believed:
-    """Let recognition follow a taught drive of the map from its beginning; advance is called with each frame."""
+def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]) -> Believed:
+    """Let recognition follow a taught drive of the map from its beginning; advance is called after each frame."""
     localizer, found = Localizer(model), []
     first = int(np.searchsorted(ways.map.drives, drive))
     for k, features in enumerate(one.features):
@@ -148,5 +126,5 @@ def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: 
         here = (1.0 - belief.lost) * float(weights @ near)
         weights /= max(float(weights.sum()), 1e-12)
         found.append((here, belief.lost, float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1)))))
-        advance(k)
+        advance()
     return Believed(*np.array(found).T)

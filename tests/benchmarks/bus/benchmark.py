@@ -29,7 +29,7 @@ from schemas.command import Command
 from schemas.compressed_image import CompressedImage
 from schemas.observation import Observation
 from schemas.topics import Topic
-from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.cli.stack import Stack, StackPlan, free_endpoint
 from services.kit.errors import JobError
 from services.kit.jpeg import encode_jpeg
 from services.kit.settings import ServiceSettings

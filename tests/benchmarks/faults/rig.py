@@ -14,7 +14,7 @@ from unittest.mock import patch
 from schemas.codec import DecodeError, decode
 from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, ResumeRequest, Status
 from schemas.topics import EPISODE, TOPICS, Topic
-from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
+from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from services.cli.up import WATCH_S
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError

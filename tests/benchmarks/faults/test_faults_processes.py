@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from schemas.topics import COMMANDS, TOPICS, rpc_key
-from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.cli.stack import Stack, StackPlan, free_endpoint
 from services.simulator.base import STEP_S
 from services.simulator.body import WATCHDOG_S
 from services.simulator.robots import RESCUEBOT

@@ -22,7 +22,7 @@ from typing import Any, Final
 from tqdm import tqdm
 
 from services.cli import options
-from services.cli.stack.processes import free_endpoint
+from services.cli.stack import free_endpoint
 from services.kit.errors import JobError
 from services.table import stack_services
 from tests.benchmarks.faults.benchmark import taught_model

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from websockets.sync.client import ClientConnection, connect
 
-from services.cli.stack.child import tied
+from services.cli.child import tied
 from services.kit.errors import JobError
 from tests.benchmarks.reporting import Record
 from tests.benchmarks.soak.growth import line, rise, said

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from services.experiments.evaluation import plan as plans
-from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.plan import Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.units import units
 from tests.services.cli.conftest import ROOT, Smal
 from tests.services.waiting import eventually
@@ -21,12 +21,8 @@ TINY = Plan(
     "quick",
     (
         WorldPlan(
-            "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=1, queries=1, lengths=(1, 5),
-            recognized=("clean", "occluded"), template_frames=50,
-            trials=(
-                *(Trial(name, 1, 1) for name in CONTROLLERS),
-                Trial("smal", 1, 1, kidnap_tick=5), Trial("nearest-1", 2, 1), Trial("paper", 1, 1, 1),
-            ),
+            "yard", (Criterion(3.0, 25.0),), queries=1, lengths=(1,), recognized=("occluded",), template_frames=50,
+            trials=(Trial("teach-and-repeat", 1, 1), Trial("nearest-1", 1, 1)),
         ),
     ),
     patience=0.3,
@@ -60,7 +56,7 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
         [sys.executable, "-c", TINY_COMMAND, "evaluate", "--out", str(out), "--quick"],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    eventually(lambda: done_in(out) or command.poll() is not None, timeout_s=600.0)
+    eventually(lambda: len(done_in(out)) > 1 or command.poll() is not None, timeout_s=600.0)
     command.send_signal(signal.SIGINT)
     _, said = command.communicate(timeout=120.0)
     assert command.returncode == 130, said
@@ -68,21 +64,16 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     before = done_in(out)
     assert not (out / "index.html").exists()
 
-    status, printed, _ = smal("evaluate", "--out", str(out), "--quick")
+    # What is lost is found out again, by another worker, the same to the last digit; the rest is left alone.
+    lost, *kept = sorted((out / "units").glob("*.json"))
+    lost.unlink()
+    times = {path: path.stat().st_mtime_ns for path in kept}
+    status, printed, _ = smal("evaluate", "--out", str(out), "--quick", "--workers", "1")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
     after = done_in(out)
     assert len(after) == len(units(TINY))
     assert before.items() <= after.items()
-    # What is lost is found out again, by one worker, the same to the last digit; the rest is left alone.
-    first = json.loads((out / "results.json").read_text())
-    lost = [f"{unit.digest}.json" for unit in units(TINY) if unit.kind in ("recognize", "search", "objective")][::3]
-    for name in lost:
-        (out / "units" / name).unlink()
-    times = {path: path.stat().st_mtime_ns for path in (out / "units").glob("*.json")}
-    assert smal("evaluate", "--out", str(out), "--quick", "--workers", "1")[0] == 0
-    assert done_in(out) == after
     assert {path: path.stat().st_mtime_ns for path in times} == times
-    assert json.loads((out / "results.json").read_text())["worlds"] == first["worlds"]
 
 
 def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, smal: Smal) -> None:
@@ -105,6 +96,5 @@ def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, 
         plans.PLANS["quick"] = plans_before
     assert status == 1
     last = said.splitlines()[-1]
-    assert last.startswith("smal: teach/world=nowhere/")
-    assert "nowhere" in last.split(": ", 2)[2]
+    assert last.startswith("smal: teach in nowhere: ")
     assert "Traceback" not in said

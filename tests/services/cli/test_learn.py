@@ -22,6 +22,7 @@ from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
+from smal.demonstration import drives_to_goals
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
@@ -168,11 +169,6 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
         (("drives", "--tau", "nan"), EXIT_USAGE, "--tau"),
         (("drives", "--out", "bad.mcap/model.smal"), EXIT_USAGE, "--out bad.mcap: is a file"),
         (("drives", "--json", "none/report.json"), EXIT_USAGE, "--json none/report.json: no folder none"),
-        (
-            ("drives", "--modalities", "thumbnail", "--weights", "1,2"),
-            EXIT_USAGE,
-            "--weights 1,2: 1 modalities need as",
-        ),
         (("bad.mcap",), EXIT_FAILED, "bad.mcap: empty"),
         (("failed.mcap",), EXIT_FAILED, "cannot learn from these recordings: "),
     ],
@@ -202,6 +198,8 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     learn([path], tmp_path / "mapped.smal", json_file=report)
     visual_map = Model.load(tmp_path / "mapped.smal").mapped
     assert visual_map.odometry
+    # A straight drive does not tell its camera: a usual one is assumed.
+    assert visual_map.scene[0] == USUAL_FOCAL
     np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40)])
     keyframes = len(visual_map.keyframes)
     assert json.loads(report.read_text())["keyframes"] == keyframes > 10
@@ -221,19 +219,11 @@ def test_a_frame_without_image_odometry_or_anything_is_left_out_and_the_rest_is_
     tmp_path: Path, kind: type[Message]
 ) -> None:
     lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]
-    learn([record(tmp_path, lost)], tmp_path / "model.smal")
-    visual_map = Model.load(tmp_path / "model.smal").mapped
-    assert visual_map.odometry
-    np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40) if tick != 20])
+    ((_, whole),) = drives_to_goals(teach(record(tmp_path, lost)).teaching.demonstrations)
+    np.testing.assert_array_equal(whole.odometry, [odometry(tick) for tick in range(40) if tick != 20])
 
 
 def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     info = CameraInfo.after(header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0)
-    for name, messages, focal in (
-        ("estimated", drive("e"), USUAL_FOCAL),
-        ("told", [*drive("e")[:1], info, *drive("e")[1:]], pytest.approx(450.0 / 640.0)),
-    ):
-        (tmp_path / name).mkdir()
-        learn([record(tmp_path / name, messages)], tmp_path / "model.smal")
-        # A straight drive does not tell its camera: a usual one is assumed.
-        assert Model.load(tmp_path / "model.smal").mapped.scene[0] == focal
+    learn([record(tmp_path, [*drive("e")[:1], info, *drive("e")[1:]])], tmp_path / "model.smal")
+    assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(450.0 / 640.0)

@@ -65,8 +65,6 @@ def test_a_map_has_no_depth(tmp_path: Path) -> None:
     assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
     learning.learn([path], out)
     assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",), (1.0,))
-    with pytest.raises(UsageError, match=r"^--weights 1,2: 1 modalities need as many weights, got 2"):
-        learning.learn([path], out, weights="1,2")
     # Where nothing else was recorded the usual features are computed from the images.
     path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
-    assert learning._features([path], "filter", None, None) == FEATURES
+    assert learning._features([path], "filter", None) == FEATURES

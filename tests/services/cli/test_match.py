@@ -91,9 +91,9 @@ def test_frames_that_cannot_be_read_keep_their_numbers(folders: Path, smal: Smal
     status, out, err = smal("match", "ref", "query", "--json", "out.json", "--length", "1", "--truth", "truth.csv")
     assert status == 0
     assert err.splitlines() == [
-        "smal: ref: skipped 1 unreadable image, kept in the count of frames: img7.png",
-        "smal: query: skipped 1 file that is no image: truth.txt",
-        "smal: query: skipped 1 unreadable image, kept in the count of frames: img15.png",
+        "smal: ref: skipped 1, unreadable, and kept in the count of frames: img7.png",
+        "smal: query: skipped 1, no images: truth.txt",
+        "smal: query: skipped 1, unreadable, and kept in the count of frames: img15.png",
     ]
     written = json.loads(Path("out.json").read_text())
     found = references_of(written)
@@ -122,7 +122,7 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
     [
         (["none", "query"], 2, "REFERENCE_DIR none: No such file or directory"),
         (["ref", "damaged"], 1, "damaged: no image can be read: a.png"),
-        (["ref", "query", "--length", "25"], 1, "ref: 24 images are too few for a window of 25; choose a shorter"),
+        (["ref", "query", "--length", "25"], 1, "ref: 24 images, too few for a window of 25; choose a shorter"),
         (["ref", "query", "--json", "query/img3.png"], 2, "--json query/img3.png: would lie among the files"),
         (["ref", "query", "--method", "x"], 2, "--method x: unknown; known are smal, own"),
         (["ref", "query", "--penalty", "0"], 2, "--penalty 0: must be above 0 and below 1"),

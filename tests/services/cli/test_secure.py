@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from schemas import topics
 from schemas.state import State
 from services.cli import certificates
-from services.cli.stack.processes import Stack, StackPlan
+from services.cli.stack import Stack, StackPlan
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
 from services.kit.errors import UsageError

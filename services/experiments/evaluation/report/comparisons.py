@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import binomtest
 
-from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH
-from services.experiments.evaluation.report.summary import Recognized, Success, WorldResults, success_of
+from services.experiments.evaluation.plan import DEFAULT_LENGTH
+from services.experiments.evaluation.report.summary import Recognized, Success, WorldResults
 
 _CERTAIN: Final = 0.05
 
@@ -30,20 +30,17 @@ class Comparison:
 def comparisons(found: WorldResults) -> list[Comparison]:
     """Return all that the report says of a world."""
     name = found.world.title
-    return [
-        *compare_recognition(name, found.recognized[0]),
-        *compare_searches(name, found.successes),
-    ]
+    return [*compare_recognition(name, found.recognized[0]), *compare_searches(name, found.successes)]
 
 
 def compare_recognition(world: str, found: Sequence[Recognized]) -> list[Comparison]:
     """Compare the areas under the curves: Eq. 9 at its default length against every other method."""
     compared = []
     for ours in found:
-        if (ours.recognizer.name, ours.recognizer.length) != ("smal", DEFAULT_LENGTH):
+        if not ours.recognizer.eq9 or ours.recognizer.length != DEFAULT_LENGTH:
             continue
         for peer in found:
-            if peer.degradation != ours.degradation or (peer.recognizer.name == "smal" and peer.recognizer.length != 1):
+            if peer.degradation != ours.degradation or (peer.recognizer.eq9 and peer.recognizer.length != 1):
                 continue
             low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
             verdict = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
@@ -60,11 +57,9 @@ def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
     """Compare success on the same drives, seeds and conditions: SMAL against every other, by the exact sign test."""
     compared = []
     for ours in found:
-        if ours.trial.controller != "smal":
-            continue
-        for name in CONTROLLERS:
-            peer = success_of(found, replace(ours.trial, controller=name))
-            if peer is None or peer is ours:
+        for peer in found:
+            same = replace(peer.trial, controller="smal", runs=ours.trial.runs) == ours.trial
+            if ours.trial.controller != "smal" or peer is ours or not same:
                 continue
             verdict, chance = _sign_test(ours, peer)
             drives = f"{ours.trial.drives} drive{'s' if ours.trial.drives > 1 else ''}"
@@ -77,12 +72,9 @@ def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
 
 
 def _sign_test(ours: Success, peer: Success) -> tuple[str, float]:
-    seeds = ours.findings.keys() & peer.findings.keys()
-    pairs = [tuple(one.findings[seed]["outcome"] == "found" for one in (ours, peer)) for seed in seeds]
+    pairs = [(one == "found", other == "found") for one, other in zip(ours.outcomes, peer.outcomes, strict=False)]
     wins, losses = pairs.count((True, False)), pairs.count((False, True))
-    if wins == losses:
-        return "open", 1.0
-    chance = float(binomtest(wins, wins + losses).pvalue)
+    chance = float(binomtest(wins, wins + losses).pvalue) if wins != losses else 1.0
     if chance >= _CERTAIN:
         return "open", chance
     return ("ahead" if wins > losses else "behind"), chance

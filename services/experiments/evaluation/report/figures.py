@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -13,12 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, TEXT, styled
-from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
-from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Recognizer, Trial
-from services.experiments.evaluation.report.summary import Recognized, Success, success_of
-from services.experiments.evaluation.results import Finding
-from services.experiments.evaluation.search import WAY_TICKS
+from services.experiments.drawing import COLOURS, MUTED, TEXT, look_at, styled
+from services.experiments.evaluation.degradation import DEGRADATIONS
+from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH
+from services.experiments.evaluation.report.summary import Recognized, Success
+from services.experiments.evaluation.units import Finding
 from services.kit.jpeg import decode_jpeg
 from services.robot.clock import TICK_S
 from services.simulator.world import load_world
@@ -28,7 +27,6 @@ OURS, SINGLE = COLOURS[:2]
 #: Of who searches and who recognizes, beside ours and the single image.
 _PEERS: Final = {
     "smal": OURS, "paper": SINGLE, "teach-and-repeat": "#e09f3e", "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
-    "seqslam": "#b5701a", "seqslam-10": "#f2cc8f", "seqslam-20": "#e09f3e", "seqslam-40": "#b5701a",
 }  # fmt: skip
 #: Camera images beside an example route.
 VIEWS: Final = 6
@@ -53,58 +51,23 @@ def _views(degradations: Iterable[str]) -> dict[str, str]:
 
 @styled
 def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
-    """Draw Eq. 9 at its default length against the single image and the peers, a panel for each degradation."""
-    shown = [one for one in found if one.recognizer.name != "smal" or one.recognizer.length in (1, DEFAULT_LENGTH)]
-    shown.sort(key=lambda one: (one.recognizer.name != "smal", one.recognizer.length == 1))
-
-    def style(one: Recognizer) -> dict[str, Any]:
-        if one.name != "smal":
-            return {"color": _PEERS[f"{one.name}-{one.length}"], "lw": 1.6, "ls": "--", "zorder": 2}
-        return {"color": SINGLE, "lw": 2.4, "zorder": 3} if one.length == 1 else {"color": OURS, "lw": 2.8, "zorder": 4}
-
-    return _curves(shown, style, title)
-
-
-@styled
-def precision_recall_by_length(found: Sequence[Recognized], title: str) -> Figure:
-    """Draw Eq. 9 at every length, darker the longer, a panel for each degradation."""
-    shown = [one for one in found if one.recognizer.name == "smal"]
-    lengths = sorted({one.recognizer.length for one in shown})
-    colours = mpl.colormaps["viridis_r"](np.linspace(0.12, 0.95, len(lengths)))
-    return _curves(shown, lambda one: {"color": colours[lengths.index(one.length)], "lw": 2.2}, title)
-
-
-def _curves(shown: Sequence[Recognized], style: Callable[[Recognizer], dict[str, Any]], title: str) -> Figure:
-    views = _views(one.degradation for one in shown)
+    """Draw Eq. 9, darker the longer its sequences, and the peers, dashed; a panel for each degradation."""
+    views, lengths = _views(one.degradation for one in found), {one.recognizer.length for one in found}
     drawn, panels = _panels(len(views), 5.2, 5.4, title)
-    least = min((float(one.curve.precision.min(initial=1.0)) for one in shown), default=0.0)
+    least = min((float(one.curve.precision.min(initial=1.0)) for one in found), default=0.0)
     floor = max(0.0, math.floor(10.0 * least - 2.0) / 10.0)
     for axes, (degradation, said) in zip(panels, views.items(), strict=True):
-        for one in (each for each in shown if each.degradation == degradation):
+        for one in (each for each in found if each.degradation == degradation):
             # Steps, as the area counts them.
             recall = np.concatenate([[0.0], one.curve.recall])
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
-            label = f"{one.recognizer.title}  (area {one.curve.auc:.3f})"
-            axes.step(recall[: precision.size], precision, where="pre", label=label, **style(one.recognizer))
+            label, length = f"{one.recognizer.title}  (area {one.curve.auc:.3f})", one.recognizer.length
+            shade = mpl.colormaps["viridis_r"](0.12 + 0.83 * sorted(lengths).index(length) / len(lengths))
+            colour, dashes = (shade, "-") if one.recognizer.eq9 else (_PEERS[f"nearest-{length}"], "--")
+            axes.step(recall[: precision.size], precision, where="pre", label=label, color=colour, ls=dashes, lw=2.2)
         axes.set(xlim=(0, 1.015), ylim=(floor, 1.0 + 0.03 * (1.0 - floor)), xlabel="recall", ylabel="precision")
         axes.set_title(said)
         axes.legend(loc="lower left")
-    return drawn
-
-
-@styled
-def area_by_length(found: Sequence[Recognized], title: str) -> Figure:
-    """Draw the area under the curve over l, with its interval, for every degradation."""
-    ours = [one for one in found if one.recognizer.name == "smal"]
-    lengths = sorted({one.recognizer.length for one in ours})
-    drawn, (axes,) = _panels(1, 7.2, 4.4, title)
-    for (degradation, said), colour in zip(_views(one.degradation for one in ours).items(), COLOURS, strict=False):
-        each = [one for one in ours if one.degradation == degradation]
-        _error_bars(axes, [lengths.index(one.recognizer.length) for one in each], [one.curve.auc for one in each],
-                    [one.auc_95 for one in each], color=colour, marker="o", label=f"Eq. 9, {said}")  # fmt: skip
-    axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
-    axes.set(xlabel="sequence length l (frames)", ylabel="area under the curve", ylim=(None, 1.01))
-    axes.legend()
     return drawn
 
 
@@ -152,9 +115,10 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
     drawn, (axes,) = _panels(1, 9.0, 4.6, title)
     width = 0.84 / len(names)
     for number, name in enumerate(names):
-        for place, drives in enumerate(counts):
-            if (one := success_of(usual, Trial(name, drives, 1))) is None:
+        for one in usual:
+            if one.trial.controller != name or one.trial.length != DEFAULT_LENGTH:
                 continue
+            place = counts.index(one.trial.drives)
             at = place + (number - (len(names) - 1) / 2) * width
             axes.bar(at, one.rate, 0.9 * width, color=_PEERS[name], label=None if place else one.trial.title)
             axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
@@ -162,28 +126,6 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
     axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="searches that find the victim")
     drawn.legend(loc="outside lower center", ncols=3)
-    return drawn
-
-
-@styled
-def convergence(found: Sequence[Success], title: str) -> Figure:
-    """Draw the distance from the taught way over time, of searches that begin beside it."""
-    anywhere = [one for one in found if one.trial.condition == "from anywhere"]
-    drawn, panels = _panels(len(anywhere), 4.5, 3.6, title, sharex=True, sharey=True)
-    step_s = WAY_TICKS * TICK_S
-    for axes, one in zip(panels, anywhere, strict=True):
-        colour = _PEERS[one.trial.controller]
-        ways = [np.array(each["aside_m"]) for each in one.findings.values()]
-        for way in ways:
-            axes.plot(np.arange(way.size) * step_s, way, color=colour, lw=0.8, alpha=0.5)
-        going = [[way[k] for way in ways if way.size > k] for k in range(max(way.size for way in ways))]
-        # Of those that still go on, as long as half of them do.
-        medians = [np.median(each) for each in going if 2 * len(each) >= len(ways)]
-        axes.plot(np.arange(len(medians)) * step_s, medians, color=colour, lw=2.6)
-        axes.set(title=one.trial.title, xlabel="seconds", xlim=(0.0, 1.2 * len(medians) * step_s))
-    # Of all panels, which share the axis: after the last one has its lines.
-    panels[0].set_ylim(bottom=0.0)
-    panels[0].set_ylabel("from the taught way (m)")
     return drawn
 
 
@@ -206,29 +148,23 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
 
 
 @styled
-def example_route(
-    world: str, route: Mapping[str, NDArray[Any]], seed: int, degradation: str | None, title: str
-) -> Figure:
+def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> Figure:
     """Draw the way of a search on the map, and what the camera saw along it.
 
-    The route has ``poses``, ``ticks`` and ``picture_TICK``. Given a degradation, the same views are shown as well as
-    they would be under it.
+    The route has ``poses``, and by ticks what was seen.
     """
-    poses, ticks = route["poses"], route["ticks"]
-    chosen = [int(ticks[k]) for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
-    views = {tick: decode_jpeg(route[f"picture_{tick}"].tobytes()) for tick in chosen}
-    rows = {"seen": views} | ({} if degradation is None else {f"if {degradation}": _degraded(views, degradation, seed)})
-    drawn = Figure(figsize=(15.0, 6.2 + 1.9 * len(rows)))
+    poses, ticks = route["poses"], sorted(int(name) for name in route if name.isdigit())
+    chosen = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
+    drawn = Figure(figsize=(15.0, 8.1))
     drawn.suptitle(title)
-    grid = drawn.add_gridspec(1 + len(rows), len(chosen), height_ratios=[3.2, *([1.0] * len(rows))])
+    grid = drawn.add_gridspec(2, len(chosen), height_ratios=[3.2, 1.0])
     _draw_way(drawn.add_subplot(grid[0, :]), world, poses, chosen)
     for column, tick in enumerate(chosen):
-        for row, (said, pictures) in enumerate(rows.items()):
-            axes = drawn.add_subplot(grid[1 + row, column])
-            axes.imshow(pictures[tick])
-            axes.set(xticks=[], yticks=[], ylabel="" if column else said)
-            axes.set_title("" if row else f"{column + 1}: after {tick * TICK_S:.0f} s")
-            axes.grid(visible=False)
+        axes = drawn.add_subplot(grid[1, column])
+        axes.imshow(decode_jpeg(route[str(tick)].tobytes()))
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"{column + 1}: after {tick * TICK_S:.0f} s")
+        axes.grid(visible=False)
     return drawn
 
 
@@ -239,16 +175,4 @@ def _draw_way(axes: Axes, world: str, poses: NDArray[np.float64], chosen: Sequen
     for number, tick in enumerate(chosen, 1):
         axes.annotate(str(number), (poses[tick, 0], poses[tick, 1]), fontsize=9, ha="center", va="center", zorder=6,
                       bbox={"boxstyle": "circle,pad=0.2", "fc": "white", "ec": COLOURS[2], "lw": 1.2})  # fmt: skip
-    shown = np.vstack([poses[:, :2], [there.victim.x, there.victim.y]])
-    low, high = shown.min(axis=0), shown.max(axis=0)
-    margin = 0.12 * float((high - low).max())
-    x_min, y_min, x_max, y_max = there.place.bounds
-    axes.set_xlim(max(x_min, low[0] - margin), min(x_max, high[0] + margin))
-    axes.set_ylim(max(y_min, low[1] - margin), min(y_max, high[1] + margin))
-
-
-def _degraded(views: Mapping[int, NDArray[np.uint8]], name: str, seed: int) -> dict[int, NDArray[np.uint8]]:
-    """Degrade some views of an episode as its every frame would be; shake, which moves the camera, is not shown."""
-    degrader, speck = Degrader(DEGRADATIONS[name], seed), np.zeros((1, 1, 3), dtype=np.uint8)
-    seen = {tick: degrader.apply(tick, views.get(tick, speck)) for tick in range(max(views) + 1)}
-    return {tick: seen[tick] for tick in views}
+    look_at(axes, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)

@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 from services.experiments import html
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
 from services.experiments.evaluation.report.comparisons import Comparison, comparisons
-from services.experiments.evaluation.report.recognition_section import objective_section, recognition_section
-from services.experiments.evaluation.report.search_section import search_section
+from services.experiments.evaluation.report.sections import objective_section, recognition_section, search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.search import MAX_TICKS
-from services.experiments.evaluation.units import code_fingerprint, units, whole_series
+from services.experiments.evaluation.units import Learn, Query, Searches, Teach, code_fingerprint, units
+from services.experiments.words import counted
 from services.kit.version import program_version
 
 _DPI: Final = 130
@@ -30,17 +30,16 @@ _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown"}
 def write_page(plan: Plan, results: Results) -> Path:
     """Write ``index.html``, ``results.json`` and the figures into the folder of the results; return the page.
 
-    Where not all units of the plan are done, the page says so, and shows every series that is whole.
+    Where not all units of the plan are done, the page says so, and shows those that are.
     """
-    planned = units(plan)
-    shown = whole_series(planned, results.findings)
-    found = [results_of(world, shown, results.findings) for world in plan.worlds]
+    planned, findings = units(plan), results.findings
+    found = [results_of(world, planned, findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
     numbers = {
         "plan": plan.name,
         "version": program_version(),
-        "units": {"planned": len(planned), "done": len(results.findings), "shown": len(shown)},
-        "machine_seconds": round(sum(_seconds_by_kind(results).values()), 1),
+        "units": {"planned": len(planned), "done": len(findings)},
+        "machine_seconds": round(_seconds(results), 1),
         "comparisons": [vars(one) for one in compared],
         "worlds": {one.world.title: one.as_json() for one in found},
     }
@@ -49,10 +48,10 @@ def write_page(plan: Plan, results: Results) -> Path:
     figures.mkdir(exist_ok=True)
     put = partial(embed, figures)
     body = [*_introduction(plan, results)]
-    if len(results.findings) < len(planned):
+    if len(findings) < len(planned):
         body.append(
-            f"<p><b>Not all is done:</b> {len(results.findings):,} of {len(planned):,} units. What is shown is whole, "
-            "with all of its runs; the rest is left out until it is.</p>"
+            f"<p><b>Not all is done:</b> {len(findings):,} of {len(planned):,} units. What is shown is whole, with all "
+            "of its runs; the rest is left out until it is.</p>"
         )
     body += _summary(compared)
     for each in found:
@@ -60,7 +59,8 @@ def write_page(plan: Plan, results: Results) -> Path:
         if each.recognized[0]:
             body += recognition_section(each, put)
         if each.successes:
-            body += search_section(each, results, put)
+            here = [one for one in findings if one.site.world == each.world.world and findings[one].get("file")]
+            body += search_section(each, [one.file(results.work) for one in here if isinstance(one, Searches)], put)
     body += [*objective_section(found, put), *_method(plan, results)]
     path = results.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")
@@ -74,16 +74,11 @@ def embed(folder: Path, name: str, figure: Figure, caption: str) -> str:
     return f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
 
 
-def _seconds_by_kind(results: Results) -> dict[str, float]:
-    seconds: dict[str, float] = {}
-    for unit, found in results.findings.items():
-        seconds[unit.kind] = seconds.get(unit.kind, 0.0) + float(found["cpu_s"])
-    return seconds
+def _seconds(results: Results) -> float:
+    return sum(float(found["cpu_s"]) for found in results.findings.values())
 
 
 def _introduction(plan: Plan, results: Results) -> Iterator[str]:
-    seconds = sum(_seconds_by_kind(results).values())
-    time = f"{seconds / 3600:.1f} h" if seconds > 7200 else f"{seconds / 60:.0f} min"
     yield (
         "<p>The experiments of Han, Yang, Zhang and Zhang, <em>Sequence-based Multimodal Apprenticeship Learning for "
         "Robot Perception and Decision Making</em> (ICRA 2017), repeated in simulation, and taken further. A scripted "
@@ -93,14 +88,13 @@ def _introduction(plan: Plan, results: Results) -> Iterator[str]:
     )
     if plan.omitted:
         yield f"<p><b>This is the quick evaluation.</b> It leaves out: {'; '.join(map(escape, plan.omitted))}.</p>"
-    searches = sum(unit.kind == "search" for unit in results.findings)
-    queries = sum(int(found["frames"]) for unit, found in results.findings.items() if unit.kind == "queries")
+    found = results.findings
     yield html.tiles(
         {
             "worlds": ", ".join(world.title for world in plan.worlds),
-            "searches": str(searches),
-            "held-out frames": f"{queries:,}",
-            "processor time": time,
+            "searches": str(sum(one.trial.runs for one in found if isinstance(one, Searches))),
+            "held-out frames": f"{sum(found[one]['frames'] for one in found if isinstance(one, Query)):,}",
+            "processor time": f"{_seconds(results) / 60:.0f} min",
             "version": program_version(),
         }
     )
@@ -139,15 +133,13 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
     )
     rows = []
     for world in plan.worlds:
-        here = {unit: found for unit, found in results.findings.items() if unit["world"] == world.world}
-        taught = [found["frames"] for unit, found in here.items() if unit.kind == "teach"]
-        states = ", ".join(f"{found['states']} ({unit['drives']} drives, l = {unit['length']})"
-                           for unit, found in here.items() if "states" in found)  # fmt: skip
-        rows.append([world.title, str(len(taught)), f"{sum(taught):,}", states])
+        here = {unit: found for unit, found in results.findings.items() if unit.site.world == world.world}
+        frames = [found["frames"] for unit, found in here.items() if isinstance(unit, Teach)]
+        states = ", ".join(f"{here[one]['states']} ({counted(len(one.needs), 'drive')}, l = {one.length})"
+                           for one in here if isinstance(one, Learn) and one.length)  # fmt: skip
+        rows.append([world.title, str(len(frames)), f"{sum(frames):,}", states])
     yield html.table(["world", "drives", "frames", "states learned"], rows, left=1)
-    times = ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in _seconds_by_kind(results).items())
     yield (
-        f"<p>Processor time: {times}. Machine: {escape(platform.processor() or platform.machine())}, "
-        f"{escape(platform.system())}, Python {platform.python_version()}. Version "
-        f"{program_version()}, code {code_fingerprint()[:12]}.</p>"
+        f"<p>Machine: {escape(platform.processor() or platform.machine())}, {escape(platform.system())}, Python "
+        f"{platform.python_version()}. Version {program_version()}, code {code_fingerprint()[:12]}.</p>"
     )

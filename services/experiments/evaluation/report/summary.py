@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.plan import JUDGED_TICKS, Errand, Recognizer, Trial, WorldPlan
-from services.experiments.evaluation.results import Finding
-from services.experiments.evaluation.units import Unit, settings_of
+from services.experiments.evaluation.plan import JUDGED_TICKS, Recognizer, Trial, WorldPlan
+from services.experiments.evaluation.units import Errand, Finding, Objective, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
@@ -41,7 +40,7 @@ class Recognized:
     def as_json(self, criterion: str) -> dict[str, Any]:
         """Return its numbers."""
         return {
-            "method": self.recognizer.name,
+            "method": self.recognizer.title,
             "length": self.recognizer.length,
             "degradation": self.degradation,
             "criterion": criterion,
@@ -57,107 +56,58 @@ class Recognized:
         }
 
 
-@dataclass(frozen=True, eq=False)
 class Success:
-    """How well one trial's searches went: what was found out, by seed."""
+    """How well the searches of one trial went.
 
-    trial: Trial
-    findings: Mapping[int, Finding]
+    Attributes
+    ----------
+    outcomes
+        How each ended, in the order of their seeds.
+    found, runs, rate, wilson_95
+        Searches that found the victim, out of how many, the share of them and Wilson's interval of it.
+    spl
+        Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven. The way that
+        counts as shortest is the expert's route along the lanes: who cuts its corners has 1.
+    aside_rms_m, aside_max_m
+        Distance from the taught ways: root of the mean square over all frames of all searches, and the largest, metres.
+    interventions_per_km
+        Searches in which a person would have had to step in, over the way that was driven; None without any way.
+    wrong_share
+        Share of frames at which the robot believed to be elsewhere, and not to be lost; None if it says nothing.
+    right_soon
+        In how many searches the belief was right `SOON_S` after being carried away, and of how many.
+    """
 
-    @property
-    def found(self) -> int:
-        """Number of searches that found the victim."""
-        return self.ended("found")
+    def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:
+        self.trial, self.searches = trial, searches
+        self.outcomes = [str(one["outcome"]) for one in searches]
+        self.found, self.runs = self.outcomes.count("found"), len(searches)
+        self.rate, self.wilson_95 = self.found / self.runs, wilson_interval(self.found, self.runs)
+        shortest, driven, ticks = (self._of(name) for name in ("shortest_m", "driven_m", "ticks"))
+        found = np.array(self.outcomes) == "found"
+        shares = found * shortest / np.maximum(np.maximum(driven, shortest), 1e-9)
+        self.spl = None if trial.kidnap_tick else float(shares.mean())
+        self.aside_rms_m = float(np.sqrt(np.average(self._of("aside_rms_m") ** 2, weights=ticks + 1)))
+        self.aside_max_m = float(self._of("aside_max_m").max())
+        self.interventions_per_km = 1e3 * (self.runs - self.found) / driven.sum() if driven.sum() > 1.0 else None
+        tells = "wrong_share" in searches[0]
+        self.wrong_share = float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None
+        times = [one["right_after_s"] for one in searches if "right_after_s" in one]
+        soon = [time is not None and time <= SOON_S for time in times]
+        self.right_soon = (sum(soon), len(soon)) if soon else None
 
-    def ended(self, outcome: str) -> int:
-        """Return the number of searches that ended so."""
-        return sum(one["outcome"] == outcome for one in self.findings.values())
-
-    @property
-    def runs(self) -> int:
-        """Number of searches."""
-        return len(self.findings)
+    def _of(self, name: str) -> NDArray[np.float64]:
+        return np.array([one[name] for one in self.searches], dtype=np.float64)
 
     @property
     def said(self) -> str:
         """For people."""
         return f"{self.found} of {self.runs}"
 
-    @property
-    def rate(self) -> float:
-        """Share of searches that found the victim."""
-        return self.found / self.runs
-
-    @property
-    def wilson_95(self) -> tuple[float, float]:
-        """Wilson's interval of the rate."""
-        return wilson_interval(self.found, self.runs)
-
-    @property
-    def spl(self) -> float | None:
-        """Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven.
-
-        The way that counts as shortest is the expert's route along the lanes: who cuts its corners has 1.
-        """
-        if self.trial.kidnap_tick:
-            return None
-        shares = [
-            (one["outcome"] == "found") * one["shortest_m"] / max(one["driven_m"], one["shortest_m"], 1e-9)
-            for one in self.findings.values()
-        ]
-        return float(np.mean(shares))
-
-    @property
-    def aside_rms_m(self) -> float:
-        """Distance from the taught ways, root of the mean square over all frames of all searches, metres."""
-        frames = [one["ticks"] + 1 for one in self.findings.values()]
-        squares = [one["aside_rms_m"] ** 2 for one in self.findings.values()]
-        return float(np.sqrt(np.average(squares, weights=frames)))
-
-    @property
-    def aside_max_m(self) -> float:
-        """Largest distance from the taught ways, metres."""
-        return max(float(one["aside_max_m"]) for one in self.findings.values())
-
-    @property
-    def interventions_per_km(self) -> float | None:
-        """Searches in which a person would have had to step in, over the way that was driven; None without any way."""
-        driven_m = sum(float(one["driven_m"]) for one in self.findings.values())
-        return 1000.0 * (self.runs - self.found) / driven_m if driven_m > 1.0 else None
-
-    @property
-    def wrong_share(self) -> float | None:
-        """Share of frames at which the robot believed to be elsewhere, and not to be lost; None if it says nothing."""
-        told = [one for one in self.findings.values() if "wrong_share" in one]
-        shares, frames = ([one[name] for one in told] for name in ("wrong_share", "ticks"))
-        return float(np.average(shares, weights=frames)) if told else None
-
-    @property
-    def right_soon(self) -> tuple[int, int] | None:
-        """In how many searches the belief was right `SOON_S` after being carried away, and of how many."""
-        times = [one["right_after_s"] for one in self.findings.values() if "right_after_s" in one]
-        return (sum(time is not None and time <= SOON_S for time in times), len(times)) if times else None
-
     def as_json(self) -> dict[str, Any]:
         """Return its numbers."""
-        names = (
-            "found",
-            "runs",
-            "wilson_95",
-            "spl",
-            "aside_rms_m",
-            "aside_max_m",
-            "interventions_per_km",
-            "wrong_share",
-        )
-        return {
-            **dict(settings_of(self.trial)),
-            "condition": self.trial.condition,
-            "success_rate": self.rate,
-            **{name: getattr(self, name) for name in names},
-            "right_within_3_s": self.right_soon,
-            "outcomes": {str(seed): one["outcome"] for seed, one in self.findings.items()},
-        }
+        own = {name: value for name, value in vars(self).items() if name not in ("trial", "searches")}
+        return asdict(self.trial) | {"condition": self.trial.condition, "success_rate": self.rate} | own
 
 
 @dataclass(frozen=True)
@@ -168,7 +118,7 @@ class WorldResults:
     recognized: list[list[Recognized]]
     successes: list[Success]
     objective: Finding | None
-    errands: Mapping[Errand, Finding]
+    errands: Mapping[str, Finding]
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers of all figures."""
@@ -176,46 +126,39 @@ class WorldResults:
         return {
             "recognition": [one.as_json(criterion.meaning) for criterion, judged in pairs for one in judged],
             "searches": [one.as_json() for one in self.successes],
-            "errands": {name: _timeless(one) for name, one in self.errands.items()},
-            "objective": self.objective and _timeless(self.objective),
+            "errands": self.errands,
+            "objective": self.objective,
         }
 
 
-def _timeless(found: Finding) -> dict[str, Any]:
-    return {name: value for name, value in found.items() if name != "cpu_s"}
-
-
-def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> WorldResults:
+def results_of(world: WorldPlan, units: Iterable[Unit], findings: Findings) -> WorldResults:
     """Put together what was found out in a world."""
-    here = [unit for unit in units if unit["world"] == world.world]
-    objective = [findings[unit] for unit in here if unit.kind == "objective"]
-    errands = {unit["errand"]: findings[unit] for unit in here if unit.kind == "errand"}
-    judged = [list(_recognized(world, here, findings, number)) for number in range(len(world.criteria))]
-    return WorldResults(world, judged, _successes(world, here, findings), objective[0] if objective else None, errands)
+    here = [(unit, findings[unit]) for unit in units if unit in findings and unit.site.world == world.world]
+    return WorldResults(
+        world,
+        [list(_recognized(world, here, number)) for number in range(len(world.criteria))],
+        [Success(unit.trial, found["searches"]) for unit, found in here if isinstance(unit, Searches)],
+        next((found for unit, found in here if isinstance(unit, Objective)), None),
+        {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
+    )
 
 
-def _recognized(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int) -> Iterator[Recognized]:
+def _recognized(world: WorldPlan, here: Iterable[tuple[Unit, Finding]], criterion: int) -> Iterator[Recognized]:
     """Judge every method of a world under every degradation, by one of the criteria."""
-    for degradation in world.recognized:
-        for recognizer in world.recognizers:
-            asked = (recognizer.name, recognizer.length, degradation)
-            parts = [findings[unit] for unit in units if unit.kind == "recognize"
-                     and (unit["method"], unit["length"], unit["degradation"]) == asked]  # fmt: skip
-            if parts:
-                yield recognized(world, recognizer, degradation, parts, criterion)
+    for unit, found in here:
+        if isinstance(unit, Recognize):
+            yield recognized(world, unit.recognizer, unit.degradation, found["queries"], criterion)
 
 
 def recognized(
     world: WorldPlan, recognizer: Recognizer, degradation: str, parts: Sequence[Finding], criterion: int
 ) -> Recognized:
     """Judge one method by what was found out of each held-out drive."""
-    score, answered = (np.concatenate([part[name] for part in parts]) for name in ("score", "answered"))
+    tick, score, answered = (np.concatenate([part[name] for part in parts]) for name in ("tick", "score", "answered"))
     right, findable = (np.concatenate([part[name][criterion] for part in parts]) for name in ("right", "findable"))
     everything = np.ones(score.size, dtype=np.bool_)
     whole = Judgement(score.astype(float), answered.astype(bool), right.astype(bool), everything, findable.astype(bool))
-    # A query is judged at this frame of its drive; from the first one on every method has a whole window.
-    ticks = np.concatenate([JUDGED_TICKS * (np.arange(len(part["score"])) + 1) - 1 for part in parts])
-    late = ticks >= world.first_judged_tick
+    late = tick >= world.first_judged_tick
     judgement = Judgement(*(getattr(whole, each.name)[late] for each in fields(whole)))
     # The same blocks for all methods, to pair them.
     block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
@@ -225,20 +168,3 @@ def recognized(
         recognizer, degradation, judgement, PrecisionRecall.of(judgement), intervals.auc, PrecisionRecall.of(whole).auc,
         intervals.recall_at_100_precision, draws[:, 0],
     )  # fmt: skip
-
-
-def _successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
-    """Put together the searches of a world, by trial and in the order of the plan."""
-    found = []
-    for trial in world.trials:
-        settings = set(settings_of(trial))
-        own = {unit["seed"]: findings[unit] for unit in units
-               if unit.kind == "search" and settings.issubset(unit.settings)}  # fmt: skip
-        if own:
-            found.append(Success(trial, own))
-    return found
-
-
-def success_of(found: Iterable[Success], trial: Trial) -> Success | None:
-    """Return what came out of a trial, whatever its number of runs, if it was made."""
-    return next((one for one in found if settings_of(one.trial) == settings_of(trial)), None)

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.action import Action
 from schemas.base import Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.observation import Observation
@@ -16,7 +15,7 @@ from schemas.state import State
 from services.cli.listening.latency import Hop, LatencyTrace, hops
 from tests.schemas.messages import EXAMPLES
 
-_delays_s = st.tuples(*[st.floats(0, 1)] * 4, st.booleans())
+_delays_s = st.tuples(*[st.floats(0, 1)] * 4)
 
 
 def told(cls: type[Message], tick: int, **more: object) -> Message:
@@ -39,15 +38,12 @@ def applied(tick: int, source: Source | None = "policy", answered: int | None = 
     )
 
 
-def drive(trace: LatencyTrace, tick: int, start_s: float, *delays_s: float, decided: bool = False) -> None:
+def drive(trace: LatencyTrace, tick: int, start_s: float, *delays_s: float) -> None:
     """Let one tick of the policy arrive: frame, observation, state, command, applied."""
     at_s = start_s + np.cumsum([0.0, *delays_s])
     chain = (told(Pose, tick), told(Observation, tick), told(State, tick), command(tick), applied(tick))
     for message, when_s in zip(chain, at_s, strict=True):
         trace.see(message, when_s)
-    if decided:
-        # Another session, another priority: the decision may come after the command that carries it out.
-        trace.see(told(Action, tick), at_s[3] + 0.001)
 
 
 def p50s(trace: LatencyTrace, driver: Source) -> dict[Hop, tuple[int, float]]:
@@ -55,26 +51,21 @@ def p50s(trace: LatencyTrace, driver: Source) -> dict[Hop, tuple[int, float]]:
 
 
 @given(st.lists(_delays_s, min_size=1, max_size=10))
-def test_the_spread_of_every_hop(ticks: list[tuple[float, float, float, float, bool]]) -> None:
+def test_the_spread_of_every_hop(ticks: list[tuple[float, float, float, float]]) -> None:
     trace = LatencyTrace("pose/truth")
-    for tick, (*delays_s, decided) in enumerate(ticks):
-        drive(trace, tick, 100.0 + tick, *delays_s, decided=decided)
+    for tick, delays_s in enumerate(ticks):
+        drive(trace, tick, 100.0 + tick, *delays_s)
     assert trace.frames == trace.commands == len(ticks)
     assert trace.drivers() == ["policy"]
-    for decisions_only in (False, True):
-        chosen = np.array([delays_s for *delays_s, decided in ticks if decided or not decisions_only]).reshape(-1, 4)
-        found = trace.breakdown("policy", decisions_only=decisions_only)
-        if not len(chosen):
-            assert found == {}
-            continue
-        expected = 1e3 * np.c_[chosen[:, :3], chosen[:, :3].sum(axis=1), chosen[:, 3]]
-        assert list(found) == hops("policy")
-        *timed, accepted = found.values()
-        for spread, column in zip(timed, expected.T, strict=True):
-            assert spread["ticks"] == len(chosen)
-            figures = (spread["p50_ms"], spread["p95_ms"], spread["max_ms"])
-            assert figures == pytest.approx((*np.percentile(column, [50, 95]), column.max()), abs=1e-6)
-        assert accepted["p50_ms"] == pytest.approx(12.0)
+    chosen, found = np.array(ticks), trace.breakdown("policy")
+    expected = 1e3 * np.c_[chosen[:, :3], chosen[:, :3].sum(axis=1), chosen[:, 3]]
+    assert list(found) == hops("policy")
+    *timed, accepted = found.values()
+    for spread, column in zip(timed, expected.T, strict=True):
+        assert spread["ticks"] == len(chosen)
+        figures = (spread["p50_ms"], spread["p95_ms"], spread["max_ms"])
+        assert figures == pytest.approx((*np.percentile(column, [50, 95]), column.max()), abs=1e-6)
+    assert accepted["p50_ms"] == pytest.approx(12.0)
 
 
 def test_two_drivers_have_each_their_own_chain() -> None:

@@ -1,4 +1,4 @@
-"""Units are done once, in an order in which they can be; their results are kept, and never taken for others."""
+"""Units are named by all that determines them; what is done is kept, whatever becomes of a worker."""
 
 from __future__ import annotations
 
@@ -7,54 +7,47 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from services.experiments.evaluation import pool
 from services.experiments.evaluation import units as of_plan
-from services.experiments.evaluation.plan import PLANS, Criterion, Plan, in_world
-from services.experiments.evaluation.results import Results, file_of
-from services.experiments.evaluation.units import Unit, sources, units, whole_series
+from services.experiments.evaluation.plan import Criterion, Plan, in_world
+from services.experiments.evaluation.results import Results
+from services.experiments.evaluation.units import Finding, Learn, Site, Teach, units
 from services.kit.errors import JobError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
 
 PLANNED = units(SMALL)
 
 
-@pytest.mark.parametrize("chosen", [*PLANS.values(), SMALL, in_world("yard", 1.5)], ids=lambda one: one.name)
-def test_every_unit_comes_once_and_after_those_that_it_needs(chosen: Plan) -> None:
-    done: set[Unit] = set()
-    for unit in units(chosen):
-        assert unit not in done
-        assert set(unit.needs) <= done
-        done.add(unit)
-    assert len({unit.digest for unit in done}) == len(done)
+def test_each_unit_is_once_and_after_those_that_it_needs() -> None:
+    assert len(set(PLANNED)) == len(PLANNED)
+    for number, unit in enumerate(PLANNED):
+        assert set(unit.needs) <= set(PLANNED[:number])
 
 
-def test_another_setting_map_or_code_is_another_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def digests(one: Plan, kind: str) -> set[str]:
-        return {unit.digest for unit in units(one) if unit.kind == kind}
+def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def names(one: Plan, kind: str) -> set[str]:
+        return {unit.name for unit in units(one) if type(unit).__name__ == kind}
 
     (world,) = SMALL.worlds
     otherwise = replace(SMALL, worlds=(replace(world, drives=4, criteria=(Criterion(2.0, 25.0),)),))
-    assert not digests(SMALL, "recognize") & digests(otherwise, "recognize")
-    for kind in ("teach", "learn", "recognize", "objective", "search"):
-        assert not digests(SMALL, kind) & digests(replace(SMALL, camera=(128, 96)), kind)
+    assert not names(SMALL, "Recognize") & names(otherwise, "Recognize")
+    for kind in ("Teach", "Learn", "Recognize", "Objective", "Searches"):
+        assert not names(SMALL, kind) & names(replace(SMALL, camera=(128, 96)), kind)
     shorter = replace(SMALL, patience=1.5)
-    assert not digests(SMALL, "search") & digests(shorter, "search")
-    assert digests(SMALL, "recognize") == digests(shorter, "recognize")
-    named = {path.name for path in sources()}
-    assert {"filter.py", "search.py", "work.py", "indoor.json"} <= named
-    assert not {"page.py", "figures.py", "results.py"} & named
+    assert not names(SMALL, "Searches") & names(shorter, "Searches")
+    assert names(SMALL, "Recognize") == names(shorter, "Recognize")
     file = tmp_path / "town.json"
     file.write_text("one map")
-    one_map = digests(in_world(str(file), 1.5), "search")
+    one_map = names(in_world(str(file), 1.5), "Searches")
     file.write_text("another one")
-    assert not digests(in_world(str(file), 1.5), "search") & one_map
-    before = digests(SMALL, "search")
+    assert not names(in_world(str(file), 1.5), "Searches") & one_map
+    before = names(SMALL, "Searches")
     monkeypatch.setattr(of_plan, "code_fingerprint", lambda: "other")
-    assert not digests(SMALL, "search") & before
+    assert not names(SMALL, "Searches") & before
 
 
 def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: Path) -> None:
@@ -62,29 +55,28 @@ def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: 
     for unit in PLANNED[:10]:
         results.add(unit, finding(unit) | {"file": unit is PLANNED[0]})
     assert PLANNED[0] not in Results(tmp_path, PLANNED).findings
-    file_of(results.work, PLANNED[0]).touch()
+    PLANNED[0].file(results.work).touch()
     assert Results(tmp_path, PLANNED).findings == results.findings
-    assert set(whole_series(PLANNED, results.findings)) < set(PLANNED[:10]) | {PLANNED[0]}
-    (results.work / f"{PLANNED[3].digest}.json").write_text("{")
+    (results.work / f"{PLANNED[3].name}.json").write_text("{")
     with pytest.raises(JobError, match=r"\.json: is no result; delete it"):
         Results(tmp_path, PLANNED)
 
 
-def killed_at_the_second(unit: Unit, _folder: Path) -> dict[str, Any]:
-    if unit.needs:
+class KilledLater(Learn):
+    """Needs a drive, and is killed."""
+
+    def do(self, _folder: Path) -> Finding:
+        """End this process."""
         os.kill(os.getpid(), signal.SIGKILL)
-    return {}
+        return {}
 
 
-def test_a_worker_that_is_killed_is_one_line_and_what_was_done_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool, "_do", killed_at_the_second)
-    first = Unit("teach", (("seed", 1),))
-    done: list[Unit] = []
-    with pytest.raises(JobError, match=r"a worker was killed, .* at learn/length=1 or beside it; run again to go on"):
-        pool.do_all(
-            [first, Unit("learn", (("length", 1),), (first,))], (), tmp_path, 2, lambda unit, _: done.append(unit)
-        )
-    assert done == [first]
+def test_a_worker_that_is_killed_is_one_line_and_what_was_done_is_kept(tmp_path: Path) -> None:
+    results = Results(tmp_path, [])
+    site = Site("yard", "", (64, 48))
+    first = Teach(site, (), 1)
+    results.add(first, {})
+    with pytest.raises(JobError, match=r"a worker was killed, .* at killedlater in yard or beside it; run again to go"):
+        results.complete([first, KilledLater(site, (first,), 0)], 2, lambda: None)
+    assert list(results.findings) == [first]
     assert multiprocessing.active_children() == []

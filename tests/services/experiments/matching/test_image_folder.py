@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.experiments.matching.image_folder import describe_frames, list_folder, natural_key, say_skipped
+from services.experiments.matching.image_folder import describe_frames, list_folder, natural_key
 from services.experiments.matching.image_reading import read_color, read_depth
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
@@ -108,11 +108,11 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
     described = describe_frames(folder, FEATURES, None, "reading")
     assert described.numbers.tolist() == [0, 1, 2, 5]
-    assert described.unreadable == ("img4.jpg", "img5.png")
-    say_skipped(folder, described)
+    assert described.unreadable == ["img4.jpg", "img5.png"]
+    described.say_skipped()
     assert capsys.readouterr().err.splitlines() == [
-        f"smal: {tmp_path}: skipped 2 files that are no images: notes.txt, truth.csv",
-        f"smal: {tmp_path}: skipped 2 unreadable images, kept in the count of frames: img4.jpg, img5.png",
+        f"smal: {tmp_path}: skipped 2, no images: notes.txt, truth.csv",
+        f"smal: {tmp_path}: skipped 2, unreadable, and kept in the count of frames: img4.jpg, img5.png",
     ]
 
 

@@ -10,23 +10,28 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
+from services.cli.child import tied
 from services.cli.interrupts import interrupted_by_signals
-from services.cli.stack.backoff import Backoff
-from services.cli.stack.child import tied
-from services.cli.stack.patience import Patience
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.errors import JobError
 from services.kit.settings import ServiceSettings
 from services.table import SERVICES
 
 STOP_TIMEOUT_S: Final = 5.0
+#: Least time between two starts of a service, doubled with every death up to the longest, seconds.
+FIRST_S, LONGEST_S = 1.0, 30.0
+#: A service that has lived this long is taken for healthy again.
+STEADY_S: Final = 60.0
+#: A slow machine takes minutes to build a large world; whoever waits is told for whom, and may end it.
+PATIENCE_S: Final = 600.0
+_TELL_S: Final = 10.0
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
 _log = logging.getLogger("stack")
@@ -64,13 +69,27 @@ class StackPlan:
     modules: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass
+class _Child:
+    """A service's process, when it was started, and the least time from that start to the next one."""
+
+    process: subprocess.Popen[bytes]
+    began_s: float
+    spacing_s: float
+    mourned: bool = False
+
+
+def next_spacing_s(spacing_s: float, lived_s: float) -> float:
+    """Return the least time to the start after next: who keeps dying is started less and less often."""
+    return FIRST_S if lived_s >= STEADY_S else min(2.0 * spacing_s, LONGEST_S)
+
+
 class Stack:
     """Several services as child processes; a context manager that leaves none behind."""
 
     def __init__(self, plan: StackPlan) -> None:
         self.plan = plan
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
-        self._backoffs: dict[str, Backoff] = {}
+        self._children: dict[str, _Child] = {}
 
     @property
     def settings(self) -> ServiceSettings:
@@ -92,7 +111,7 @@ class Stack:
             with closing(self._reach_router()) as bus:
                 for service in others:
                     self._start(service)
-                self._wait_ready(bus)
+                self._wait(self.plan.services, lambda service: _ready(bus, service))
         except BaseException:
             self.stop()
             raise
@@ -108,29 +127,32 @@ class Stack:
 
     def restart_dead(self) -> list[str]:
         """Start again the services that have ended, one that keeps dying ever less often; return which."""
+        started = []
         for service in self._dead():
-            backoff = self._backoffs[service]
-            if backoff.mourn():
-                wait_s = backoff.wait_s()
+            child = self._children[service]
+            lived_s = time.monotonic() - child.began_s
+            wait_s = max(0.0, child.spacing_s - lived_s)
+            if not child.mourned:
+                child.mourned = True
                 when = f"in {wait_s:.1f} s" if wait_s else "now"
                 _log.warning("%s; it is started again %s", self._epitaph(service), when)
-        due = [service for service in self._dead() if self._backoffs[service].wait_s() <= 0.0]
-        for service in due:
-            self._start(service)
-        return due
+            if not wait_s:
+                self._start(service, next_spacing_s(child.spacing_s, lived_s))
+                started.append(service)
+        return started
 
     def stop(self) -> None:
         """Ask every service to stop, router last, and end those that do not within five seconds."""
         routers = [service for service in self._children if service == "router"]
         for group in ([service for service in self._children if service not in routers], routers):
             for service in group:
-                self._children[service].send_signal(signal.SIGTERM)
+                self._children[service].process.send_signal(signal.SIGTERM)
             deadline = time.monotonic() + STOP_TIMEOUT_S
             for service in group:
-                _end(self._children[service], deadline)
+                _end(self._children[service].process, deadline)
         self._children.clear()
 
-    def _start(self, service: str) -> None:
+    def _start(self, service: str, spacing_s: float = FIRST_S) -> None:
         plan = self.plan
         environment = {name: value for name, value in os.environ.items() if name not in _KEYS}
         environment |= {"SMAL_ROBOT": plan.robot, "SMAL_ROUTER": plan.endpoint}
@@ -141,39 +163,46 @@ class Stack:
         module = plan.modules.get(service)
         program = SERVICES[service].command if module is None else ("-m", module)
         command = tied(sys.executable, *program, *plan.flags.get(service, ()))
-        self._backoffs.setdefault(service, Backoff()).begin()
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
         # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
         with nullcontext() if plan.logs is None else (plan.logs / f"{service}.log").open("ab") as log:
-            self._children[service] = subprocess.Popen(  # noqa: S603
-                command, env=environment, stdout=log, stderr=log, start_new_session=True
-            )
+            process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)  # noqa: S603
+        self._children[service] = _Child(process, time.monotonic(), spacing_s)
 
     def _reach_router(self) -> Bus:
         """Connect to the router; notice at once when it could not start."""
-        refusal = ""
-        patience = Patience(lambda _router: refusal)
-        while True:
-            self.check()
-            try:
-                return self.settings.open_bus("watcher", patience_s=0.0)
-            except BusError as error:
-                refusal = str(error)
-            patience.wait({"router": self._children["router"].pid})
+        reached: list[Bus] = []
 
-    def _wait_ready(self, bus: Bus) -> None:
-        patience = Patience(self._last_line)
-        waiting = list(self.plan.services)
-        while waiting := [service for service in waiting if not _ready(bus, service)]:
+        def is_reached(_router: str) -> bool:
+            with suppress(BusError):
+                reached.append(self.settings.open_bus("watcher", patience_s=0.0))
+            return bool(reached)
+
+        self._wait(self.plan.services[:1], is_reached)
+        return reached[0]
+
+    def _wait(self, services: Sequence[str], is_ready: Callable[[str], bool]) -> None:
+        """Wait until services are ready, and tell which is not and what it said last."""
+        began_s = told_s = time.monotonic()
+        while services := [service for service in services if not is_ready(service)]:
             self.check()
-            patience.wait({service: self._children[service].pid for service in waiting})
+            now_s = time.monotonic()
+            lines = {service: self._last_line(service) for service in services}
+            doing = [f"{service}{line and f' ({line})'}" for service, line in lines.items()]
+            if now_s - began_s > PATIENCE_S:
+                raise JobError(f"not ready after {now_s - began_s:.0f} s: {', '.join(doing)}")
+            if now_s - told_s >= _TELL_S:
+                told_s = now_s
+                _log.warning("waiting, %.0f s so far, for %s", now_s - began_s, ", ".join(doing))
+            # Less often the longer it takes: to answer is work as well.
+            time.sleep(max(0.05, (now_s - began_s) / 50.0))
 
     def _dead(self) -> list[str]:
-        return [service for service, child in self._children.items() if child.poll() is not None]
+        return [service for service, child in self._children.items() if child.process.poll() is not None]
 
     def _epitaph(self, service: str) -> str:
-        status = self._children[service].returncode
+        status = self._children[service].process.returncode
         if status < 0:
             return f"{service} was killed by {signal.Signals(-status).name}"
         return f"{service}: {self._last_line(service) or f'it ended with status {status}'}"

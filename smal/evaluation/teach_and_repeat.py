@@ -53,30 +53,13 @@ class _Route(NamedTuple):
 
 
 class TeachAndRepeat:
-    """Repeats one of the drives.
+    """Repeats the one of some drives, with images and odometry, whose keyframe correlates best with the first image.
 
-    Parameters
-    ----------
-    drives : sequence of Demonstration
-        At least one, with images of one camera and odometry; one whose keyframe correlates best with the first image is
-        repeated.
-    field_of_view_rad : float
-        Of the camera, horizontal, above 0 and below pi.
-
-    Attributes
-    ----------
-    begun : tuple of int, int, float, or None
-        Where this episode begins: drive, keyframe, and how far left of the robot's heading the taught one was, radians.
-
-    Raises
-    ------
-    ValueError
-        A drive lacks images or odometry, or the drives show no turn or no way ahead.
+    The camera's field of view is horizontal, above 0 and below pi. ValueError when a drive lacks images or odometry, or
+    the drives show no turn or no way ahead.
     """
 
     def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float) -> None:
-        if not 0.0 < field_of_view_rad < math.pi:
-            raise ValueError(f"the field of view must be between 0 and pi radians, got {field_of_view_rad}")
         self._field = field_of_view_rad
         taught = [(_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives]
         movements = atom_movements([odometry for _, odometry in taught], [drive.atoms for drive in drives])
@@ -90,21 +73,12 @@ class TeachAndRepeat:
     def reset(self) -> None:
         """Forget the episode."""
         self._route: _Route | None = None
-        self.begun: tuple[int, int, float] | None = None
         self._index = 0
         self._looked_rad, self._looking, self._heading = 0.0, False, math.nan
-        self._best: tuple[float, int, int, float, tuple[float, float, float]] = (-math.inf, 0, 0, 0.0, (0.0, 0.0, 0.0))
+        self._best: tuple[float, int, int, tuple[float, float, float]] = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
 
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
-        """Take one frame, and return what to do.
-
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-            As those of the drives.
-        odometry : sequence of float (3,)
-            Of this episode: x, y in metres, heading in radians.
-        """
+        """Take one image, (height, width, 3) RGB, and this episode's odometry (x, y, heading); return what to do."""
         here = np.asarray(odometry, dtype=np.float64)
         seen = _prepared(image)
         route = self._route or self._begin(seen, here)
@@ -149,15 +123,14 @@ class TeachAndRepeat:
             for key, taught in enumerate(route.images[:-1]):
                 off, correlation = self._match(seen, taught)
                 place = (float(here[0]), float(here[1]), float(here[2]) + off)
-                self._best = max(self._best, (correlation + FIRST * (key == 0), number, key, off, place))
+                self._best = max(self._best, (correlation + FIRST * (key == 0), number, key, place))
         if not math.isnan(self._heading):
             self._looked_rad += math.remainder(float(here[2]) - self._heading, math.tau)
         self._heading = float(here[2])
         self._looking |= self._best[0] < SURE
         if self._looking and self._looked_rad < math.tau:
             return None
-        _, number, self._index, off, place = self._best
-        self.begun = (number, self._index, off)
+        _, number, self._index, place = self._best
         self._route, self._goal = self._routes[number], np.array(place)
         self._advance(self._route)
         return self._route

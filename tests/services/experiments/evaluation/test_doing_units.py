@@ -7,18 +7,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from schemas.rpc import ResetRequest
-from services.experiments.evaluation import recognition, work
+from services.experiments.evaluation import units as work
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
-from services.experiments.evaluation.results import file_of
 from services.experiments.evaluation.search import finding, search
-from services.experiments.evaluation.units import Unit, units
+from services.experiments.evaluation.units import Finding, Recognize, Searches, Unit, units
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
@@ -59,44 +57,36 @@ def panorama(number: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, dict[str, Any]]]]:
+def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
     """Do all units of the plan, one after another."""
     folder, patch = tmp_path_factory.mktemp("units"), pytest.MonkeyPatch()
     simulation, usual = Simulation(load_world("yard"), PlaceCamera(1.0)), FeatureSettings(("color",), (1.0,))
     patch.setattr(work, "simulation_in", lambda *_: simulation)
-    for module in (work, recognition):  # the usual ones take ten times as long to make views of
-        patch.setattr(module, "FEATURES", usual)
-    yield folder, {unit: work.do(unit, folder) for unit in units(PLAN)}
+    patch.setattr(work, "FEATURES", usual)  # the usual ones take ten times as long to make views of
+    yield folder, {unit: unit.timed(folder) for unit in units(PLAN)}
     patch.undo()
 
 
-def test_whatever_is_found_is_numbers_and_files_are_where_it_says(
-    found: tuple[Path, dict[Unit, dict[str, Any]]],
-) -> None:
+def test_whatever_is_found_is_numbers_and_files_are_where_it_says(found: tuple[Path, dict[Unit, Finding]]) -> None:
     folder, every = found
     for unit, one in every.items():
         assert json.loads(json.dumps(one)) == one
-        assert file_of(folder, unit).exists() == bool(one.get("file"))
-        if unit.kind == "search":
-            assert one["outcome"] in {"found", "collision", "timeout"}
-            assert len(one["way"]) == -(-one["ticks"] // 5) + 1
-            assert 0.0 <= one["aside_rms_m"] <= one["aside_max_m"]
-            assert ("wrong_share" in one) == (unit["controller"] == "smal")
-            assert one["file"] == work.is_example(unit)
-        if unit.kind == "recognize":
-            assert len(one["score"]) == len(one["right"][0]) == len(one["findable"][0]) > 5
+        assert unit.file(folder).exists() == bool(one.get("file"))
+        if isinstance(unit, Searches):
+            (said,) = one["searches"]
+            assert said["outcome"] in {"found", "collision", "timeout"}
+            assert 0.0 <= said["aside_rms_m"] <= said["aside_max_m"]
+            assert ("wrong_share" in said) == (unit.trial.controller == "smal")
+            assert one["file"] == (unit.is_example and said["outcome"] == "found")
+            if unit.trial.kidnap_tick:
+                # Being carried away is no driving, and its recovery is timed.
+                assert said["driven_m"] < 0.2 * said["ticks"] + 0.5  # at most 2 m/s
+                assert said["right_after_s"] is None or 0.0 <= said["right_after_s"] <= said["ticks"] / 10
+        if isinstance(unit, Recognize):
+            (said,) = one["queries"]
+            assert len(said["score"]) == len(said["right"][0]) == len(said["findable"][0]) > 5
             # A held-out drive of the same way: in a clear view nearly all is recognized.
-            clear = unit["degradation"] == "clean" and unit["method"] != "seqslam"
-            assert not clear or np.mean(one["right"][0]) > 0.5
-
-
-def test_being_carried_away_is_no_driving_and_its_recovery_is_timed(
-    found: tuple[Path, dict[Unit, dict[str, Any]]],
-) -> None:
-    (carried,) = [one for unit, one in found[1].items() if unit.kind == "search" and unit["kidnap_tick"]]
-    assert np.hypot(*np.diff(np.array(carried["way"]), axis=0).T).max() > 3.0
-    assert carried["driven_m"] < 0.2 * carried["ticks"] + 0.5  # at most 2 m/s
-    assert carried["right_after_s"] is None or 0.0 <= carried["right_after_s"] <= carried["ticks"] / 10
+            assert np.mean(said["right"][0]) > 0.5
 
 
 class Says:

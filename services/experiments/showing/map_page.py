@@ -1,0 +1,86 @@
+"""What the page of a map shows: the ways, the cost to go, and where the belief was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from itertools import count
+
+import numpy as np
+
+from schemas.codec import printable
+from services.experiments import html
+from services.experiments.showing import figures
+from services.experiments.showing.summary import goals_of
+from services.experiments.showing.ways import Believed, Ways, believed
+from services.experiments.words import counted
+from services.recordings.taught import episode_of
+from smal.demonstration import Demonstration
+from smal.model import Model
+from smal.planning import cost_to_go
+
+
+def map_page(model: Model, drives: Mapping[int, Demonstration], advance: html.Advance) -> Iterator[str]:
+    """Yield it as HTML. The drives are those whose recordings are there."""
+    ways, names = Ways(model.mapped), [printable(episode_of(parts[0])) for parts in model.mapped.names]
+    total, done, believed_on = sum(len(one.atoms) for one in drives.values()), count(1), {}
+    for number, one in drives.items():
+        believed_on[number] = believed(model, ways, number, one, lambda: advance("recognizing", next(done), total))
+    yield "<h2>The taught ways</h2>"
+    yield from _ways(ways, goals_of(model), names, believed_on)
+    yield "<h2>Cost to go</h2>"
+    yield from _costs(ways, goals_of(model), names)
+    yield "<h2>Where the belief was wide</h2>"
+    yield from _belief(ways, names, believed_on)
+
+
+def _ways(ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: Mapping[int, Believed]) -> Iterator[str]:
+    how = "by odometry" if ways.map.odometry else "by what atoms usually do, since they are without odometry"
+    said = f"{counted(len(names), 'drive')} {how}; {counted(int(ways.shared.sum()), 'keyframe')} shared by drives."
+    yield html.titled(figures.draw_ways(ways, goals, believed_on), "Where they run", said)
+    lines = []
+    for number, one in enumerate(ways.partings, 1):
+        here = int(ways.of[one.keyframe])
+        others = " and ".join(names[drive] for drive in one.drives if drive != here)
+        what = "fork" if one.fork else "the ways meet"
+        lines.append(f"{number}: {what} {ways.way[one.keyframe]:.1f} {ways.unit} along {names[here]}, with {others}")
+    if lines:
+        yield f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+    elif len(names) > 1:
+        yield "<p>Nowhere do shared ways part or meet.</p>"
+
+
+def _costs(ways: Ways, goals: Sequence[str], names: Sequence[str]) -> Iterator[str]:
+    pictures, no_way = [], []
+    for goal in goals:
+        costs, _ = cost_to_go(ways.map, goal)
+        said = f"Time to {escape(goal)} from each place of the drives, going over to another one where that is sooner."
+        drawn = figures.draw_cost_to_go(ways, costs, names)
+        pictures.append(html.titled(drawn, f"Cost to go to {goal}", said))
+        for drive, name in enumerate(names):
+            if not np.isfinite(costs[ways.of == drive]).any():
+                no_way.append(f"<p>{escape(f'No taught way leads from {name} to {goal}.')}</p>")
+    yield f'<div class="pair">{"".join(pictures)}</div>'
+    yield from no_way
+
+
+def _belief(ways: Ways, names: Sequence[str], believed_on: Mapping[int, Believed]) -> Iterator[str]:
+    if not believed_on:
+        yield "<p>Recognition was not run: none of the drives' recordings is there.</p>"
+        return
+    pictures, rows = [], []
+    for drive, one in believed_on.items():
+        widest = int(one.spread.argmax())
+        pictures.append(html.titled(figures.draw_belief(ways, one), names[drive], ""))
+        rows.append([
+            names[drive], f"{np.median(one.here):.0%}", f"{(one.here < 0.5).mean():.0%}",
+            f"{one.spread[widest]:.2f} {ways.unit} at {widest * ways.map.tick_s:.1f} s", f"{one.lost.max():.0%}",
+        ])  # fmt: skip
+    yield (
+        "<p>Recognition follows the drives that it was taught from once more. “Where it was” is the part of the "
+        f"belief within {ways.map.correlation_length:.2f} {ways.unit} of the robot, the way over which views become "
+        "half as alike; the belief is wide where that is less than half.</p>"
+    )
+    yield f'<div class="pair">{"".join(pictures)}</div>'
+    head = ["drive", "where it was, median", "of the time wide", "largest spread", "lost, at most"]
+    yield html.table(head, rows, left=1)

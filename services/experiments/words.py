@@ -1,0 +1,26 @@
+"""Words that pages and commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from smal.features import FeatureSettings
+
+
+def counted(count: int, what: str) -> str:
+    """Return "1 drive" or "2 drives"."""
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def listed(names: Sequence[str], most: int = 10) -> str:
+    """Name some of them, and say how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
+def described_by(features: FeatureSettings) -> str:
+    """Name the modalities, and their weights unless all are the same."""
+    if len(set(features.weights)) == 1:
+        return " ".join(features.modalities)
+    pairs = zip(features.modalities, features.weights, strict=True)
+    return " ".join(f"{name} (weight {weight:g})" for name, weight in pairs)

@@ -1,1 +1,0 @@
-"""Other ways to find the victim from the same demonstrations, to compare with."""

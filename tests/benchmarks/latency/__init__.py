@@ -1,1 +1,0 @@
-"""From the capture of a frame to its command."""
