@@ -12,7 +12,7 @@ from tests.benchmarks.route import benchmark as route
 
 
 def test_the_way_is_followed_and_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route, "SETTINGS", SETTINGS.__class__(most_components=40))
+    monkeypatch.setattr(route, "SETTINGS", SETTINGS.__class__(most_components=200))
     file = tmp_path / "results.json"
     route.main(["--quick", "--metres", "30", "--json", str(file)])
     (case,) = json.loads(file.read_text())["cases"]
