@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
-from itertools import chain, count, groupby, pairwise
+from itertools import chain, count, groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -156,11 +156,13 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
 def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally) -> None:
     """Write everything but the images."""
+    import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
+
     lengths = [len(episode.frames) for episode in episodes]
     ends = np.cumsum(lengths).tolist()
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     columns = _columns(episodes, lengths, tasks, tally)
-    _write_rows(folder / DATA.format(**_FIRST), columns, ends)
+    _write_table(folder / DATA.format(**_FIRST), pa.table({name: _cells(values) for name, values in columns.items()}))
     rows = []
     for number, (episode, length, end) in enumerate(zip(episodes, lengths, ends, strict=True)):
         film, statistics = f"videos/{CAMERA}", _statistics(columns, slice(end - length, end), [episode])
@@ -171,9 +173,9 @@ def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], rob
         row |= {f"{film}/from_timestamp": 0.0, f"{film}/to_timestamp": length / FPS}
         row |= {f"stats/{key}/{name}": value for key, one in statistics.items() for name, value in one.items()}
         rows.append(row | {f"meta/episodes/{name}": index for name, index in _FIRST.items()})
-    _write_table(folder / EPISODES / "chunk-000/file-000.parquet", rows, None)
+    _write_table(folder / EPISODES / "chunk-000/file-000.parquet", pa.Table.from_pylist(rows))
     named = [{"task_index": number, "task": task} for number, task in enumerate(tasks)]
-    _write_table(folder / "meta/tasks.parquet", named, {"pandas": json.dumps(_TASKS)})
+    _write_table(folder / "meta/tasks.parquet", pa.Table.from_pylist(named), {"pandas": json.dumps(_TASKS)})
     _write_json(folder / "meta/stats.json", _statistics(columns, slice(None), episodes))
     _write_json(folder / INFO, _info(columns, len(episodes), len(tasks), size) | {"robot_type": robot})
 
@@ -246,28 +248,19 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
     return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()} | {"count": [images]}
 
 
-def _write_rows(path: Path, columns: dict[str, NDArray[Any]], ends: list[int]) -> None:
-    """Write a table with a group of rows for each episode; a cell is a number or a list of as many numbers each."""
-    import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
-    arrays = {}
-    for name, values in columns.items():
-        flat = pa.array(values.ravel())
-        arrays[name] = flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    table = pa.table(arrays)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with pq.ParquetWriter(path, table.schema) as writer:
-        for begin, end in pairwise([0, *ends]):
-            writer.write_table(table.slice(begin, end - begin))
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]], metadata: dict[str, str] | None) -> None:
+def _cells(values: NDArray[Any]) -> Any:  # noqa: ANN401 - of a package without types
+    """Return a column; a cell is a number or a list of as many numbers each."""
     import pyarrow as pa  # noqa: PLC0415 - as above
-    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    flat = pa.array(values.ravel())
+    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _write_table(path: Path, table: Any, metadata: dict[str, str] | None = None) -> None:  # noqa: ANN401 - as above
+    import pyarrow.parquet as pq  # noqa: PLC0415 - as above
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.Table.from_pylist(rows).replace_schema_metadata(metadata), path)
+    pq.write_table(table.replace_schema_metadata(metadata), path)
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -102,19 +102,13 @@ def exposure(stops: float) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * again), dtype=np.uint8)
 
 
-class Eye(NamedTuple):
-    """What is looked at, with what, and under which conditions."""
-
-    world: World
-    camera: SceneCamera
-    variation: Variation
-
-
 @dataclass(frozen=True, eq=False)
 class SimulatedView:
     """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
 
-    eye: Eye  # What its pictures are made with.
+    world: World
+    camera: SceneCamera
+    variation: Variation
     pose: Pose  # Where the robot truly is.
     tilt: Tilt
     tilt_rate: Tilt  # How the camera shakes.
@@ -137,7 +131,7 @@ class SimulatedView:
 
     def _rendered(self) -> NDArray[np.uint8]:
         """Return what the camera sees, blurred as far as it shakes."""
-        _, camera, variation = self.eye
+        camera, variation = self.camera, self.variation
         image = camera.render(self.pose, self.tilt)
         if variation.visibility_m is not None:
             image = hazy(image, self.depth_m, variation.visibility_m, variation.light.horizon)
@@ -149,20 +143,20 @@ class SimulatedView:
     @cached_property
     def depth_m(self) -> NDArray[np.float32]:
         """How far along the camera's axis each pixel of its image is, (height, width) metres or `inf`."""
-        return self.eye.camera.depth_m(self.pose, self.tilt)
+        return self.camera.depth_m(self.pose, self.tilt)
 
     @cached_property
     def overhead(self) -> NDArray[np.uint8]:
         """What the camera above the scene sees, (height, width, 3) RGB; a `LookupError` where there is none."""
-        return self.eye.camera.overhead(self.pose)
+        return self.camera.overhead(self.pose)
 
     @cached_property
     def victim_found(self) -> bool:
         """Whether the victim is near and in view; the image is only searched when near."""
-        world = self.eye.world
+        world = self.world
         away = math.hypot(world.victim.x - self.pose.x, world.victim.y - self.pose.y)
         near = away <= world.scale.found_m
-        return near and self.eye.camera.victim_pixels(self.pose, self.tilt) >= VISIBLE_FRACTION
+        return near and self.camera.victim_pixels(self.pose, self.tilt) >= VISIBLE_FRACTION
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
@@ -170,7 +164,7 @@ class SimulatedView:
             yield PoseMessage.after(header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading)
         if DEPTH.name not in made and self.wanted(DEPTH):
             yield depth_message(header, self.depth_m)
-        mount = self.eye.world.place.overhead
+        mount = self.world.place.overhead
         if OVERHEAD.name not in made and mount is not None and self.wanted(OVERHEAD):
             yield overhead_message(header, self.overhead, mount)
 

@@ -6,7 +6,7 @@ Importing this module registers ``smal/Campus-v0`` and ``smal/Indoor-v0``:
 
 from __future__ import annotations
 
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -14,7 +14,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
-from schemas.episode import Purpose
 from schemas.rpc import MAX_TICKS as NO_LIMIT
 from schemas.rpc import ResetRequest
 from services.robot.clock import TICK_S
@@ -52,8 +51,6 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         simulation: Simulation | None = None,
         **settings: Any,  # noqa: ANN401 - checked by open_simulation
     ) -> None:
-        if render_mode not in {None, *self.metadata["render_modes"]}:
-            raise ValueError(f"render_mode {render_mode!r}: known are None and {self.metadata['render_modes']}")
         self.render_mode = render_mode
         self._simulation = simulation or open_simulation(world, CameraSettings(width, height), **settings)
         self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
@@ -69,8 +66,6 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         """
         super().reset(seed=seed)
         purpose = (options or {}).get("purpose", "run")
-        if purpose not in get_args(Purpose):
-            raise ValueError(f"purpose {purpose!r}: known are {', '.join(get_args(Purpose))}")
         episode = seed if seed is not None else int(self.np_random.integers(2**31))
         request = ResetRequest(seed=episode, purpose=purpose, max_ticks=NO_LIMIT)
         self._episode = LockstepEpisode(self._simulation, request)
@@ -82,8 +77,6 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         `info` has `pose` and, with the last step, `outcome`: "found" or "collision". `truncated` is always False here:
         `gymnasium.make` adds the limit of `MAX_TICKS` steps.
         """
-        if not self.action_space.contains(action):
-            raise ValueError(f"action {action!r}: expected a whole number from 0 to {len(ATOMS) - 1}")
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         episode = self._episode

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -36,6 +36,7 @@ OBSTACLE: Final = 2
 # A robot's hull glides along a wall, as plastic on plaster does.
 _WALL_FRICTION: Final = 0.3
 _GRAVITY: Final = (0.0, 0.0, -9.81)
+load: Final = partial(load_sapien, rendering=False)
 
 STANDING: Final = WheelSpeeds(0.0, 0.0)
 #: How fast the robot's speed may grow, ahead, and shrink. Pulling ahead leans the weight on the rear caster, which
@@ -272,12 +273,6 @@ class PhysicalBase:
         w, i, j, k = root.q.tolist()
         heading = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
         return Pose(x, y, heading), 1 - 2 * (i * i + j * j) > _UPRIGHT
-
-
-@lru_cache(maxsize=1)
-def load() -> Any:
-    """Return the SAPIEN module; an `UnavailableError` where it is not installed or lacks a library."""
-    return load_sapien(rendering=False)
 
 
 def new_scene() -> Any:

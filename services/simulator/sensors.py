@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -19,6 +18,8 @@ from services.simulator.robots import Drive
 from services.simulator.world.place import Pose
 
 GRAVITY_M_S2: Final = 9.81
+#: East and north.
+Velocity = tuple[float, float]
 
 # The shake: standard deviation of roll, pitch and yaw at the robot's nominal speed on a floor that is not quite even,
 # and how long a swing lasts, the integral of the angles' autocorrelation over positive lags.
@@ -64,26 +65,6 @@ class Tilt(NamedTuple):
 LEVEL: Final = Tilt(0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Step:
-    """How the robot moved from one reading of its sensors to the next: true poses, the wheels' rims, seconds."""
-
-    before: Pose
-    after: Pose
-    rolled_m: tuple[float, float]
-    duration_s: float
-
-    @property
-    def velocity_m_s(self) -> tuple[float, float]:
-        """Mean velocity, east and north."""
-        return (self.after.x - self.before.x) / self.duration_s, (self.after.y - self.before.y) / self.duration_s
-
-    @property
-    def turn_rate_rad_s(self) -> float:
-        """Mean turn rate, anticlockwise."""
-        return math.remainder(self.after.heading - self.before.heading, math.tau) / self.duration_s
-
-
 class Shake:
     """The tilt of a camera whose mast is a damped spring that the floor kicks while the robot moves.
 
@@ -98,12 +79,12 @@ class Shake:
         self._state = np.zeros((2, 3))
         self.tilt = self.rate = LEVEL
 
-    def step(self, step: Step) -> None:
-        """Let the time of one step pass."""
-        swing, kick = _propagation(step.duration_s)
+    def step(self, velocity_m_s: Velocity, turn_rate_rad_s: float, duration_s: float) -> None:
+        """Let time pass in which the robot moves so."""
+        swing, kick = _propagation(duration_s)
         # 0 where the robot stands, 1 at its nominal speed straight ahead.
-        speed = math.hypot(*step.velocity_m_s) / self._drive.speed_m_s
-        turning = _TURNING * step.turn_rate_rad_s / self._drive.turn_rate_rad_s
+        speed = math.hypot(*velocity_m_s) / self._drive.speed_m_s
+        turning = _TURNING * turn_rate_rad_s / self._drive.turn_rate_rad_s
         motion = min(math.hypot(speed, turning), _MOST_SHAKE)
         self._state = swing @ self._state + motion * (kick @ self._rng.standard_normal((2, 3)))
         self.tilt, self.rate = (Tilt(*row) for row in (self._amplitude * self._state).tolist())
@@ -132,27 +113,25 @@ class InertialUnit:
         self._velocity_m_s = (0.0, 0.0)
         self._time_s = 0.0
 
-    def step(self, step: Step, tilt: Tilt, rate: Tilt) -> ImuReading:
-        """Return the reading at the end of a step.
+    def step(
+        self, heading: float, velocity_m_s: Velocity, turn_rate_rad_s: float, duration_s: float, tilt: Tilt, rate: Tilt
+    ) -> ImuReading:
+        """Return the reading after a step that began with a heading.
 
         The turn rate is the mean over the step, the acceleration the mean from its middle back to the middle of the
         step before. For a tilt of a few degrees the axes of turning are those of the level robot.
         """
-        self._time_s += step.duration_s
-        noise = self._error * _NOISE / math.sqrt(step.duration_s) * self._rng.standard_normal(6)
-        self._bias += self._error * _WALK * math.sqrt(step.duration_s) * self._rng.standard_normal(6)
-        turning = [rate.roll, rate.pitch, rate.yaw + step.turn_rate_rad_s]
-        true = np.concatenate([turning, self._acceleration(step, tilt)])
+        self._time_s += duration_s
+        noise = self._error * _NOISE / math.sqrt(duration_s) * self._rng.standard_normal(6)
+        self._bias += self._error * _WALK * math.sqrt(duration_s) * self._rng.standard_normal(6)
+        before, self._velocity_m_s = self._velocity_m_s, velocity_m_s
+        east, north = (np.subtract(velocity_m_s, before) / duration_s).tolist()
+        cos, sin = math.cos(heading), math.sin(heading)
+        # It is pushed by the ground as if it fell upwards.
+        level = np.array([east * cos + north * sin, north * cos - east * sin, GRAVITY_M_S2])
+        true = np.concatenate([[rate.roll, rate.pitch, rate.yaw + turn_rate_rad_s], tilt.matrix().T @ level])
         gx, gy, gz, ax, ay, az = np.clip(true + self._bias + noise, -_GREATEST, _GREATEST).tolist()
         return ImuReading(self._time_s, (gx, gy, gz), (ax, ay, az))
-
-    def _acceleration(self, step: Step, tilt: Tilt) -> NDArray[np.float64]:
-        """Return what an accelerometer feels (3,), m/s^2: it is pushed by the ground as if it fell upwards."""
-        before, self._velocity_m_s = self._velocity_m_s, step.velocity_m_s
-        east, north = (np.subtract(self._velocity_m_s, before) / step.duration_s).tolist()
-        cos, sin = math.cos(step.before.heading), math.sin(step.before.heading)
-        level = np.array([east * cos + north * sin, north * cos - east * sin, GRAVITY_M_S2])
-        return np.asarray(tilt.matrix().T @ level, dtype=np.float64)
 
 
 class Odometer:
@@ -172,14 +151,14 @@ class Odometer:
         self._pose = Pose(0.0, 0.0, 0.0)
         self._ahead_m = self._turned_rad = self._elapsed_s = 0.0
 
-    def step(self, step: Step) -> None:
+    def step(self, rolled_m: tuple[float, float], duration_s: float) -> None:
         """Count the wheels' ticks of one step, and go by the arc that they make."""
-        way_m = [self._count(wheel, rolled_m) for wheel, rolled_m in enumerate(step.rolled_m)]
+        way_m = [self._count(wheel, rim_m) for wheel, rim_m in enumerate(rolled_m)]
         # For one second at this many metres a second: an arc knows of no time.
         self._pose = move(self._pose, WheelSpeeds(*way_m), self._track_m, 1.0)
         self._ahead_m += sum(way_m) / 2
         self._turned_rad += (way_m[1] - way_m[0]) / self._track_m
-        self._elapsed_s += step.duration_s
+        self._elapsed_s += duration_s
 
     def read(self) -> OdometryReading:
         """Return the pose now, and the mean speeds since this was last called (0 where no time has passed)."""
@@ -225,11 +204,13 @@ class Sensors:
         self._elapsed_s += duration_s
         if self._elapsed_s < STEP_S - 1e-9:
             return
-        step = Step(self._pose, motion.pose, self._rolled_m, self._elapsed_s)
-        self._pose, self._rolled_m, self._elapsed_s = motion.pose, (0.0, 0.0), 0.0
-        self._odometer.step(step)
-        self._shake.step(step)
-        self._readings.append(self._unit.step(step, self.tilt, self.tilt_rate))
+        before, after, step_s = self._pose, motion.pose, self._elapsed_s
+        velocity_m_s = (after.x - before.x) / step_s, (after.y - before.y) / step_s
+        moved = velocity_m_s, math.remainder(after.heading - before.heading, math.tau) / step_s, step_s
+        self._odometer.step(self._rolled_m, step_s)
+        self._shake.step(*moved)
+        self._readings.append(self._unit.step(before.heading, *moved, self.tilt, self.tilt_rate))
+        self._pose, self._rolled_m, self._elapsed_s = after, (0.0, 0.0), 0.0
 
     @property
     def tilt(self) -> Tilt:

@@ -14,7 +14,7 @@ from schemas.base import Atom
 from schemas.episode import Purpose
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.camera import CameraSettings, Eye, SimulatedView
+from services.simulator.camera import CameraSettings, SimulatedView
 from services.simulator.sensors import Sensors
 from services.simulator.variation import DAY, Variation, variation_named
 from services.simulator.world import load_world
@@ -57,7 +57,7 @@ class Simulation:
         self.world, self.name = world, world.name
         self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
         self.focal_px = camera.focal_px
-        self._eye = Eye(world, camera, variation)
+        self._seen = world, camera, variation
         self._base = base or KinematicBase(world.place)
         self.braking_s = self._base.braking_s
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
@@ -104,7 +104,7 @@ class Simulation:
         """
         felt = self._sensors
         return SimulatedView(
-            self._eye, self.pose, felt.tilt, felt.tilt_rate, self.collided, felt.odometry(), felt.imu(), captured_s,
+            *self._seen, self.pose, felt.tilt, felt.tilt_rate, self.collided, felt.odometry(), felt.imu(), captured_s,
             wanted,
         )  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import os
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,7 @@ def cannot_render(error: RuntimeError) -> UnavailableError:
     return UnavailableError(f"the Vulkan driver cannot render ({error}); {INSTALL}")
 
 
+@lru_cache
 def load_sapien(*, rendering: bool = True) -> Any:
     """Return the SAPIEN module, the Vulkan driver chosen before it is imported for the first time.
 

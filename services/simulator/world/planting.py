@@ -29,65 +29,51 @@ BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
 USUAL_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
 
 
-class Wood(NamedTuple):
-    """Ground on which trees stand; the number of the map's element seeds where."""
+class Planting(NamedTuple):
+    """Ground on which trees stand, or a line of them; the number of the map's element seeds where."""
 
     number: int
-    polygon: Polygon
-    height_m: float | None  # Of a tree; None for what is usual for its kind.
+    shape: Polygon | LineString
     leaf_type: str  # As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed.
+    height_m: float | None = None  # Of a tree; None for what is usual for its kind.
 
 
-class Row(NamedTuple):
-    """A line of trees."""
+def planted(
+    plantings: Sequence[Planting],
+    roads: Iterable[Road],
+    buildings: Iterable[Building],
+    areas: Iterable[Area],
+    barriers: Iterable[Barrier],
+) -> list[Tree]:
+    """Return trees every 8 m along all rows, and about 7.5 m apart in all woods, at most 800; always the same.
 
-    number: int
-    line: LineString
-    leaf_type: str
-
-
-class Sites:
-    """Where a tree may stand: not on a road, in a building, in water or on paving, and not in a wall."""
-
-    def __init__(
-        self, roads: Iterable[Road], buildings: Iterable[Building], areas: Iterable[Area], barriers: Iterable[Barrier]
-    ) -> None:
-        taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
-        taken += [building.footprint.buffer(_FROM_WALL_M) for building in buildings]
-        taken += [area.footprint for area in areas if area.kind != "grass"]
-        taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
-        self._taken = STRtree(taken)
-
-    def free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of the points (n, 2) are free, as (n,)."""
-        free = np.ones(len(points), dtype=np.bool_)
-        free[self._taken.query(shapely.points(points), "intersects")[0]] = False
-        return free
-
-
-def scattered(woods: Sequence[Wood], sites: Sites) -> list[Tree]:
-    """Return trees about 7.5 m apart in all woods, at most 800 in all; the same woods give the same trees."""
-    total_m2 = sum(wood.polygon.area for wood in woods)
-    boxes_m2 = sum(wood.polygon.envelope.area for wood in woods)
+    None stands on a road, in a building, in water or on paving, or in a wall.
+    """
+    if not plantings:
+        return []
+    taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
+    taken += [building.footprint.buffer(_FROM_WALL_M) for building in buildings]
+    taken += [area.footprint for area in areas if area.kind != "grass"]
+    taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
+    tree = STRtree(taken)
+    woods = [one.shape for one in plantings if isinstance(one.shape, Polygon)]
+    total_m2, boxes_m2 = sum(wood.area for wood in woods), sum(wood.envelope.area for wood in woods)
     spacing_m = max(_SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED))
-    trees: list[Tree] = []
-    for wood in woods:
-        rng = np.random.default_rng(zlib.crc32(f"wood {wood.number}".encode()))
-        points = _jittered_grid(wood.polygon, spacing_m, rng)
-        points = points[sites.free(points)]
-        trees += _trees(points, wood.leaf_type, wood.height_m, rng)
-    return trees[:_MOST_SCATTERED]
+    in_rows: list[Tree] = []
+    scattered: list[Tree] = []
+    for number, shape, leaf_type, height_m in plantings:
+        wood = isinstance(shape, Polygon)
+        rng = np.random.default_rng(zlib.crc32(f"{'wood' if wood else 'row'} {number}".encode()))
+        points = _jittered_grid(shape, spacing_m, rng) if isinstance(shape, Polygon) else _along(shape)
+        free = np.ones(len(points), dtype=np.bool_)
+        free[tree.query(shapely.points(points), "intersects")[0]] = False
+        (scattered if wood else in_rows).extend(_trees(points[free], leaf_type, height_m, rng))
+    return [*in_rows[:_MOST_IN_ROWS], *scattered[:_MOST_SCATTERED]]
 
 
-def in_rows(rows: Sequence[Row], sites: Sites) -> list[Tree]:
-    """Return trees every 8 m along all rows."""
-    trees: list[Tree] = []
-    for row in rows:
-        rng = np.random.default_rng(zlib.crc32(f"row {row.number}".encode()))
-        places = np.arange(0.0, row.line.length + 1e-6, _ROW_M)
-        points = shapely.get_coordinates(shapely.line_interpolate_point(row.line, places))
-        trees += _trees(points[sites.free(points)], row.leaf_type, None, rng)
-    return trees[:_MOST_IN_ROWS]
+def _along(line: LineString) -> NDArray[np.float64]:
+    places = np.arange(0.0, line.length + 1e-6, _ROW_M)
+    return shapely.get_coordinates(shapely.line_interpolate_point(line, places))
 
 
 def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -96,8 +82,7 @@ def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator)
     grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
     points = grid + rng.uniform(0.1, 0.9, grid.shape) * spacing_m
     shapely.prepare(polygon)
-    inside = shapely.contains_xy(polygon, points[:, 0], points[:, 1])
-    return np.asarray(points[inside], dtype=np.float64)
+    return np.asarray(points[shapely.contains_xy(polygon, points[:, 0], points[:, 1])], dtype=np.float64)
 
 
 def _trees(points: NDArray[np.float64], leaf_type: str, height_m: float | None, rng: np.random.Generator) -> list[Tree]:

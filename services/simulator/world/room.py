@@ -190,11 +190,8 @@ class RoomFile(Room):
         """Refuse things that reach out of the room."""
         floor = shapely.box(*self.bounds).buffer(_TOLERANCE_M)
         for number, piece in enumerate(self.furniture):
-            if piece.height_m > self.walls_m:
-                what = f"{piece.height_m:g} m does not fit under a ceiling at {self.walls_m:g} m"
-                raise ValueError(f"furniture.{number}.height_m: {what}")
-            if not floor.covers(piece.footprint):
-                what = f"at ({piece.x_m:g}, {piece.y_m:g}) m it reaches out of the room"
+            if piece.height_m > self.walls_m or not floor.covers(piece.footprint):
+                what = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m, it reaches out of the room"
                 raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
         for number, fitting in enumerate(self.fittings):
             wall = shapely.box(0.0, 0.0, self.wall_frame(fitting.wall).length_m, self.walls_m).buffer(_TOLERANCE_M)
@@ -217,12 +214,7 @@ class RoomFile(Room):
         world = World(replace(self, name=name), self.start.pose, self.victim.pose)
         self._check_room_for("start", world.start, _SCALE.start_room_m)
         self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)
-        try:
-            plan_route(world, (world.start.x, world.start.y))
-        except WorldError:
-            raise WorldError(
-                f"victim: no way leads there from the start that keeps {_SCALE.clearance_m:g} m from everything"
-            ) from None
+        plan_route(world, (world.start.x, world.start.y))
         seen = sights(world)[obstacles_of(world.place).in_sight(sights(world))]
         if self.hidden and len(seen):
             x, y = seen[0, 0]

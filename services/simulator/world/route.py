@@ -100,12 +100,10 @@ class LaneGraph:
         roomy = self._obstacles.are_clear(segments, self._scale.room_m)
         length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
         cost = np.where(roomy, length, length * _TIGHT_COST)[clear]
-        first, second = pairs[clear].T
-        size = len(self.points)
-        both = np.concatenate([cost, cost]), (np.concatenate([first, second]), np.concatenate([second, first]))
         # A pair drawn twice would be summed; keep one of each.
-        _, once = np.unique(both[1][0] * size + both[1][1], return_index=True)
-        return coo_array((both[0][once], (both[1][0][once], both[1][1][once])), shape=(size, size)).tocsr()
+        ends, once = np.unique(np.sort(pairs[clear], axis=1), axis=0, return_index=True)
+        half = coo_array((cost[once], tuple(ends.T)), shape=(len(self.points), len(self.points))).tocsr()
+        return csr_array(half + half.T)
 
     def links(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the lane points that a straight free leg from `xy` reaches, and what each leg costs."""

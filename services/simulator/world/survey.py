@@ -14,7 +14,7 @@ from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
 from services.simulator.world.osm import Element, Extract, Points, Tags
 from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
-from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Row, Sites, Wood, in_rows, scattered
+from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Planting, planted
 from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
 from services.simulator.world.tags import MEANINGS, Kind, metres
 from services.simulator.world.terrain import Area, Barrier, Road, Source, Terrain, Tree, TreeKind, plan
@@ -62,8 +62,7 @@ class _Survey:
         self._areas: list[Area] = []
         self._barriers: list[Barrier] = []
         self._gates: list[shapely.Point] = []
-        self._woods: list[Wood] = []
-        self._rows: list[Row] = []
+        self._plantings: list[Planting] = []
         self._trees: list[Tree] = []
 
     def node(self, node: Element[Points]) -> None:
@@ -119,7 +118,7 @@ class _Survey:
                     water = polygons_in(line.buffer(width_m / 2), self._frame)
                     self._areas += [Area(**plan(part), kind="water") for part in water]
                 case _:
-                    self._rows.append(Row(way.id, line, tags.get("leaf_type", "")))
+                    self._plantings.append(Planting(way.id, line, tags.get("leaf_type", "")))
 
     def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
@@ -141,7 +140,7 @@ class _Survey:
             trees_m = meaning.trees_on(tags)
             if kind == "wood" and trees_m is not None:
                 leaves = tags.get("leaf_type", "")
-                self._woods += [Wood(element.id, polygon, trees_m or None, leaves) for polygon in polygons]
+                self._plantings += [Planting(element.id, polygon, leaves, trees_m or None) for polygon in polygons]
         if kind != "building part":  # whether a part is used is known only when all are there
             self._used[kind] += 1
         return True
@@ -155,10 +154,7 @@ class _Survey:
         barriers = tuple(open_barriers(self._barriers, self._roads, self._gates))
         roads = (*self._roads, *across_squares(self._squares, self._roads))
         areas = tuple(bridge_water(self._areas, self._roads))
-        trees = self._trees
-        if self._woods or self._rows:
-            sites = Sites(roads, buildings, areas, barriers)
-            trees = [*trees, *in_rows(self._rows, sites), *scattered(self._woods, sites)]
+        trees = (*self._trees, *planted(self._plantings, roads, buildings, areas, barriers))
         counts = (dict(sorted((+count).items())) for count in (self._used, self.skipped, self.left_out))
         return Terrain(
             name=name,
@@ -167,7 +163,7 @@ class _Survey:
             buildings=buildings,
             roads=roads,
             areas=areas,
-            trees=tuple(trees),
+            trees=trees,
             barriers=barriers,
         )
 

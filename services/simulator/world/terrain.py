@@ -247,6 +247,11 @@ class Spot:
     y: Coordinate
     heading_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
 
+    @property
+    def pose(self) -> Pose:
+        """The same in radians."""
+        return Pose(self.x, self.y, math.remainder(math.radians(self.heading_deg), math.tau))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class TerrainFile(Terrain):
@@ -269,11 +274,7 @@ class TerrainFile(Terrain):
 
     def world(self, name: str) -> World:
         """Return the world that the file describes."""
-        start, victim = (
-            Pose(spot.x, spot.y, math.remainder(math.radians(spot.heading_deg), math.tau))
-            for spot in (self.start, self.victim)
-        )
-        return World(replace(self, name=name), start, victim)
+        return World(replace(self, name=name), self.start.pose, self.victim.pose)
 
 
 def terrain_text(world: World) -> str:

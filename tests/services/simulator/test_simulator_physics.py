@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,27 +17,18 @@ from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.physics import PhysicalBase
 from services.simulator.robots import RESCUEBOT, TURTLEBOT, Drive, RobotModel
-from services.simulator.world.place import Bounds, OverheadMount, Pose, Scale, Solid
+from services.simulator.world.place import Pose, Solid
 
 robots = pytest.mark.parametrize("robot", [RESCUEBOT, TURTLEBOT], ids=lambda robot: robot.name)
 
 
-@dataclass(frozen=True, eq=False)
 class Hall:
     """A floor with a few things on it."""
 
-    robot: RobotModel = RESCUEBOT
-    solids: tuple[Solid, ...] = ()
-    name: str = "hall"
-    bounds: Bounds = (-200.0, -200.0, 200.0, 200.0)
-    scale: ClassVar[Scale] = Scale()
-    shake: float = 0.0
-    overhead: OverheadMount | None = None
-    lanes: tuple[shapely.LineString, ...] = ()
+    bounds = (-200.0, -200.0, 200.0, 200.0)
 
-
-def hall(*things: Solid, model: RobotModel = RESCUEBOT) -> Hall:
-    return Hall(model, things)
+    def __init__(self, *things: Solid, model: RobotModel = RESCUEBOT) -> None:
+        self.solids, self.robot = things, model
 
 
 def perfect(robot: RobotModel) -> Drive:
@@ -66,7 +56,7 @@ def turned(begin: Pose, end: Pose) -> float:
 @pytest.mark.parametrize("speed", [1.0, 0.1])
 @pytest.mark.parametrize("atom", ["backward", "left"])
 def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: float, atom: Atom) -> None:
-    place = hall(model=robot)
+    place = Hall(model=robot)
     moved = {}
     for base in (PhysicalBase(place, perfect(robot)), KinematicBase(place, perfect(robot))):
         begin = drive(standing(base, Pose(3.0, -7.0, 0.4)), atom, 1.0, speed)[-1].pose
@@ -87,7 +77,7 @@ def test_silence_means_that_the_robot_stands_within_half_a_second(robot: RobotMo
 
     A robot stands that moves by less than 5 % of what it usually does in a tick.
     """
-    base = standing(PhysicalBase(hall(model=robot), perfect(robot)))
+    base = standing(PhysicalBase(Hall(model=robot), perfect(robot)))
     drive(base, atom, 2.0)
     before = drive(base, "stop", 0.5 - MAX_AGE_S + STEP_S)[-1].pose
     after = drive(base, "stop", TICK_S)[-1].pose
@@ -100,7 +90,7 @@ WALL = Solid(shapely.box(2.0, -3.0, 2.5, 3.0), 0.0, 2.0, opaque=True)
 
 @robots
 def test_a_wall_stops_the_robot_and_lets_it_back_off(robot: RobotModel) -> None:
-    base = standing(PhysicalBase(hall(WALL, model=robot), perfect(robot)))
+    base = standing(PhysicalBase(Hall(WALL, model=robot), perfect(robot)))
     needed_s = 2.0 / robot.drive.speed_m_s + 1.0
     motions = drive(base, "forward", needed_s)
     first = next(i for i, motion in enumerate(motions) if motion.collided)
@@ -129,6 +119,6 @@ def test_an_episode_repeats_exactly_whatever_was_before(
     first: list[Atom], seeds: tuple[int, int], second: list[Atom]
 ) -> None:
     corner = Solid(shapely.LineString([(-1.5, -2.0), (1.5, -2.0), (1.5, 2.0), (-1.5, 2.0)]), 0.0, 1.0, opaque=False)
-    used = PhysicalBase(hall(corner, WALL))
+    used = PhysicalBase(Hall(corner, WALL))
     trace(used, seeds[0], ["forward", *first])
-    assert trace(used, seeds[1], second) == trace(PhysicalBase(hall(corner, WALL)), seeds[1], second)
+    assert trace(used, seeds[1], second) == trace(PhysicalBase(Hall(corner, WALL)), seeds[1], second)
