@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
 
 #: Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
 Image = Callable[[], bytes]
+Images = Callable[[], Iterator[Image]]
+Rows = Sequence[tuple[float, ...]] | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class Drive:
 
     name: str  # As the source calls it.
     times_s: Array  # (n,) of the frames.
-    images: Callable[[], Iterator[Image]]  # Gives the n frames in their order, each time anew.
+    images: Images  # Gives the n frames in their order, each time anew.
     #: (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
     motion: Array
     #: (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
@@ -53,6 +55,20 @@ class Drive:
     success: bool | None = None  # Whether it reached its goal; None where the source does not say.
     focal: float | None = None  # Focal length of the camera over the width of its image, where the source says it.
     metric: bool = True  # Whether velocities are metres and radians a second, so that a way can be reckoned from them.
+
+    @classmethod
+    def of_rows(
+        cls,
+        name: str,
+        times_s: Array,
+        images: Images,
+        motion: Rows,
+        track: Rows,
+        tally: Tally,
+        **more: Any,  # noqa: ANN401
+    ) -> Self:
+        """Make a drive of rows in any order, of motion and of track; what no robot does is counted instead."""
+        return cls(name, times_s, images, motion_of(motion, tally), track_of(track, tally), **more)
 
 
 @dataclass
@@ -81,18 +97,18 @@ class Tally:
         return [*self.remarks, *self.counted()]
 
 
-def motion_of(rows: Sequence[tuple[float, ...]] | Array, tally: Tally) -> Array:
+def motion_of(rows: Rows, tally: Tally) -> Array:
     """Return (time, speed, turn rate) in the order of time, (k, 3); what no robot does is counted instead."""
     said = "velocities are no numbers, faster than any robot, or of no time in seconds"
     return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
 
 
-def track_of(rows: Sequence[tuple[float, ...]] | Array, tally: Tally) -> Array:
+def track_of(rows: Rows, tally: Tally) -> Array:
     """Return (time, x, y, heading) in the order of time, (m, 4); what is nowhere is counted instead."""
     return _sound(rows, (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD), "poses are nowhere", tally)
 
 
-def _sound(rows: Sequence[tuple[float, ...]] | Array, most: tuple[float, ...], what: str, tally: Tally) -> Array:
+def _sound(rows: Rows, most: tuple[float, ...], what: str, tally: Tally) -> Array:
     values = np.array(rows, dtype=np.float64).reshape(-1, len(most))
     sound = (np.abs(values) <= most).all(axis=1)
     tally.count(what, int((~sound).sum()))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.compressed_image import CompressedImage
-from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally, motion_of, track_of
+from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
 
@@ -80,15 +80,14 @@ def drive_of(
     """
     times_s = np.array([row.time_s for row in rows])
     _check_rate(times_s, inside)
-    return Drive(
-        name,
-        times_s,
-        lambda: (partial(_image, inside, row.image, tally) for row in rows),
-        motion_of([(row.time_s, *row.velocity) for row in rows], tally),
-        track_of([(row.time_s, *row.pose) for row in rows if row.pose is not None], tally),
-        success=success,
-        metric=metric,
-    )
+    motion = [(row.time_s, *row.velocity) for row in rows]
+    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
+    images = partial(_images, inside, rows, tally)
+    return Drive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
+
+
+def _images(inside: Inside, rows: Sequence[Row], tally: Tally) -> Iterator[Image]:
+    return (partial(_image, inside, row.image, tally) for row in rows)
 
 
 def _check_rate(times_s: Array, inside: Inside) -> None:

@@ -15,17 +15,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeInt, PositiveInt
 
 from schemas.codec import printable
-from services.importers.drive import (
-    MOST_SAMPLES,
-    Array,
-    Drive,
-    Image,
-    ImportFailure,
-    NotAnImage,
-    Tally,
-    motion_of,
-    track_of,
-)
+from services.importers.drive import MOST_SAMPLES, Array, Drive, Image, ImportFailure, NotAnImage, Tally
 from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import Job
@@ -181,12 +171,13 @@ class _DataSet:
         aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
         self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
         poses = self._part(episode, found[STATE], STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
-        return Drive(
+        return Drive.of_rows(
             name,
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
-            motion_of(np.column_stack([times_s, moved[:, :2] * (where.metres, where.radians)]), self._tally),
-            track_of(np.column_stack([times_s[: len(poses)], poses]), self._tally),
+            np.column_stack([times_s, moved[:, :2] * (where.metres, where.radians)]),
+            np.column_stack([times_s[: len(poses)], poses]),
+            self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
         )
 

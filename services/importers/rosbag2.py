@@ -25,8 +25,6 @@ from services.importers.drive import (
     ImportFailure,
     NotAnImage,
     Tally,
-    motion_of,
-    track_of,
 )
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
@@ -120,16 +118,10 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     rows = np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0)
     # The camera beside the images: /camera/camera_info of /camera/image.
     beside = [topic for topic in found.focal if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
-    return [
-        Drive(
-            inside.path.stem,
-            np.array(found.images[image]),
-            partial(_images, inside, image),
-            motion_of(rows, tally),
-            track_of(found.tracks[tracks[0]] if len(tracks) == 1 else [], tally),
-            focal=found.focal[beside[0]] if len(beside) == 1 else None,
-        )
-    ]
+    focal = found.focal[beside[0]] if len(beside) == 1 else None
+    way = found.tracks[tracks[0]] if len(tracks) == 1 else []
+    times_s, images = np.array(found.images[image]), partial(_images, inside, image)
+    return [Drive.of_rows(inside.path.stem, times_s, images, rows, way, tally, focal=focal)]
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:
