@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Generic, NamedTuple, TypeVar
 
@@ -11,11 +11,10 @@ import numpy as np
 import osmium
 import shapely
 from numpy.typing import NDArray
-from shapely import LineString
+from shapely import LineString, MultiPolygon, Polygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from schemas.codec import printable
-from services.simulator.world.outlines import OutlineError, area_of_rings
 from services.simulator.world.place import Bounds, WorldError
 
 Tags = Mapping[str, str]
@@ -43,8 +42,14 @@ _LINEAR_KEYS: Final = frozenset({"highway", "barrier", "waterway", "natural"})
 _SMALLEST_M: Final = 1.0
 # About the outermost thing of a map without bounds.
 _BEYOND_M: Final = 10.0
+OPEN: Final = "its outline is not closed"
+_BROKEN_RINGS: Final = "its rings do not close or cross each other"
 # Tags that say what kind of thing an area is.
 _KIND_KEYS: Final = frozenset({"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"})
+
+
+class OutlineError(ValueError):
+    """Points do not enclose an area; the message says why and follows the name of what they belong to."""
 
 
 class Surroundings(NamedTuple):
@@ -211,7 +216,48 @@ class _Found:
         outer, inner = (
             [LineString(lines[ref]) for ref in roles if (roles[ref] == "inner") == hole] for hole in (False, True)
         )
-        return area_of_rings(outer, inner)
+        return _area_of_rings(outer, inner)
+
+
+def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> BaseGeometry:
+    """Return the area of a multipolygon relation, given its members' lines in any order and direction.
+
+    A ring inside another one of the same role is a hole in it, as where roles were forgotten. An `OutlineError` says
+    that the lines do not join to closed rings, that rings cross, or that nothing is enclosed.
+    """
+    shells, holes = _faces(outer), _faces(inner)
+    if not shells:
+        raise OutlineError(OPEN)
+    _, overlapping = STRtree(shells + holes).query(shells + holes, "overlaps")
+    if len(overlapping):
+        raise OutlineError(_BROKEN_RINGS)
+    # Faces of nested rings exclude each other, so that every other one, from outside inwards, is part of the area.
+    area = shapely.build_area(shapely.GeometryCollection(list(outer)))
+    if holes:
+        area = area.difference(shapely.union_all(holes))
+    if not area.is_valid:
+        raise OutlineError(_BROKEN_RINGS)
+    return only_areas(area)
+
+
+def _faces(lines: Sequence[LineString]) -> list[BaseGeometry]:
+    """Return what closed rings of the lines enclose, each face without the faces inside it."""
+    if not lines:
+        return []
+    faces, *left_over = shapely.polygonize_full(list(lines))
+    if not all(rest.is_empty for rest in left_over):
+        raise OutlineError(_BROKEN_RINGS)
+    return list(shapely.get_parts(faces))
+
+
+def only_areas(geometry: BaseGeometry) -> BaseGeometry:
+    """Return the polygons in a geometry as one; an `OutlineError` where there is none."""
+    # What remains of an outline that crosses itself may be a collection of collections.
+    every = [inner for part in shapely.get_parts(geometry) for inner in shapely.get_parts(part)]
+    parts = [part for part in every if isinstance(part, Polygon) and part.area > 0]
+    if not parts:
+        raise OutlineError("its outline encloses nothing")
+    return parts[0] if len(parts) == 1 else MultiPolygon(parts)
 
 
 def _says_the_same(way_tags: Tags, area_tags: Tags) -> bool:

@@ -7,13 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
-from shapely import LineString, MultiPolygon, Polygon
+from shapely import LineString, MultiPolygon, Polygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
-from services.simulator.world.osm import Element, Extract, Points, Tags
-from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
+from services.simulator.world.osm import OPEN, Element, Extract, OutlineError, Points, Tags, only_areas
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Planting, planted
 from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
 from services.simulator.world.tags import MEANINGS, Kind, metres
@@ -25,6 +24,10 @@ _OUTSIDE: Final = "outside the map's bounds"
 _TALLEST_TREE_M: Final = 40.0
 _BARRIER_M: Final = (0.3, 20.0)
 _WATERWAY_M: Final = (0.5, 100.0)
+_TANGLED: Final = "it crosses itself too often"
+# Untangling an outline costs more than the square of its crossings: 300 random corners take 13 s.
+_MOST_CROSSINGS: Final = 50
+_MOST_NEAR_PAIRS_A_SEGMENT: Final = 40
 
 
 def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
@@ -93,9 +96,9 @@ class _Survey:
     def _way(self, kind: Kind, way: Element[Any], points: Points) -> None:
         try:
             if kind in _LINEAR:
-                self._lines(kind, way, lines_in(line_through(points), self._frame))
+                self._lines(kind, way, _lines_in(_line_through(points), self._frame))
             else:
-                self._area(kind, way, area_within(points))
+                self._area(kind, way, _area_within(points))
         except OutlineError as error:
             # An open line outside the bounds is not looked at: exports cut outlines there.
             inside = self._frame.intersects(LineString(points))
@@ -115,14 +118,14 @@ class _Survey:
                     self._barriers.append(Barrier(line, _length(tags.get("height"), usual_m, _BARRIER_M), barrier_kind))
                 case "waterway":
                     width_m = _length(tags.get("width"), MEANINGS.waterway_width_m[tags["waterway"]], _WATERWAY_M)
-                    water = polygons_in(line.buffer(width_m / 2), self._frame)
+                    water = _polygons_in(line.buffer(width_m / 2), self._frame)
                     self._areas += [Area(**plan(part), kind="water") for part in water]
                 case _:
                     self._plantings.append(Planting(way.id, line, tags.get("leaf_type", "")))
 
     def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
-        polygons, tags = polygons_in(area, self._frame), element.tags
+        polygons, tags = _polygons_in(area, self._frame), element.tags
         if not polygons:
             self.left_out[f"{kind}: {_OUTSIDE}"] += 1
             return False
@@ -166,6 +169,50 @@ class _Survey:
             trees=trees,
             barriers=barriers,
         )
+
+
+def _area_within(points: Points) -> BaseGeometry:
+    """Return the area that a closed line (n, 2) encloses, untangled where it crosses itself.
+
+    An `OutlineError` says that the line is open, encloses nothing, or crosses itself too often.
+    """
+    if len(points) < 4 or (points[0] != points[-1]).any():
+        raise OutlineError(OPEN)
+    area: BaseGeometry = Polygon(points)
+    if not area.is_valid:
+        if _is_tangled(points):
+            raise OutlineError(_TANGLED)
+        area = shapely.make_valid(area)
+    return only_areas(area)
+
+
+def _line_through(points: Points) -> LineString:
+    """Return the line along points (n, 2); an `OutlineError` where it has no length, or crosses itself too often."""
+    line = LineString(points)
+    if line.length == 0:
+        raise OutlineError("it has no length")
+    if not line.is_simple and _is_tangled(points):
+        raise OutlineError(_TANGLED)
+    return line
+
+
+def _polygons_in(area: BaseGeometry, frame: Polygon) -> list[Polygon]:
+    """Return the parts of a valid area that lie inside the frame; touching it is not enough."""
+    return [part for part in shapely.get_parts(area.intersection(frame)) if isinstance(part, Polygon) and part.area > 0]
+
+
+def _lines_in(line: LineString, frame: Polygon) -> list[LineString]:
+    """Return the parts of a line that lie inside the frame; where it crosses itself, it is not cut."""
+    parts = shapely.get_parts(shapely.clip_by_rect(line, *frame.bounds))
+    return [part for part in parts if part.geom_type == "LineString" and part.length > 0]
+
+
+def _is_tangled(points: Points) -> bool:
+    segments = np.asarray(shapely.linestrings(np.stack([points[:-1], points[1:]], axis=1)))
+    tree = STRtree(segments)
+    if tree.query(segments).shape[1] > _MOST_NEAR_PAIRS_A_SEGMENT * len(segments):
+        return True
+    return bool(tree.query(segments, "crosses").shape[1] > 2 * _MOST_CROSSINGS)
 
 
 def _tree(number: int, here: shapely.Point, tags: Tags) -> Tree:
