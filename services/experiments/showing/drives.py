@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from schemas.codec import printable
+from services.experiments.showing.summary import taught_drives
 from services.recordings.dataset import Teacher
 from services.recordings.taught import episode_of
 from smal.demonstration import Demonstration, drives_to_goals
@@ -27,24 +28,17 @@ class TaughtDrives:
     remarks: tuple[str, ...]
 
 
-def taught_drives(model: Model | PaperModel) -> list[tuple[tuple[str, ...], int]]:
-    """Return the names of the parts of each drive that a model was taught, and its number of frames."""
-    if isinstance(model, Model):
-        return list(zip(model.mapped.names, model.mapped.frames.tolist(), strict=True))
-    return [((name,), len(atoms)) for name, atoms in zip(model.names, model.atoms, strict=True)]
-
-
 def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> TaughtDrives:
     """Find the drives of a model by the names of their parts, and make sure of them by their frames."""
     shortest = 1 if isinstance(model, Model) else model.sequence_length
-    episodes = {episode_of(name) for parts, _ in taught_drives(model) for name in parts}
+    episodes = {episode_of(name) for one in taught_drives(model) for name in one.parts}
     teacher = Teacher(model.feature_settings, shortest, include_runs=True, episodes=episodes)
     for path in recordings:
         teacher.read(path)
     recorded = {one.name: one for one in teacher.teaching.demonstrations}
     whole = {(name,): one for name, one in recorded.items()} | dict(drives_to_goals(recorded.values()))
     found, missing = {}, []
-    for number, (parts, count) in enumerate(taught_drives(model)):
+    for number, (parts, count, _) in enumerate(taught_drives(model)):
         one = whole.get(parts)
         why = (
             "not among the recordings" if one is None

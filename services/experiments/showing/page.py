@@ -11,10 +11,10 @@ import numpy as np
 
 from schemas.codec import printable
 from services.experiments import html
-from services.experiments.showing.drives import TaughtDrives, taught_drives
+from services.experiments.showing.drives import TaughtDrives
 from services.experiments.showing.map_page import map_page
 from services.experiments.showing.paper_page import paper_page
-from services.experiments.showing.summary import facts
+from services.experiments.showing.summary import facts, taught_drives
 from smal.demonstration import Demonstration
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
@@ -68,18 +68,15 @@ def _missing(drives: TaughtDrives | None) -> Iterator[str]:
 
 def _seen(model: Model | PaperModel, found: dict[int, Demonstration]) -> Iterator[str]:
     """Show each drive that is there in some frames; name all."""
-    names = [printable(", ".join(parts)) for parts, _ in taught_drives(model)]
+    taught = taught_drives(model)
+    names = [printable(", ".join(one.parts)) for one in taught]
     yield "<h2>The drives</h2>"
     for number, one in found.items():
         assert one.images is not None  # noqa: S101 - those that are found have them
         frames = np.unique(np.linspace(0, len(one.atoms) - 1, _SHOWN).astype(int)).tolist()
         yield html.strip({f"{names[number]}, frame {frame}": one.images[frame] for frame in frames})
-    ends = model.mapped.goals if isinstance(model, Model) else [
-        f"{'recovery' if recovery else 'drive'}, {'reached' if good else 'did not reach'} the goal"
-        for recovery, good in zip(model.recovery, model.successful, strict=True)
-    ]  # fmt: skip
     rows = [
-        [names[number], printable(ends[number]), "there" if number in found else "not there", f"{frames:,}"]
-        for number, (_, frames) in enumerate(taught_drives(model))
+        [names[number], printable(one.end), "there" if number in found else "not there", f"{one.frames:,}"]
+        for number, one in enumerate(taught)
     ]
-    yield html.table(["name", "goal", "recording", "frames"], rows, left=3)
+    yield html.table(["name", "leads", "recording", "frames"], rows, left=3)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from schemas.codec import printable
 from services.experiments.words import counted, described_by
@@ -45,17 +46,32 @@ def state_graph(model: PaperModel) -> StateGraph:
     return StateGraph(episodes, {state: sorted(states) for state, states in following.items()})
 
 
+class Taught(NamedTuple):
+    """A drive that a model was taught: the names of its parts, its frames, and where it led."""
+
+    parts: tuple[str, ...]
+    frames: int
+    end: str
+
+
+def taught_drives(model: Model | PaperModel) -> list[Taught]:
+    """Return the drives of a model, in their order."""
+    if isinstance(model, Model):
+        each = zip(model.mapped.names, model.mapped.frames.tolist(), model.mapped.goals, strict=True)
+        return [Taught(parts, frames, f"to {goal}") for parts, frames, goal in each]
+    ends = [
+        f"{'recovery: ' if recovery else ''}{'reached' if good else 'did not reach'} the goal"
+        for recovery, good in zip(model.recovery, model.successful, strict=True)
+    ]
+    return [Taught((name,), len(atoms), end) for name, atoms, end in zip(model.names, model.atoms, ends, strict=True)]
+
+
 def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
     """Yield the summary of a model in a file of so many bytes."""
     for name, value in facts(model, file, size).items():
         yield f"{name:15}{value}"
-    if isinstance(model, Model):
-        taught = model.mapped
-        for names, goal, frames in zip(taught.names, taught.goals, taught.frames.tolist(), strict=True):
-            yield f"  {printable(', '.join(names))}: {frames} frames, to {printable(goal)}"
-    else:
-        for name, atoms, good in zip(model.names, model.atoms, model.successful, strict=True):
-            yield f"  {printable(name)}: {len(atoms)} frames, {'reached' if good else 'did not reach'} the goal"
+    for one in taught_drives(model):
+        yield f"  {printable(', '.join(one.parts))}: {one.frames} frames, {printable(one.end)}"
 
 
 def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:

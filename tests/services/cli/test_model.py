@@ -126,7 +126,7 @@ def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
     assert re.search(r"1: fork \d\.\d m along to-left, with to-right", text)
     assert photos(page) == 2 * 5
     assert "to-left, frame 0" in text
-    assert [row[2] for row in page.rows if row[1:2] in (["left"], ["right"]) and len(row) == 4] == ["there"] * 2
+    assert [row[2] for row in page.rows if row[1:2] in (["to left"], ["to right"]) and len(row) == 4] == ["there"] * 2
     belief = [row for row in page.rows if len(row) == 5 and row[0].startswith("to-")]
     assert [row[0] for row in belief] == ["to-left", "to-right"]
     assert all(float(row[1].rstrip("%")) > 80 for row in belief)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from services.experiments.evaluation.plan import DEFAULT_LENGTH
-from services.experiments.evaluation.report.summary import Recognized, Success, WorldResults
+from services.experiments.evaluation.report.summary import Recognized, Success
 
 _CERTAIN: Final = 0.05
 
@@ -25,12 +25,6 @@ class Comparison:
     world: str
     verdict: str
     text: str
-
-
-def comparisons(found: WorldResults) -> list[Comparison]:
-    """Return all that the report says of a world."""
-    name = found.world.title
-    return [*compare_recognition(name, found.recognized[0]), *compare_searches(name, found.successes)]
 
 
 def compare_recognition(world: str, found: Sequence[Recognized]) -> list[Comparison]:

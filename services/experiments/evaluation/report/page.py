@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from services.experiments import html
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
-from services.experiments.evaluation.report.comparisons import Comparison, comparisons
+from services.experiments.evaluation.report.comparisons import Comparison, compare_recognition, compare_searches
 from services.experiments.evaluation.report.sections import objective_section, recognition_section, search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Results
@@ -34,7 +34,10 @@ def write_page(plan: Plan, results: Results) -> Path:
     """
     planned, findings = units(plan), results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
-    compared = [one for each in found for one in comparisons(each)]
+    compared: list[Comparison] = []
+    for each in found:
+        compared += compare_recognition(each.world.title, each.recognized[0])
+        compared += compare_searches(each.world.title, each.successes)
     numbers = {
         "plan": plan.name,
         "version": program_version(),
