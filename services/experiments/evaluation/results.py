@@ -67,21 +67,22 @@ class Results:
         JobError
             A unit failed, or a worker ended; what was done until then is kept.
         """
-        with _pool(workers) as pool:
-            while left := [unit for unit in units if unit not in self.findings]:
-                ready = [unit for unit in left if self.findings.keys() >= set(unit.needs)]
-                under_way = {pool.submit(unit.timed, self.work): unit for unit in ready}
-                for future in as_completed(under_way):
-                    unit = under_way[future]
-                    what = f"{type(unit).__name__.lower()} in {unit.site.world}"
-                    try:
+        what = ""
+        try:
+            with _pool(workers) as pool:
+                while left := [unit for unit in units if unit not in self.findings]:
+                    ready = [unit for unit in left if self.findings.keys() >= set(unit.needs)]
+                    under_way = {pool.submit(unit.timed, self.work): unit for unit in ready}
+                    for future in as_completed(under_way):
+                        unit = under_way[future]
+                        what = f"{type(unit).__name__.lower()} in {unit.site.world}"
                         self.add(unit, future.result())
-                    except BrokenProcessPool:
-                        said = f"a worker was killed, perhaps for memory, at {what} or beside it; run again to go on"
-                        raise JobError(said) from None
-                    except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
-                        raise JobError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())}") from None
-                    done()
+                        done()
+        except BrokenProcessPool:
+            said = f"a worker was killed, perhaps for memory, at {what} or beside it; run again to go on"
+            raise JobError(said) from None
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
+            raise JobError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())}") from None
 
 
 @contextmanager
