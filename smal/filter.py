@@ -107,7 +107,7 @@ class Filter:
         # Probabilities that the tracked particles are right, that it has jumped to where the others are, or neither.
         self._shares = np.array([SETTINGS.first[0], 0.0, SETTINGS.first[2]])
         self._last = self._counted = np.zeros(self._map.basis.shape[1], dtype=np.float32)
-        self._used = self._moved = 0.0
+        self._used = self._moved = self._since = 0.0
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
 
@@ -115,7 +115,6 @@ class Filter:
         self,
         raw_features: NDArray[Any],
         movement: Movement = STILL,
-        elapsed_s: float | None = None,
         noise: MotionNoise = BY_ODOMETRY,
     ) -> Belief:
         """Take one frame.
@@ -126,24 +125,18 @@ class Filter:
             From `smal.features.extract`.
         movement : Movement
             Since the frame before; that before the first frame does not count.
-        elapsed_s : float, optional
-            Time since the frame before; a taught tick if not given.
         noise : MotionNoise
             Of the movement.
 
         Raises
         ------
         ValueError
-            Features of the wrong length, or features, a movement or a time that are NaN, infinite or backwards; the
-            frame is then not taken in.
+            Features of the wrong length, or features or a movement that are NaN or infinite: the frame does not count.
         """
         if raw_features.ndim != 1:
             raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")
-        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
             raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
-        if not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
-            raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
         components = self._map.described(self._centering.apply(raw_features))
         seen = self._seen(components, movement)
         if self._tracked is None:
@@ -154,8 +147,8 @@ class Filter:
                 if particles is not None:
                     particles.move(movement, noise, seen.newness, self._rng)
             self._move_sure(movement)
-        self._last = components
         if seen.newness > 0.0:
+            self._last, self._since = components, 0.0
             self._weigh(seen, scouts)
         return self._belief(seen)
 
@@ -208,7 +201,8 @@ class Filter:
         """
         assert self._tracked is not None
         likelihood = self._map.likelihood
-        expected = self._expected(self._map.lengths(movement))
+        self._since += self._map.lengths(movement)
+        expected = self._expected(self._since)
         like_last = float(likelihood.of(seen.stands_out(components @ self._last)))
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
         visible = 1.0 - float(self._tracked.shares[0])
@@ -286,7 +280,7 @@ class Filter:
         there = tracked.weights * (drives == drive)
         pose = there @ tracked.poses / max(float(there.sum()), 1e-12)
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
-        if self._shares[0] * float(there.sum()) > SETTINGS.sure and scatter < self._map.correlation_length:
+        if self._shares[0] * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
     def _move_sure(self, movement: Movement) -> None:

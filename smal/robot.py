@@ -1,5 +1,6 @@
 """`Robot` takes an image and returns an atom; `Localizer` (the filter and the wheels) and `Planner` do the work."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -87,7 +88,14 @@ class Localizer:
             Made since the frame before, for equal parts of the time; they count where there is no odometry.
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
+
+        Raises
+        ------
+        ValueError
+            A time that is not finite or negative, or as `Filter.observe`.
         """
+        if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
+            raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
         movement, noise = STILL, BY_ATOMS
         odometry = odometry if self._map.odometry else None
         if odometry is not None and self._pose is not None:
@@ -96,7 +104,7 @@ class Localizer:
             ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
             ahead, turn = self._map.movements[list(atoms)].mean(axis=0) * ticks
             movement = Movement(float(ahead), float(turn))
-        belief = self._filter.observe(raw_features, movement, elapsed_s, noise)
+        belief = self._filter.observe(raw_features, movement, noise)
         # Not before: a frame that is refused is not taken in.
         if odometry is not None or atoms:
             self._pose = odometry

@@ -71,7 +71,8 @@ class Settings:
     hidden: float = 0.05
     appears: float = 0.5
     light: float = 0.01
-    #: How far the wheels may be wrong where the robot was last sure of its place, of the way since.
+    #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
+    located: float = 0.9
     slip: float = 0.1
     #: First belief: at the start of a taught drive, beside any way, lost; and how far the heading may be off there.
     first: tuple[float, float, float] = (0.5, 0.25, 0.25)
