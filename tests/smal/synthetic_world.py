@@ -145,7 +145,7 @@ def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], 
     """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
     pose, movement = np.array(start), STILL
     for _ in range(frames):
-        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
+        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement)).atom
         if planner.done:
             break
         turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)

@@ -65,7 +65,7 @@ def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -
     follower, planner = Filter(found, centering), Planner(found)
     pose, movement, made = np.array([START[0], START[1] - 0.1, 0.1]), STILL, []
     for frame in range(2 * len(found.poses)):
-        belief = follower.observe(extract(ROOM.look(pose), COLOR), movement, TICK)
+        belief = follower.observe(extract(ROOM.look(pose), COLOR), movement)
         atom = planner.decide(belief).atom
         if planner.done:
             break

@@ -199,7 +199,7 @@ def test_a_kidnapped_robot_is_found(to: int) -> None:
     # What was followed counts from when it was found again.
     belief = found.observe(extract(ROOM.look(drive().poses[-1]), COLOR), STILL)
     one = drive()
-    assert belief.tracked < way_of_views(Drive(one.poses[to:], one.atoms[to:]))
+    assert belief.tracked < way_of_views(Drive(one.poses[to:], one.atoms[to:])) + 0.1
 
 
 def at_home(found: Filter) -> None:
