@@ -27,7 +27,6 @@ from services.console.newest_content import Board
 from services.console.who_drives import LEASE_S, LET_GO_S
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import WORLDS, below
-from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 
 #: Reading a model takes as long.
@@ -52,9 +51,8 @@ class ConsoleService:
         self._board = board
         self._news: deque[dict[str, object]] = deque(maxlen=_LINES)
         self._said = 0
-        keys = KeyHold(board.clock, LET_GO_S, LET_GO_S)
         show = lambda report: board.put("robot", asdict(report))  # noqa: E731
-        self._operator = Operator(node, keys, self._say, show, board.clock, self._bridges)
+        self._operator = Operator(node, self._say, show, board.clock, self._bridges)
         self.library = Library(root)
         self._live = LiveContent(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))

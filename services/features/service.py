@@ -5,16 +5,37 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
+from pydantic import field_validator
+
 from schemas.array import Float32Array
 from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
 from schemas.observation import Observation
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
+from services.kit.settings import ServiceSettings
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
 
 _log = logging.getLogger("features")
+
+
+class FeaturesSettings(ServiceSettings):
+    """Which features to make."""
+
+    modalities: str = ",".join(FeatureSettings().modalities)
+    """Feature modalities, separated by commas, in their order in the observation."""
+
+    @field_validator("modalities")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        FeatureSettings.parse(value)
+        return value
+
+    @property
+    def features(self) -> FeatureSettings:
+        """The modalities as settings of the library."""
+        return FeatureSettings.parse(self.modalities)
 
 
 class FeaturesService:

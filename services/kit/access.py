@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from schemas.topics import ROOT, Topic, rpc_key
+from schemas.topics import ROOT, rpc_key
 from services.table import Role, roles
 
 Rule = dict[str, object]
@@ -29,19 +29,14 @@ def access_control(robot: str) -> dict[str, object]:
         "rules": [rule for role in known for rule in _rules(role, robot)],
         "subjects": [{"id": role.name, "cert_common_names": [role.name]} for role in known],
         "policies": [
-            {
-                "rules": [rule["id"] for rule in _rules(role, robot)],
-                "subjects": [role.name],
-            }
-            for role in known
+            {"rules": [rule["id"] for rule in _rules(role, robot)], "subjects": [role.name]} for role in known
         ],
     }
 
 
 def _rules(role: Role, robot: str) -> Iterator[Rule]:
-    says, hears = _says(role, robot), _hears(role, robot)
-    for flow, allowed in (("ingress", says), ("egress", hears)):
-        for message, keys in allowed.items():
+    for message, says, hears in _allowed(role, robot):
+        for flow, keys in (("ingress", says), ("egress", hears)):
             if keys:
                 yield {
                     "id": f"{role.name}: {flow} {message}",
@@ -52,55 +47,24 @@ def _rules(role: Role, robot: str) -> Iterator[Rule]:
                 }
 
 
-def _says(role: Role, robot: str) -> dict[str, set[str]]:
-    """Return what a role may send to the router, by kind of message."""
-    gives, takes = _keys(role.gives, robot), _keys(role.takes, robot)
-    kept, replayed = _kept_keys(role.gives, robot), _kept_keys(role.fetches, robot)
-    serves, calls = _services(role, robot)
+def _allowed(role: Role, robot: str) -> Iterator[tuple[str, set[str], set[str]]]:
+    """Yield each kind of message, and the keys with which a role may send it to the router, and be sent it."""
+    gives, takes, fetches = (
+        {topic.key(robot) for topic in topics} for topics in (role.gives, role.takes, role.fetches)
+    )
+    recorded = {topic.key(robot) for topic in role.gives if topic.recorded}
+    kept = {f"{key}/{KEPT_KEYS}" for key in recorded}
+    replayed = {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in role.fetches if topic.recorded}
+    serves, calls = ({rpc_key(robot, *name.split("/", 1)) for name in names} for names in (role.serves, role.calls))
     listens = {f"{ROOT}/{robot}/**"} if role.person else set()
-    administers = {ADMINISTRATION} if role.name == "operator" else set()
-    return {
-        "put": gives | kept,
-        "declare_subscriber": takes | replayed | listens,
-        "declare_queryable": serves | kept,
-        "query": calls | replayed | administers,
-        # What a sender kept is answered on the topic's own key.
-        "reply": serves | kept | {topic.key(robot) for topic in role.gives if topic.recorded},
-        "liveliness_token": kept,
-        "declare_liveliness_subscriber": replayed,
-        "liveliness_query": replayed,
-    }
-
-
-def _hears(role: Role, robot: str) -> dict[str, set[str]]:
-    """Return what a role may be sent by the router, by kind of message."""
-    gives, takes = _keys(role.gives, robot), _keys(role.takes, robot)
-    kept, replayed = _kept_keys(role.gives, robot), _kept_keys(role.fetches, robot)
-    serves, calls = _services(role, robot)
-    administers = {ADMINISTRATION} if role.name == "operator" else set()
-    return {
-        "put": takes | replayed,
-        # A sender is told who listens, and a caller who serves: without that neither sends.
-        "declare_subscriber": gives | kept,
-        "declare_queryable": calls | replayed | administers,
-        "query": serves | kept,
-        "reply": calls | replayed | administers | _keys(role.fetches, robot),
-        "liveliness_token": replayed,
-        "declare_liveliness_subscriber": kept,
-        "liveliness_query": kept,
-    }
-
-
-def _keys(some: tuple[Topic, ...], robot: str) -> set[str]:
-    return {topic.key(robot) for topic in some}
-
-
-def _kept_keys(some: tuple[Topic, ...], robot: str) -> set[str]:
-    return {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in some if topic.recorded}
-
-
-def _services(role: Role, robot: str) -> tuple[set[str], set[str]]:
-    def keys(names: tuple[str, ...]) -> set[str]:
-        return {rpc_key(robot, *name.split("/", 1)) for name in names}
-
-    return keys(role.serves), keys(role.calls)
+    asked = calls | replayed | ({ADMINISTRATION} if role.name == "operator" else set())
+    yield "put", gives | kept, takes | replayed
+    # A sender is told who listens, and a caller who serves: without that neither sends.
+    yield "declare_subscriber", takes | replayed | listens, gives | kept
+    yield "declare_queryable", serves | kept, asked
+    yield "query", asked, serves | kept
+    # What a sender kept is answered on the topic's own key.
+    yield "reply", serves | kept | recorded, asked | fetches
+    yield "liveliness_token", kept, replayed
+    yield "declare_liveliness_subscriber", replayed, kept
+    yield "liveliness_query", replayed, kept

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Protocol, Self, TypeVar
@@ -16,7 +15,6 @@ from schemas.episode import GoalName
 from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.kit.node import Detail, Node, ServiceError
-from services.kit.process import configure_logging, read_settings
 from services.kit.root import RootSettings, open_below
 from smal.files.container import ModelError, NoModelError
 from smal.files.stored import Stored
@@ -80,27 +78,16 @@ def _known(model: Stored) -> AnyModel:
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model that a service may work with.
-
-    Attributes
-    ----------
-    model
-        The model.
-    identity
-        See ``identity_of``.
-    name
-        Its file: the path in the settings, or the name that a call gave.
-    stride
-        Frames from one decision to the next; 1 but for the paper's scheme.
-    goal
-        Where to go; None for the only goal.
-    """
+    """A model that a service may work with."""
 
     model: AnyModel
     identity: str
     name: str
+    """Its file: the path in the settings, or the name that a call gave."""
     stride: int
+    """Frames from one decision to the next; 1 but for the paper's scheme."""
     goal: str | None
+    """Where to go; None for the only goal."""
 
     @classmethod
     def of(
@@ -176,21 +163,11 @@ def serve_loads(node: Node, service: ModelService[M_contra], root: Path) -> None
     node.detail = lambda: {"root": str(root)} | service.detail()
 
 
-def serve_model(
-    name: str, service: ModelService[M_contra], topic: Topic, wire: Callable[[Node], None] = lambda _: None
-) -> None:
-    """Load the model of the settings, if any, and handle the messages of a topic until stopped.
-
-    `wire` is called with the node before the first message.
-    """
-    settings = read_settings(ModelSettings, name)
-    configure_logging(settings.log_level)
+def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_contra], topic: Topic) -> None:
+    """Load the model of the settings, if any, and handle the messages of a topic until stopped."""
     if settings.model is not None:
         service.load(LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal))
-    with Node(name, settings) as node:
-        node.stop_on_signals()
-        serve_loads(node, service, settings.root)
-        wire(node)
-        node.subscribe(topic, service.handle)
-        node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{name}/load")
-        node.spin()
+    serve_loads(node, service, settings.root)
+    node.subscribe(topic, service.handle)
+    node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{node.name}/load")
+    node.spin()

@@ -35,6 +35,8 @@ from services.kit.throttle import Throttle
 from services.table import role_of
 
 REQUEST_QUEUE: Final = 64
+#: How long threads may take to end when a node closes; they end with the process in any case.
+_LAST_WORK_S: Final = 10.0
 #: Queues of what is to be done soon, which are no topics and tell nobody anything.
 _SOON: Final = "soon/"
 M = TypeVar("M", bound=Message)
@@ -365,13 +367,16 @@ class Node:
         )
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus; what works apart has a while to end."""
         if self._http is not None:
             self._http.shutdown()
             self._http.server_close()
         self._closed.set()
+        until_s = time.monotonic() + _LAST_WORK_S
         for thread in self._apart:
-            thread.join()
+            thread.join(max(0.0, until_s - time.monotonic()))
+            if thread.is_alive():
+                self.log.warning("the thread %r did not end within %g s", thread.name, _LAST_WORK_S)
         self.bus.close()
 
     def __enter__(self) -> Self:

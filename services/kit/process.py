@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from schemas.codec import describe
 from services.kit.bus import BusError
 from services.kit.health import HttpError
-from services.kit.node import ServiceError
+from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 
 EXIT_FAILED: Final = 1
@@ -35,6 +35,19 @@ def configure_logging(level: str) -> None:
         level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
         datefmt="%H:%M:%S", force=True,
     )  # fmt: skip
+
+
+def run_node(name: str, settings: type[S], serve: Callable[[Node, S], None]) -> None:
+    """Run a service that is one node, by its settings; it ends on a signal."""
+
+    def run() -> None:
+        given = read_settings(settings, name)
+        configure_logging(given.log_level)
+        with Node(name, given) as node:
+            node.stop_on_signals()
+            serve(node, given)
+
+    run_service(name, run)
 
 
 def run_service(name: str, serve: Callable[[], None]) -> None:

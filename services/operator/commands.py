@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 from schemas.base import NO_EPISODE, Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from services.operator.hold import KeyHold
 
 
 class Commands:
@@ -19,7 +19,7 @@ class Commands:
     An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands.
     It ends when the robot was armed; one that is pressed after that was asked for stays.
 
-    ``robot`` is whom an emergency stop is for before anything was heard of the robot.
+    ``robot`` is whom an emergency stop is for before anything was heard of the robot; ``clock`` gives seconds.
 
     Attributes
     ----------
@@ -33,8 +33,10 @@ class Commands:
         Whether an emergency stop is asked for.
     """
 
-    def __init__(self, keys: KeyHold, robot: str) -> None:
-        self._keys = keys
+    def __init__(self, robot: str, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._held: Atom | None = None
+        self._until_s = 0.0
         self.heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
         self.applied: CommandApplied | None = None
         self.episode: str | None = None
@@ -54,7 +56,9 @@ class Commands:
     @property
     def held(self) -> Atom | None:
         """The movement whose key is held."""
-        return self._keys.held()
+        if self._clock() >= self._until_s:
+            self._held = None
+        return self._held
 
     def handle(self, applied: CommandApplied) -> Command | None:
         """Answer a heartbeat."""
@@ -76,14 +80,15 @@ class Commands:
         self.stop = stop
         return self.insist()
 
-    def press(self, atom: Atom, until_s: float | None = None) -> Command | None:
-        """Take a press or a repeat of a key that moves the robot or stops it; see ``KeyHold.press``."""
-        self._keys.press(atom, until_s)
+    def press(self, atom: Atom, until_s: float) -> Command | None:
+        """Take a press or a repeat of a key, which counts as held until a time of the clock, in the place of others."""
+        self._held, self._until_s = atom, until_s
         return self.poll()
 
     def release(self, atom: Atom | None = None) -> Command | None:
-        """Let go of a key, or of every key at once."""
-        self._keys.release(atom)
+        """Let go of a key, if that is the one that is held, or of every key at once."""
+        if atom in (None, self._held):
+            self._held = None
         return self.poll()
 
     def poll(self) -> Command | None:
@@ -92,8 +97,7 @@ class Commands:
 
     def stop_for_emergency(self) -> Command:
         """Stop, and stay so until the robot is armed, also where that has just been asked for."""
-        self._keys.release()
-        self._sent = None
+        self._held = self._sent = None
         self.emergency = True
         self._arming = False
         return self._command("emergency_stop", "stop")
@@ -128,9 +132,7 @@ class Commands:
 
     def no_episode(self) -> None:
         """Take note that there is none, or none any more."""
-        self.applied = None
-        self._sent = None
-        self._keys.release()
+        self.applied = self._held = self._sent = None
 
     def _enter(self, episode: str) -> None:
         if episode != self.episode:

@@ -23,7 +23,6 @@ from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetRep
 from services.kit.bus import BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
-from services.operator.hold import KeyHold
 from services.operator.report import Report
 
 #: How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
@@ -49,8 +48,8 @@ class Operator:
 
     Parameters
     ----------
-    node, keys
-        Where to publish; which movement is asked for.
+    node
+        Where to publish.
     say, show
         Tells the person one thing, once; shows them the report on the robot when it has changed.
     clock
@@ -68,7 +67,6 @@ class Operator:
     def __init__(
         self,
         node: Node,
-        keys: KeyHold,
         say: Callable[[str], None],
         show: Callable[[Report], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
@@ -80,7 +78,7 @@ class Operator:
         self._clock = clock
         self._there = there
         self.report = Report()
-        self.commands = Commands(keys, node.robot)
+        self.commands = Commands(node.robot, clock)
         self.mine: str | None = None
         self.request: ResetRequest | None = None
         self._beats = count()
@@ -180,8 +178,8 @@ class Operator:
                 node.publish(Heartbeat.after(pulse, **fields, present=present))
                 return
 
-    def press(self, atom: Atom, until_s: float | None = None) -> None:
-        """Take a press or a repeat of a key that moves the robot or stops it; see ``KeyHold.press``."""
+    def press(self, atom: Atom, until_s: float) -> None:
+        """Take a press or a repeat of a key that moves the robot or stops it; see ``Commands.press``."""
         self._node.publish(self.commands.press(atom, until_s))
 
     def release(self, atom: Atom | None = None) -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from schemas import topics
-from services.kit.model_service import serve_model
+from services.kit.model_service import ModelSettings, serve_model
 from services.kit.node import Node
-from services.kit.process import run_service
+from services.kit.process import run_node
 from services.policy.service import PolicyService
 
 
-def serve() -> None:
+def serve(node: Node, settings: ModelSettings) -> None:
     """Decide until stopped."""
     service = PolicyService()
-
-    def wire(node: Node) -> None:
-        node.subscribe(topics.APPLIED, service.see_applied)
-
-    serve_model("policy", service, topics.STATE, wire)
+    node.subscribe(topics.APPLIED, service.see_applied)
+    serve_model(node, settings, service, topics.STATE)
 
 
 if __name__ == "__main__":
-    run_service("policy", serve)
+    run_node("policy", ModelSettings, serve)

@@ -17,7 +17,7 @@ from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
 from services.kit.node import Detail, Node, ServiceError
-from services.kit.root import below
+from services.kit.root import RootSettings, below
 from services.recorder.disk import LOOK_S, Disk
 from services.recorder.early import EARLY_S, Early
 from services.recordings.leftover import LeftoverError, Sealed, seal_leftover
@@ -33,6 +33,14 @@ GRACE_S: Final = 1.0
 #: How long `flush` and `stop` wait for that.
 _SETTLE_S: Final = 10.0
 SEAL_PERIOD_S: Final = 0.05
+
+
+class RecorderSettings(RootSettings):
+    """Where to record."""
+
+    recordings: Path | None = None
+    """Folder, wherever it is, to record every episode in from the start; without it, recording waits for the call
+    ``start``, which names one below the root."""
 
 
 @dataclass

@@ -19,7 +19,6 @@ from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.body import Body, View
 from services.robot.clock import PULSE_S
-from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
 from services.robot.pace import Paces
@@ -31,6 +30,14 @@ ROBOT: Final = "robot"
 #: How long another robot of this id may take to say so.
 ANSWER_S: Final = 1.0
 V = TypeVar("V", bound=View)
+
+
+class RobotSettings(ServiceSettings):
+    """Who has to be there for the robot to move."""
+
+    attended: bool = True
+    """Whether it moves only while an operator is there, at smal teleop or another console that sends heartbeats. Where
+    one is there they are missed in any case: without their heartbeat the robot stands."""
 
 
 def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:

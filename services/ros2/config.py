@@ -12,8 +12,8 @@ from ruamel.yaml.error import YAMLError
 from schemas.codec import describe, printable
 from services.kit.bus import BusError, host_and_port
 from services.kit.node import ServiceError
-from services.robot.config import RobotSettings
 from services.robot.loop import check_stopping
+from services.robot.service import RobotSettings
 from services.ros2 import messages
 from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified

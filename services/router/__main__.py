@@ -6,7 +6,14 @@ from services.kit.bus import Router, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
-from services.router.config import RouterSettings
+from services.kit.settings import ServiceSettings
+
+
+class RouterSettings(ServiceSettings):
+    """Listens on ``--router``."""
+
+    insecure: bool = False
+    """Whether it may listen without certificates where other machines reach it."""
 
 
 def serve() -> None:

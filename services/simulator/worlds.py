@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError, field_validator
 from schemas.rpc import WorldName
 from services.kit.node import ServiceError
 from services.kit.root import WORLDS, OutsideError, RootSettings, below
-from services.robot.config import RobotSettings
+from services.robot.service import RobotSettings
 from services.simulator.camera import CameraSettings
 from services.simulator.scene.vulkan import UnavailableError
 from services.simulator.simulation import BaseKind, Simulation, open_simulation

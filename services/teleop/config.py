@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field
 
 from schemas.episode import GoalName
 from services.kit.settings import ServiceSettings
-from services.operator.hold import FIRST_HOLD_S, REPEAT_HOLD_S
+
+#: Keyboards begin to repeat 0.25 to 0.6 s after the press, and then do every 0.03 to 0.1 s.
+FIRST_HOLD_S: Final = 0.6
+REPEAT_HOLD_S: Final = 0.15
 
 
 class TeleopSettings(ServiceSettings):

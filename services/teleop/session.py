@@ -11,7 +11,6 @@ from schemas.codec import printable
 from schemas.rpc import Nothing, ResetRequest, Status
 from services.kit.bus import BusError, RpcError
 from services.kit.node import Node
-from services.operator.hold import KeyHold
 from services.operator.operator import ANSWER_S, POLL_S, RESET_S, Operator
 from services.teleop.config import TeleopSettings
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
@@ -54,11 +53,10 @@ class TeleopSession:
         self._node = node
         self._terminal = terminal
         self._parser = KeyParser()
-        keys = KeyHold(time.monotonic, settings.first_hold_s, settings.repeat_hold_s)
-        self._operator = Operator(node, keys, lambda text: terminal.say(printable(text)))
+        self._operator = Operator(node, lambda text: terminal.say(printable(text)))
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
-        self._first_hold_s = settings.first_hold_s
+        self._first_hold_s, self._repeat_hold_s = settings.first_hold_s, settings.repeat_hold_s
         self._tells_by_s: float | None = time.monotonic() + TELLS_S
         self._leaving = False
         self._disk: str | None = None
@@ -114,7 +112,9 @@ class TeleopSession:
     def _press(self, key: Key | News) -> None:
         operator = self._operator
         if key in ATOMS:
-            operator.press(key)
+            # Most terminals do not tell when a key is let go: it counts as held until its next repeat is overdue.
+            hold_s = self._repeat_hold_s if operator.commands.held == key else self._first_hold_s
+            operator.press(key, time.monotonic() + hold_s)
         elif key == "quit":
             self._node.stop()
         elif key == "new_episode":

@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import logging
+from typing import Annotated
+
+from pydantic import Field
 
 from schemas.overhead_image import OverheadImage
 from schemas.tracked_pose import TrackedPose
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
-from services.tracker.tag_tracking import Tag, TagNotSeen, TagTracker
+from services.kit.settings import ServiceSettings
+from services.tracker.tag_tracking import Tag, TagNotSeen, locate
 
 _log = logging.getLogger("tracker")
 
 
-class TrackerService:
-    """Measures where the robot is from the overhead image alone.
+class TrackerSettings(ServiceSettings):
+    """Which tag lies on the robot, and how; the defaults are the TurtleBot's."""
 
-    Parameters
-    ----------
-    tag
-        Which tag lies on the robot, and how.
-    """
+    tag_number: Annotated[int, Field(ge=0, le=49)] = 7
+    """Number of the ArUco marker in DICT_4X4_50."""
+    tag_side_m: Annotated[float, Field(gt=0, le=10)] = 0.2
+    """Side of the marker's black square, metres."""
+    tag_height_m: Annotated[float, Field(ge=0, le=10)] = 0.43
+    """Height of the marker above the floor, metres."""
+
+
+class TrackerService:
+    """Measures where the robot is, by the tag that lies on it, from the overhead image alone."""
 
     def __init__(self, tag: Tag) -> None:
-        self._tracker = TagTracker(tag)
+        self._tag = tag
         self._visible = True
         self._seen = 0
         self._lost = 0
@@ -34,7 +43,7 @@ class TrackerService:
         Raises ServiceError when the image is none, or its calibration puts the camera below the tag.
         """
         try:
-            pose = self._tracker.locate(decode_jpeg(image.data), image.calibration)
+            pose = locate(self._tag, decode_jpeg(image.data), image.calibration)
         except ValueError as error:
             raise ServiceError(str(error)) from None
         except TagNotSeen as reason:
@@ -51,4 +60,4 @@ class TrackerService:
 
     def detail(self) -> Detail:
         """Tell the tag's number, and in how many frames it was seen and not seen."""
-        return {"tag": self._tracker.tag.number, "seen": self._seen, "lost": self._lost}
+        return {"tag": self._tag.number, "seen": self._seen, "lost": self._lost}

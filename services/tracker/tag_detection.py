@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import cv2
@@ -20,46 +21,37 @@ _SAMPLES: Final = 13
 _ROUNDS: Final = 3
 
 
-class MarkerDetector:
-    """Finds the markers of OpenCV's dictionary ``DICT_4X4_50``."""
+@cache
+def _detector() -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    # Of cells only 3 pixels wide, the blurred rims would drown the code with OpenCV's 4 pixels and 0.13.
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
 
-    def __init__(self) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-        parameters = cv2.aruco.DetectorParameters()
-        # Of cells only 3 pixels wide, the blurred rims would drown the code with OpenCV's 4 pixels and 0.13.
-        parameters.perspectiveRemovePixelPerCell = 8
-        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
-        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
 
-    def find(self, image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
-        """Return the corners of every marker with one number.
+def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
+    """Return the corners of every marker of OpenCV's ``DICT_4X4_50`` with one number in an RGB image (height, width, 3).
 
-        OpenCV's own refinement fits each corner by itself, which at 30 pixels a side errs by up to 2.6 pixels and
-        6 degrees when the white margin is narrow; here the corners are where straight lines along the sides meet.
+    OpenCV's own refinement fits each corner by itself, which at 30 pixels a side errs by up to 2.6 pixels and
+    6 degrees when the white margin is narrow; here the corners are where straight lines along the sides meet.
 
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-            RGB.
-        number : int
-            Which marker.
-
-        Returns
-        -------
-        list of float64 arrays (4, 2)
-            Pixels right and down from the image's upper left corner (so that the first pixel's centre is at 0.5),
-            clockwise in the image from the marker's own upper left corner.
-        """
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        quads, numbers, _ = self._detector.detectMarkers(grey)
-        if not quads:  # then `numbers` is None
-            return []
-        # OpenCV counts from the centre of the first pixel.
-        return [
-            _refined(grey, quad[0].astype(np.float64)) + 0.5
-            for quad, found in zip(quads, numbers.ravel(), strict=True)
-            if found == number
-        ]
+    Returns
+    -------
+    list of float64 arrays (4, 2)
+        Pixels right and down from the image's upper left corner (so that the first pixel's centre is at 0.5),
+        clockwise in the image from the marker's own upper left corner.
+    """
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    quads, numbers, _ = _detector().detectMarkers(grey)
+    if not quads:  # then `numbers` is None
+        return []
+    # OpenCV counts from the centre of the first pixel.
+    return [
+        _refined(grey, quad[0].astype(np.float64)) + 0.5
+        for quad, found in zip(quads, numbers.ravel(), strict=True)
+        if found == number
+    ]
 
 
 def _refined(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -70,13 +62,7 @@ def _refined(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> NDArray[
 
 
 def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a straight line to the step from black to white along each side.
-
-    Returns
-    -------
-    (starts, ends) : float64 arrays (4, 2)
-        Of side k from corner k to corner k + 1, shifted onto the step.
-    """
+    """Fit a straight line to the step from black to white along each side: its starts (4, 2), and its ends."""
     along = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(along[:, 0], along[:, 1])
     outward = np.column_stack([along[:, 1], -along[:, 0]]) / lengths[:, np.newaxis]

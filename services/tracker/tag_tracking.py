@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.overhead_image import Calibration
-from services.tracker.tag_detection import MarkerDetector
+from services.tracker.tag_detection import find_markers
 
 #: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when
 #: a single corner is so far off that it turns the heading by 2 degrees.
@@ -29,16 +29,9 @@ class TagNotSeen(Exception):  # noqa: N818 - what happened, and no error
 
 @dataclass(frozen=True)
 class Tag:
-    """A square ArUco marker of ``DICT_4X4_50`` that lies flat on the robot, its upper edge towards the front.
+    """A square ArUco marker of ``DICT_4X4_50``, by its number, that lies flat on the robot, its upper edge in front.
 
-    Attributes
-    ----------
-    number
-        Which marker, 0 to 49.
-    side_m
-        Side of the black square, metres.
-    height_m
-        Above the floor, metres.
+    ``side_m`` is that of its black square, ``height_m`` is above the floor; metres.
     """
 
     number: int
@@ -58,89 +51,53 @@ class TagPose(NamedTuple):
     error_px: float
 
 
-class TagTracker:
-    """Measures the pose of one tag, each image by itself.
+def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
+    """Return the pose of a tag in an RGB image (height, width, 3) of a camera.
 
-    Parameters
-    ----------
-    tag
-        Which tag, and how it is mounted.
+    Raises
+    ------
+    TagNotSeen
+        When there is no such tag in the image, more than one, or what was found is not a square of its size.
+    ValueError
+        When the camera is not above the tag.
     """
-
-    def __init__(self, tag: Tag) -> None:
-        self.tag = tag
-        self._detector = MarkerDetector()
-
-    def locate(self, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
-        """Return the tag's pose.
-
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-            RGB.
-        camera
-            What took it.
-
-        Raises
-        ------
-        TagNotSeen
-            When there is no such tag in the image, more than one, or what was found is not a square of its size.
-        ValueError
-            When the camera is not above the tag.
-        """
-        metres_per_px = _metres_per_px(camera, self.tag.height_m)
-        found = self._detector.find(image, self.tag.number)
-        if len(found) != 1:
-            raise TagNotSeen(f"{len(found) or 'no'} markers with number {self.tag.number} are in the image")
-        corners = onto_plane(found[0], camera, metres_per_px)
-        self._check_side(corners)
-        x_m, y_m, heading_rad, error_m = fit_square(corners, self.tag.side_m)
-        error_px, most_px = error_m / metres_per_px, MAX_ERROR * self.tag.side_m / metres_per_px
-        # Not `>`: the error of corners that could not be computed is no number.
-        if not error_px <= most_px:
-            raise TagNotSeen(
-                f"marker {self.tag.number} is no square of {self.tag.side_m:g} m: "
-                f"its corners are {error_px:.2f} px off, and {most_px:.2f} px is the limit"
-            )
-        return TagPose(x_m, y_m, heading_rad, error_px)
-
-    def _check_side(self, corners: NDArray[np.float64]) -> None:
-        sides = np.roll(corners, -1, axis=0) - corners
-        side_m = float(np.hypot(sides[:, 0], sides[:, 1]).mean())
-        if abs(side_m - self.tag.side_m) > MAX_SIDE_DEVIATION * self.tag.side_m:
-            raise TagNotSeen(
-                f"marker {self.tag.number} measures {side_m:.3f} m and not {self.tag.side_m:g} m: "
-                "another tag, another height, or a wrong calibration"
-            )
+    if camera.height_m <= tag.height_m:
+        above = f"a camera {camera.height_m:g} m above the floor"
+        raise ValueError(f"{above} cannot look down on a tag at {tag.height_m:g} m")
+    metres_per_px = (camera.height_m - tag.height_m) / camera.focal_px
+    found = find_markers(image, tag.number)
+    if len(found) != 1:
+        raise TagNotSeen(f"{len(found) or 'no'} markers with number {tag.number} are in the image")
+    corners = _onto_plane(found[0], camera, metres_per_px)
+    side_m = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+    if abs(side_m - tag.side_m) > MAX_SIDE_DEVIATION * tag.side_m:
+        raise TagNotSeen(
+            f"marker {tag.number} measures {side_m:.3f} m and not {tag.side_m:g} m: "
+            "another tag, another height, or a wrong calibration"
+        )
+    x_m, y_m, heading_rad, error_m = fit_square(corners, tag.side_m)
+    error_px, most_px = error_m / metres_per_px, MAX_ERROR * tag.side_m / metres_per_px
+    # Not `>`: the error of corners that could not be computed is no number.
+    if not error_px <= most_px:
+        raise TagNotSeen(
+            f"marker {tag.number} is no square of {tag.side_m:g} m: "
+            f"its corners are {error_px:.2f} px off, and {most_px:.2f} px is the limit"
+        )
+    return TagPose(x_m, y_m, heading_rad, error_px)
 
 
-def onto_plane(pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float) -> NDArray[np.float64]:
+def _onto_plane(pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float) -> NDArray[np.float64]:
     """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane of a scale."""
     right, down = ((pixels - (camera.centre_x_px, camera.centre_y_px)) * metres_per_px).T
     cos, sin = math.cos(camera.up_rad), math.sin(camera.up_rad)
     return np.column_stack([camera.x_m + right * sin - down * cos, camera.y_m - right * cos - down * sin])
 
 
-def _metres_per_px(camera: Calibration, height_m: float) -> float:
-    if camera.height_m <= height_m:
-        raise ValueError(f"a camera {camera.height_m:g} m above the floor cannot look down on a tag at {height_m:g} m")
-    return (camera.height_m - height_m) / camera.focal_px
-
-
 def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:
     """Fit a square of known side to four points: the rotation and shift of least squares, in closed form (Kabsch).
 
-    Parameters
-    ----------
-    corners : float64 array (4, 2)
-        Seen from above, clockwise from the one ahead on the left.
-    side : float
-        Above 0, in the corners' unit.
-
-    Returns
-    -------
-    (x, y, heading, error) : floats
-        The square's middle, its direction in [-pi, pi], and the root mean square distance of the corners from its own.
+    The corners (4, 2) are seen from above, clockwise from the one ahead on the left. Returns x and y of the square's
+    middle, its direction in [-pi, pi], and the root mean square distance of the corners from its own.
     """
     ahead_left = side / 2 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
     middle = corners.mean(axis=0)

@@ -12,15 +12,13 @@ from schemas.topics import LANES, ROOT
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
-from services.robot.clock import now_s
 
 
 def look_on(robot: str, endpoint: str, owner: Connection) -> None:
     """Be an operator as `smal teleop` and the page are, until killed."""
     with Node("teleop", ServiceSettings(robot=robot, router=endpoint)) as node:
-        operator = Operator(node, KeyHold(now_s), node.log.info)
+        operator = Operator(node, node.log.info)
         node.every(POLL_S, operator.poll)
         threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
         owner.send("ready")

@@ -20,7 +20,7 @@ from services.kit.errors import UsageError
 from services.kit.node import Node
 from services.kit.process import read_settings
 from services.kit.settings import ServiceSettings
-from services.router.config import RouterSettings
+from services.router.__main__ import RouterSettings
 from services.table import roles
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Mistake, Smal

@@ -11,10 +11,8 @@ from schemas.rpc import ResetReply, ResetRequest
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 from services.recorder.service import RecorderService
-from services.robot.clock import now_s
 from tests.services.console.page import Page
 from tests.services.operator.test_operator import RUN, misses_nobody
 from tests.services.robot.wheels import Robot
@@ -40,7 +38,7 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
 ) -> None:
     """By Drive, which asks for an episode of its person's own, and then Run."""
     monkeypatch.setattr(robot.gate, "watch", misses_nobody)
-    operator = Operator(terminal, KeyHold(now_s), (told := []).append)
+    operator = Operator(terminal, (told := []).append)
     terminal.every(POLL_S, operator.poll)
     assert terminal.spin(lambda: operator.commands.to_release is not None, 30.0)
     assert operator.begin(RUN)

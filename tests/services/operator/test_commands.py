@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +11,6 @@ from hypothesis import strategies as st
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.commands import Commands
-from services.operator.hold import KeyHold
 from services.robot.gate import CommandGate
 
 
@@ -18,7 +19,7 @@ class Operator:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.service = Commands(KeyHold(lambda: self.now_s), "r")
+        self.service = Commands("r", lambda: self.now_s)
 
     def beat(
         self, tick: int, reason: str = "silence", episode: str = "e", stop: int = 7
@@ -56,13 +57,13 @@ def operator() -> Operator:
 
 def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operator) -> None:
     operator.beat(3)
-    assert brief(operator.service.press("forward")) == ("teleop", "forward", 3, 0)
+    assert brief(operator.service.press("forward", math.inf)) == ("teleop", "forward", 3, 0)
     assert operator.beat(4) == ("teleop", "forward", 4, 0)
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
 
 
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
-    assert operator.service.press("forward") is None
+    assert operator.service.press("forward", math.inf) is None
     assert [operator.beat(tick) for tick in range(5)] == [None] * 5
 
 
@@ -78,7 +79,7 @@ def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) ->
     operator.service.answered()
     assert not operator.service.emergency
     assert operator.beat(6) is None
-    assert brief(operator.service.press("left")) == ("teleop", "left", 6, 0)
+    assert brief(operator.service.press("left", math.inf)) == ("teleop", "left", 6, 0)
 
 
 def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None:
@@ -107,7 +108,7 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
     operator, sent, tick = Operator(), [], 0
     for kind, value in script:
         if kind == "press":
-            sent.append(brief(operator.service.press(value)))
+            sent.append(brief(operator.service.press(value, operator.now_s + 0.6)))
         elif kind == "wait":
             operator.now_s += value
             sent.append(brief(operator.service.poll()))

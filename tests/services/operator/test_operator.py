@@ -15,10 +15,8 @@ from schemas.topics import APPLIED, COMMANDS
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 from services.robot.body import Beginning
-from services.robot.clock import now_s
 from services.robot.gate import OPERATOR_S
 from tests.services.conftest import RunNode
 from tests.services.robot.wheels import Robot, run_robot
@@ -52,7 +50,7 @@ def said() -> list[str]:
 @pytest.fixture
 def operator(node: Node, said: list[str]) -> Operator:
     """Give an operator who has heard of the robot, and of whom it has heard."""
-    operator = Operator(node, KeyHold(now_s), said.append)
+    operator = Operator(node, said.append)
     node.every(POLL_S, operator.poll)
     assert node.spin(lambda: operator.commands.to_release is not None, 30.0)
     return operator
@@ -90,7 +88,7 @@ def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(settings: Servi
     stops: list[bytes] = []
     client.subscribe(COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload))
     with Node("teleop", settings) as node:
-        operator = Operator(node, KeyHold(now_s), lambda _: None)
+        operator = Operator(node, lambda _: None)
         operator.stop_for_emergency()
         assert node.spin(lambda: len(stops) >= 3, 30.0)
 

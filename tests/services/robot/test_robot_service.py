@@ -18,16 +18,13 @@ from services.kit.bus import Bus, RpcError
 from services.kit.going_on import each
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 from services.robot import service
 from services.robot.body import Beginning
-from services.robot.clock import now_s
-from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import STAND_WITHIN_S
 from services.robot.runner import EpisodeRunner
-from services.robot.service import RobotService, serve_robot
+from services.robot.service import RobotService, RobotSettings, serve_robot
 from services.robot.task import OperatorsTask
 from tests.benchmarks.faults.proxy import link
 from tests.services.conftest import RunNode
@@ -48,7 +45,7 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
     with link(router_endpoint) as (address, pid):
         far = settings.model_copy(update={"router": address})
         with Node("teleop", far) as node:
-            operator = Operator(node, KeyHold(now_s), (said := []).append)
+            operator = Operator(node, (said := []).append)
             node.every(POLL_S, operator.poll)
 
             def drives() -> bool:
@@ -194,7 +191,7 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
     assert runner.running is None
     operates = threading.Event()
     with Node("teleop", settings) as desk:
-        operator = Operator(desk, KeyHold(now_s), (said := []).append)
+        operator = Operator(desk, (said := []).append)
         desk.every(POLL_S, operator.poll)
         thread = threading.Thread(target=lambda: desk.spin(operates.is_set, 30.0), daemon=True)
         thread.start()

@@ -1,4 +1,4 @@
-"""From bytes to keys, and from presses to what is held."""
+"""From bytes to keys."""
 
 from __future__ import annotations
 
@@ -6,22 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS
-from services.operator.hold import FIRST_HOLD_S, REPEAT_HOLD_S, KeyHold
 from services.teleop.keys import KeyParser
-
-atoms = st.sampled_from(ATOMS)
-pauses = st.floats(0, 2)
-
-
-class Clock:
-    """A clock that tests turn."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def keys_of(data: bytes, parser: KeyParser | None = None) -> list[str]:
@@ -112,31 +97,3 @@ def test_any_bytes_are_taken_and_an_emergency_stop_is_heard_after_them(stop: byt
     for piece in pieces:
         list(parser.feed(piece))
     assert keys_of(stop, parser)[-1:] == ["emergency_stop"]
-
-
-@given(st.lists(st.tuples(pauses, atoms), max_size=30), pauses)
-def test_what_is_held_is_the_last_key_and_never_for_long(presses: list[tuple[float, str]], pause_s: float) -> None:
-    clock = Clock()
-    hold = KeyHold(clock)
-    for wait_s, atom in presses:
-        clock.now_s += wait_s
-        hold.press(atom)
-        assert hold.held() == atom
-    clock.now_s += pause_s
-    if not presses or pause_s >= FIRST_HOLD_S:
-        assert hold.held() is None
-    elif pause_s < REPEAT_HOLD_S / 2:
-        assert hold.held() == presses[-1][1]
-
-
-@given(st.lists(st.floats(0.01, REPEAT_HOLD_S - 0.01), max_size=30))
-def test_a_held_key_is_never_interrupted(intervals_s: list[float]) -> None:
-    clock = Clock()
-    hold = KeyHold(clock)
-    hold.press("forward")
-    clock.now_s = FIRST_HOLD_S - 0.01
-    for interval_s in intervals_s:
-        assert hold.held() == "forward"
-        hold.press("forward")
-        clock.now_s += interval_s
-    assert hold.held() == "forward"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from schemas.overhead_image import Calibration
-from services.tracker.tag_tracking import Tag, TagNotSeen, TagPose, TagTracker, fit_square
+from services.tracker.tag_tracking import Tag, TagNotSeen, TagPose, fit_square, locate
 from tests.services.tracker.overhead_images import Shot, photograph
 
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)
@@ -21,7 +21,6 @@ SIZE = (1024, 768)
 CAMERA = Calibration(
     focal_px=560.0, centre_x_px=512.0, centre_y_px=384.0, x_m=4.0, y_m=3.0, height_m=4.2, up_rad=math.pi / 2
 )
-TRACKER = TagTracker(TAG)
 _angles = st.floats(-math.pi, math.pi)
 # Of the way from the middle to where the tag touches the edge: nearer, noise hides 3 or 4 of 100 (seen by trying 400).
 _shares = st.floats(-0.95, 0.95)
@@ -62,7 +61,7 @@ def test_pose_is_within_a_centimetre_and_a_degree(
 ) -> None:
     camera = changed(CAMERA, up_rad=up)
     pose = (*place(camera, SIZE, across, down), heading)
-    found = TRACKER.locate(photograph(Shot(camera, SIZE, pose, blur, noise, seed), TAG), camera)
+    found = locate(TAG, photograph(Shot(camera, SIZE, pose, blur, noise, seed), TAG), camera)
     away_m, turned_deg = miss(found, pose)
     assert away_m < 0.01
     assert turned_deg < 1.0
@@ -78,7 +77,7 @@ def test_accuracy_holds_from_16_to_80_pixels_a_side(
     camera = changed(CAMERA, focal_px=focal_px, centre_x_px=210.0, centre_y_px=140.5)
     middle = changed(camera, centre_x_px=200.0, centre_y_px=152.0)
     pose = (*place(middle, size, across / 2, down / 2), heading)
-    found = TRACKER.locate(photograph(Shot(camera, size, pose, seed=seed), TAG), camera)
+    found = locate(TAG, photograph(Shot(camera, size, pose, seed=seed), TAG), camera)
     away_m, turned_deg = miss(found, pose)
     assert away_m < 0.01
     assert turned_deg < 1.0
@@ -109,7 +108,7 @@ def test_no_other_square_fits_better(shifts: list[tuple[float, float]], heading:
 
 def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) -> str:
     with pytest.raises(TagNotSeen) as reason:
-        TagTracker(tag).locate(image, camera)
+        locate(tag, image, camera)
     assert "\n" not in str(reason.value)
     return str(reason.value)
 
@@ -118,7 +117,7 @@ def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) ->
 def test_another_number(number: int) -> None:
     image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)), replace(TAG, number=number))
     assert "no markers with number 7" in not_seen(image)
-    assert TagTracker(replace(TAG, number=number)).locate(image, CAMERA).x_m == pytest.approx(4.0, abs=0.01)
+    assert locate(replace(TAG, number=number), image, CAMERA).x_m == pytest.approx(4.0, abs=0.01)
 
 
 def test_two_of_the_same_number() -> None:
@@ -149,7 +148,7 @@ def test_stretched_image_is_refused() -> None:
 
 def seen_right_or_not_at_all(image: np.ndarray, camera: Calibration, pose: tuple[float, float, float]) -> bool:
     try:
-        found = TRACKER.locate(image, camera)
+        found = locate(TAG, image, camera)
     except TagNotSeen:
         return False
     away_m, turned_deg = miss(found, pose)
@@ -196,7 +195,7 @@ def test_camera_below_the_tag_is_an_error_that_names_both() -> None:
     image = np.zeros((48, 64, 3), dtype=np.uint8)
     below = changed(CAMERA, x_m=0.0, y_m=0.0, height_m=0.43)
     with pytest.raises(ValueError, match=r"0\.43 m above the floor cannot look down on a tag at 0\.43 m"):
-        TRACKER.locate(image, below)
+        locate(TAG, image, below)
 
 
 @settings(max_examples=30, deadline=None)

@@ -15,8 +15,7 @@ from services.kit.jpeg import encode_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.simulator.robots import TURTLEBOT
-from services.tracker.config import TrackerSettings
-from services.tracker.service import TrackerService
+from services.tracker.service import TrackerService, TrackerSettings
 from services.tracker.tag_tracking import Tag
 from tests.services.chain import process
 from tests.services.conftest import RunNode
