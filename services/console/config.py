@@ -46,12 +46,7 @@ class Place(NamedTuple):
 def listen(settings: ConsoleSettings) -> Place:
     """Listen where the settings say.
 
-    Raises
-    ------
-    ServiceError
-        When that may not be listened on, or cannot be.
-    BusError
-        When others can read the token or the key.
+    Raises ServiceError when that may not be listened on, or cannot be; BusError when others can read the token or key.
     """
     host, _, port = settings.console.rpartition(":")
     given = (settings.console_cert, settings.console_key, settings.console_token)

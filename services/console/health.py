@@ -17,18 +17,13 @@ _TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
 
 
 class Health:
-    """Asks services how they are.
-
-    Attributes
-    ----------
-    statuses
-        The last answers; None of who did not answer.
-    """
+    """Asks services how they are."""
 
     def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
         self._bus = bus
         self._services = services
         self._asked_s = time.monotonic()
+        #: The last answers; None of who did not answer.
         self.statuses: dict[str, Status | None] = {}
 
     def ask(self) -> list[dict[str, object]]:

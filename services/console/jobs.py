@@ -34,33 +34,23 @@ _log = logging.getLogger("console")
 
 @dataclass(frozen=True)
 class Job:
-    """Something to make.
-
-    Attributes
-    ----------
-    kind, name
-        What it will be: a model, a world; and what it will be called.
-    doing, done
-        What the page says meanwhile, and when it is there.
-    arguments
-        Of the ``smal`` command, which is told ``--out`` as well.
-    out
-        The file that it writes.
-    hidden, called
-        How the command names what it reads, and what that is called on the page: a path means nothing there.
-    reads
-        The open file that the command reads, where it has no name.
-    """
+    """Something to make."""
 
     kind: str
+    """What it will be: a model, a world."""
     name: str
     doing: str
+    """What the page says meanwhile."""
     done: str
+    """What the page says when it is there."""
     arguments: tuple[str, ...]
+    """Of the ``smal`` command, which is told ``--out`` as well."""
     out: Path
     hidden: str
+    """How the command names what it reads; on the page, where a path means nothing, that is ``called`` otherwise."""
     called: str = ""
     reads: IO[bytes] | None = None
+    """The open file that the command reads, where it has no name."""
 
 
 class _Work:
@@ -104,13 +94,7 @@ class Jobs:
         return self._work is not None
 
     def begin(self, job: Job) -> None:
-        """Begin a job.
-
-        Raises
-        ------
-        ServiceError
-            When another is at work, or what it makes is there already.
-        """
+        """Begin a job; ServiceError when another is at work, or what it makes is there already."""
         if self.running:
             raise ServiceError("something else is being made; wait, or cancel that first")
         if job.out.exists():

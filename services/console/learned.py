@@ -14,9 +14,8 @@ from schemas.topics import JPEG, POSE
 from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
-from services.recordings.recorded import RecordedEpisode
+from services.recordings.recorded import RecordedEpisode, episode_of, ticks_of
 from services.recordings.stream import RecordingError
-from services.recordings.taught import episode_of, ticks_of
 from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
@@ -27,33 +26,22 @@ _NEAR_M = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What the page knows of a model.
-
-    Attributes
-    ----------
-    identity
-        By which messages tell of it.
-    goal
-        Where the robot goes.
-    drives, along_m, cost_s
-        Of each keyframe, its drive, the way from the drive's start, and the time to the goal; infinite where no way
-        leads there.
-    poses
-        Of each keyframe, x, y and heading: in the world, where its recording tells; else by the wheels.
-    images
-        Of each keyframe, the taught image as it was recorded; None where its recording is gone.
-    world
-        Where all of it was taught; empty where the recordings are gone, or several worlds are in them.
-    """
+    """What the page knows of a model, by which identity messages tell of it, and of each of its keyframes."""
 
     identity: str
     goal: str
+    """Where the robot goes."""
     drives: NDArray[np.int32]
     along_m: NDArray[np.float64]
+    """The way from the drive's start."""
     cost_s: NDArray[np.float64]
+    """The time to the goal; infinite where no way leads there."""
     poses: NDArray[np.float64]
+    """x, y and heading: in the world, where its recording tells; else by the wheels."""
     images: tuple[memoryview | None, ...]
+    """The taught image as it was recorded; None where its recording is gone."""
     world: str = ""
+    """Where all of it was taught; empty where the recordings are gone, or several worlds are in them."""
 
     def image(self, keyframe: int) -> bytes | None:
         """Return the taught image of a keyframe as JPEG."""
@@ -91,14 +79,9 @@ class Learned:
 
 
 def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> Learned:
-    """Return what the page knows of a model; ``goal`` is None for the only one.
+    """Return what the page knows of a model; ``goal`` is None for the only one, ValueError where it has no such goal.
 
     ``recordings`` are the files of those that it may have been learned from, by episode.
-
-    Raises
-    ------
-    ValueError
-        When it has no such goal.
     """
     mapped = model.mapped
     goal = chosen_goal(mapped.goals, goal)

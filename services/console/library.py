@@ -18,7 +18,7 @@ from schemas.rpc import FileName
 from services.console.listing import Reader, Recording
 from services.kit.node import ServiceError
 from services.kit.root import OutsideError, below, name_below, open_below
-from services.recordings.taught import episode_of
+from services.recordings.recorded import episode_of
 from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
@@ -143,13 +143,7 @@ class Library:
         return below(self.root, name)
 
     def delete(self, name: str) -> None:
-        """Delete a recording; of a link, itself, and not what it leads to.
-
-        Raises
-        ------
-        ServiceError, OSError
-            When it is not listed, or cannot be deleted.
-        """
+        """Delete a recording; of a link, itself, and not what it leads to. ServiceError when it is not listed."""
         if self.recording(name) is None:
             raise ServiceError("no such recording")
         folder, _, last = name.rpartition("/")

@@ -71,13 +71,7 @@ class Board:
 
     @contextmanager
     def watched(self) -> Iterator[Newest]:
-        """Give a watcher, in a running event loop, what tells it the newest.
-
-        Raises
-        ------
-        FullError
-            When there are too many.
-        """
+        """Give a watcher, in a running event loop, what tells it the newest; FullError when there are too many."""
         loop, changed, seen = asyncio.get_running_loop(), asyncio.Event(), 0
         changed.set()
 

@@ -54,13 +54,7 @@ class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
 
 
 class WebServer:
-    """Serves the page.
-
-    Raises
-    ------
-    ServiceError
-        When it may not listen there, or cannot, or the certificate is of no use.
-    """
+    """Serves the page; ServiceError when it may not listen there, or cannot, or the certificate is of no use."""
 
     def __init__(self, service: ConsoleService, board: Board, settings: ConsoleSettings) -> None:
         self._socket, self.address, token = listen(settings)

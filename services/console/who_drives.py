@@ -26,15 +26,10 @@ _KEPT: Final = round(LEASE_S / BEAT_S)
 
 
 class Seat:
-    """The one place from which the robot is driven; of one thread.
-
-    Attributes
-    ----------
-    word
-        What only who has the seat is told; they show it with what comes another way than their socket.
-    """
+    """The one place from which the robot is driven; of one thread."""
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
+        #: What only who has the seat is told; they show it with what comes another way than their socket.
         self.word = ""
         self._clock = clock
         self._sitter: object | None = None

@@ -85,26 +85,11 @@ def _ignore(_why: str) -> None:
 
 
 class Bus:
-    """One process's connection to the router.
+    """One process's connection to the router; the robot's id is part of every key.
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
-    an outage the connection is made again in the background.
-
-    Parameters
-    ----------
-    robot
-        Robot id, part of every key.
-    endpoint
-        The router's address.
-    patience_s
-        How long to wait for the router.
-    credentials
-        Who this is to the router; None where it lets everybody in.
-
-    Raises
-    ------
-    BusError
-        When the address is malformed, or no router is there within ``patience_s`` that lets us in.
+    an outage the connection is made again in the background. Raises BusError when the address is malformed, or no
+    router is there within ``patience_s`` that lets us in.
     """
 
     def __init__(
@@ -187,18 +172,10 @@ class Bus:
     def subscribe(self, topic: Topic, take: Take, refused: Refused = _ignore, *, replay: bool = False) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
 
-        Parameters
-        ----------
-        topic
-            What to listen to.
-        take
-            Called with payload, encoding, and the seconds that the sample took from its sender, by the clocks of both
-            machines (None where it does not tell).
-        refused
-            Called, on the same thread, with why what came is no such sample, and whose it is as far as that is known.
-        replay
-            Whether to have those samples sent, in order, that were published in the last ``topics.KEPT_S``, and those
-            that get lost on the way. For what keeps a record; never for what moves a robot.
+        It is given payload, encoding, and the seconds that the sample took from its sender, by the clocks of both
+        machines (None where it does not tell). ``refused`` is given why what came is no such sample, and whose it is as
+        far as that is known. With ``replay``, those samples are sent, in order, that were published in the last
+        ``topics.KEPT_S``, and those that get lost on the way: for what keeps a record; never for what moves a robot.
         """
         key, session = topic.key(self.robot), self.sessions[topic.lane]
 

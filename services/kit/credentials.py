@@ -66,10 +66,7 @@ def how_secure(credentials: Credentials, host: str | None = None) -> str:
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
     """Shake hands with a router, to say what Zenoh does not: whose certificate is refused, and why.
 
-    Returns
-    -------
-    str | None
-        None where nobody refuses one, or what listens there does not encrypt.
+    None where nobody refuses one, or what listens there does not encrypt.
     """
     where = f"tls/{host}:{port}"
     try:

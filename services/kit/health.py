@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, make_wsgi_app
@@ -36,6 +36,13 @@ _COUNTS: Final = {
     "dropped": "Messages replaced by newer ones before they were taken.",
     "bad": "Messages and requests refused as malformed.",
 }
+#: What takes time, by what it is told apart, and what the metric says.
+_TIMES: Final = {
+    "transit": ("topic", "From the sender to here, by the clocks of both machines."),
+    "wait": ("topic", "From arrival until its turn in the queue."),
+    "work": ("topic", "Handling one message, its answers published."),
+    "decision": ("source", "From a frame's readiness to the acceptance of its command, at the actuator."),
+}
 
 
 class HttpError(Exception):
@@ -56,16 +63,9 @@ def ailment(status: Status) -> str | None:
 
 
 class Metrics:
-    """The metrics of one node.
+    """The metrics of one node, whose name and robot are labels of each; ``status`` tells the counts.
 
     A hop from one service to the next is its transit on the bus, its wait in the queue and the work on it.
-
-    Parameters
-    ----------
-    service, robot
-        Labels of every metric.
-    status
-        Tells the counts.
     """
 
     def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
@@ -73,28 +73,16 @@ class Metrics:
         self.registry = CollectorRegistry()
         self.registry.register(_StatusCollector(robot, status))
         ProcessCollector(registry=self.registry)
-        self._transit = self._histogram("transit", "From the sender to here, by the clocks of both machines.")
-        self._wait = self._histogram("wait", "From arrival until its turn in the queue.")
-        self._work = self._histogram("work", "Handling one message, its answers published.")
-        about = "From a frame's readiness to the acceptance of its command, at the actuator."
-        self._decision = self._histogram("decision", about, "source")
+        self._times = {
+            what: Histogram(
+                f"smal_{what}_seconds", meaning, ("service", "robot", by), buckets=BUCKETS_S, registry=self.registry
+            )
+            for what, (by, meaning) in _TIMES.items()
+        }
 
-    def transit(self, topic: str, seconds: float) -> None:
-        """Count the way of one message over the bus."""
-        self._transit.labels(*self._labels, topic).observe(max(0.0, seconds))
-
-    def hop(self, topic: str, wait_s: float, work_s: float) -> None:
-        """Count one message that was handled."""
-        self._wait.labels(*self._labels, topic).observe(wait_s)
-        self._work.labels(*self._labels, topic).observe(work_s)
-
-    def decision(self, source: str, seconds: float) -> None:
-        """Count one command that the actuator accepted."""
-        self._decision.labels(*self._labels, source).observe(seconds)
-
-    def _histogram(self, what: str, meaning: str, by: str = "topic") -> Histogram:
-        labels = ("service", "robot", by)
-        return Histogram(f"smal_{what}_seconds", meaning, labels, buckets=BUCKETS_S, registry=self.registry)
+    def took(self, what: Literal["transit", "wait", "work", "decision"], of: str, seconds: float) -> None:
+        """Count how long something took, of a topic or a source of commands."""
+        self._times[what].labels(*self._labels, of).observe(max(0.0, seconds))
 
 
 class _StatusCollector(Collector):
@@ -113,12 +101,12 @@ class _StatusCollector(Collector):
         status = self._status()
         labels = (status.service, self._robot)
         for name, meaning in _COUNTS.items():
-            yield _by_topic(CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC), labels,
-                            getattr(status, name))  # fmt: skip
+            counts = CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC)
+            yield _by_topic(counts, labels, getattr(status, name))
         depth = GaugeMetricFamily("smal_queue_depth", "Messages that wait for their turn.", labels=_BY_TOPIC)
         yield _by_topic(depth, labels, status.waiting)
-        failures = CounterMetricFamily("smal_handling_failures", "Messages and requests whose handling failed.",
-                                       labels=_BY_TOPIC[:2])  # fmt: skip
+        meaning = "Messages and requests whose handling failed."
+        failures = CounterMetricFamily("smal_handling_failures", meaning, labels=_BY_TOPIC[:2])
         failures.add_metric(labels, status.failed)
         yield failures
         yield _gauge("smal_healthy", "Whether it gets its work done.", labels, ailment(status) is None)
@@ -175,24 +163,8 @@ class _Handler(WSGIRequestHandler):
 def serve_http(address: str, ailment: Callable[[], str | None], metrics: CollectorRegistry) -> WSGIServer:
     """Answer on threads of its own, so that a busy service answers as well, and a frozen one does not.
 
-    Parameters
-    ----------
-    address
-        ``HOST:PORT``; without a host, every interface.
-    ailment
-        Tells why the service is not healthy, None where it is.
-    metrics
-        What Prometheus is told.
-
-    Returns
-    -------
-    WSGIServer
-        Answers until its `shutdown`.
-
-    Raises
-    ------
-    HttpError
-        When the port is taken or the host is none of this machine's.
+    The address is ``HOST:PORT``; without a host, every interface. ``ailment`` tells why the service is not healthy. The
+    server answers until its `shutdown`. Raises HttpError when the port is taken or the host is none of this machine's.
     """
     host, _, port = address.rpartition(":")
     tell = make_wsgi_app(metrics)
@@ -201,9 +173,8 @@ def serve_http(address: str, ailment: Callable[[], str | None], metrics: Collect
         if asked["PATH_INFO"] != "/healthz":
             return tell(asked, start)  # type: ignore[no-any-return]
         problem = ailment()
-        start(
-            "200 OK" if problem is None else "503 Service Unavailable", [("Content-Type", "text/plain; charset=utf-8")]
-        )
+        status = "200 OK" if problem is None else "503 Service Unavailable"
+        start(status, [("Content-Type", "text/plain; charset=utf-8")])
         return [f"{problem or 'ok'}\n".encode()]
 
     try:

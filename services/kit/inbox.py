@@ -43,13 +43,6 @@ class Inbox:
 
     A full queue gives up its oldest item, and counts it. When all together hold too many bytes, the one that holds most
     of them does: whoever sends more than is handled loses their own, and nobody else's.
-
-    Parameters
-    ----------
-    clock
-        Seconds.
-    most_bytes
-        Bytes that all queues hold together.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, most_bytes: int = MOST_BYTES) -> None:

@@ -57,26 +57,11 @@ class _Timer:
 
 
 class Node:
-    """One process on the bus.
+    """One process on the bus, by the name of its service, which is part of the keys of its queryables.
 
     Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
-    that calls ``spin``. An exception in a handler is logged and counted; the node goes on.
-
-    Parameters
-    ----------
-    name
-        Name of the service, part of the keys of its queryables.
-    settings
-        Robot and router.
-    patience_s
-        How long to wait for the router before giving up with a ``BusError``.
-
-    Raises
-    ------
-    BusError
-        When there is no router.
-    HttpError
-        When ``settings.http`` cannot be listened on.
+    that calls ``spin``. An exception in a handler is logged and counted; the node goes on. Raises BusError when there
+    is no router within ``patience_s``, HttpError when ``settings.http`` cannot be listened on.
     """
 
     def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
@@ -123,14 +108,8 @@ class Node:
     ) -> None:
         """Handle every message of a topic.
 
-        Parameters
-        ----------
-        topic, handler
-            What to handle, and with what.
-        depth
-            Overrides how many messages are kept while the handler is busy.
-        replay
-            Whether to be sent what was missed, see ``Bus.subscribe``.
+        ``depth`` overrides how many messages are kept while the handler is busy; with ``replay`` it is sent what was
+        missed, see ``Bus.subscribe``.
         """
         self._inbox.open(topic.name, depth or topic.queue)
         refuse = partial(self._refuse, topic.name)
@@ -140,7 +119,7 @@ class Node:
         def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
             self._inbox.put(topic.name, (payload, encoding), len(payload))
             if transit_s is not None:
-                self.metrics.transit(topic.name, transit_s)
+                self.metrics.took("transit", topic.name, transit_s)
 
         self.bus.subscribe(topic, take, refuse, replay=replay)
 
@@ -316,7 +295,8 @@ class Node:
         began_s = self._began_s = time.monotonic()
         self._handlers[item.name](item.content)
         self._worked_s = time.monotonic()
-        self.metrics.hop(item.name, item.waited_s, self._worked_s - began_s)
+        self.metrics.took("wait", item.name, item.waited_s)
+        self.metrics.took("work", item.name, self._worked_s - began_s)
 
     @contextmanager
     def _surviving(self, name: str) -> Iterator[None]:

@@ -53,16 +53,9 @@ class Replay(Generic[T]):
     Any thread may call. Of a sender that does not answer, samples are held until its query ends, or until there is no
     room for them: then they are passed on, and what they waited for is left out.
 
-    Parameters
-    ----------
-    take : callable
-        Called with each sample, by one thread at a time; must return at once, and not raise.
-    ask : callable
-        Called with a sender's name: `replayed` and then `ended` must follow, on any thread.
-    budget : Budget
-        Room for what is held.
-    overdue : callable
-        Called with a sender's name where there was no room; must return at once, and not raise.
+    ``take`` is called with each sample, by one thread at a time; ``overdue`` with a sender's name where there was no
+    room. Both must return at once, and not raise. After ``ask`` was called with a sender's name, `replayed` and then
+    `ended` must follow, on any thread.
     """
 
     def __init__(

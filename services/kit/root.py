@@ -33,21 +33,10 @@ class OutsideError(OSError):
 
 
 def below(root: Path, name: str) -> Path:
-    """Return the path of a name below a root, without links.
+    """Return the path of a name below a root, without links; so is the root's own path.
 
-    Parameters
-    ----------
-    root
-        A folder, without links in its path.
-    name
-        Checked by ``schemas.rpc``: relative, with no way up. Empty for the root itself.
-
-    Raises
-    ------
-    OutsideError
-        When a link leads out of the root.
-    OSError
-        When there is a loop of links.
+    The name was checked by ``schemas.rpc``: it is relative, with no way up; empty for the root itself. Raises
+    OutsideError when a link leads out of the root, OSError when there is a loop of links.
     """
     path = Path(os.path.realpath(root / name))
     if not path.is_relative_to(root):

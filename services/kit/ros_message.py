@@ -9,16 +9,9 @@ import numpy as np
 
 
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types
-    """Return a message.
+    """Return a message of a kind, for example ``nav_msgs/msg/Odometry``, of the types of a distribution.
 
-    Parameters
-    ----------
-    store
-        The types of a distribution.
-    kind
-        Name of the type, for example ``nav_msgs/msg/Odometry``.
-    fields
-        Maps for the messages in it, sequences for arrays; what is not given is zero or empty.
+    Its fields are maps for the messages in it, sequences for arrays; what is not given is zero or empty.
     """
     given = dict(fields or {})
     made = {name: _value(store, node, given.pop(name, None)) for name, node in store.fielddefs[kind][1]}

@@ -42,16 +42,8 @@ def flaw(
 ) -> str | None:
     """Say in one line why something is refused, before its bytes are copied; None where it may be taken.
 
-    Parameters
-    ----------
-    wanted
-        The one key that is taken: whoever sends to ``**`` reaches every subscriber.
-    message
-        What a sample has to be; None for requests and replies, whose JSON needs no other check of its encoding.
-    key, size, encoding
-        What came.
-    put
-        False where it deletes the key.
+    One key is ``wanted`` alone, since whoever sends to ``**`` reaches every subscriber. ``message`` is what a sample
+    has to be; None for requests and replies, whose JSON needs no other check. Without ``put`` it deletes the key.
     """
     if key != wanted:
         return f"its key is {printable(key)}, not {wanted}"

@@ -77,22 +77,9 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
 class Router:
     """A Zenoh router in this process.
 
-    Parameters
-    ----------
-    endpoint
-        Where to listen, for example ``tcp/127.0.0.1:7447``.
-    credentials
-        Who it is to its clients. With them only who has credentials gets in, and may do what their role may; without
-        them everybody may do everything.
-    robot
-        Whose bus it is, where there are credentials.
-    insecure
-        Whether it may listen without credentials where other machines reach it.
-
-    Raises
-    ------
-    BusError
-        When the endpoint is malformed, its port is taken, or strangers would get in.
+    With credentials only who has some as well gets in, and may do on the robot's bus what their role may; without them
+    everybody may do everything, and it must be told to be ``insecure`` to listen where other machines reach it. Raises
+    BusError when the endpoint is malformed, its port is taken, or strangers would get in.
     """
 
     def __init__(

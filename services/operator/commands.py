@@ -20,28 +20,21 @@ class Commands:
     It ends when the robot was armed; one that is pressed after that was asked for stays.
 
     ``robot`` is whom an emergency stop is for before anything was heard of the robot; ``clock`` gives seconds.
-
-    Attributes
-    ----------
-    heard
-        The last heartbeat, or what stands for one before the first: an emergency stop descends from it.
-    applied
-        The last heartbeat of the running episode; None where there is none.
-    stop
-        Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
-    emergency
-        Whether an emergency stop is asked for.
     """
 
     def __init__(self, robot: str, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._held: Atom | None = None
         self._until_s = 0.0
+        #: The last heartbeat, or what stands for one before the first: an emergency stop descends from it.
         self.heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
+        #: The last heartbeat of the running episode; None where there is none.
         self.applied: CommandApplied | None = None
         self.episode: str | None = None
         self.last_ended: str | None = None
+        #: Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
         self.stop: int | None = None
+        #: Whether an emergency stop is asked for.
         self.emergency = False
         self._arming = False
         self._sent: Atom | None = None

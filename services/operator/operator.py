@@ -44,24 +44,9 @@ INSIST_S: Final = 0.1
 class Operator:
     """Wires what a person does to a node; everything happens on the node's thread.
 
-    Whoever owns it calls ``poll`` every ``POLL_S`` or sooner.
-
-    Parameters
-    ----------
-    node
-        Where to publish.
-    say, show
-        Tells the person one thing, once; shows them the report on the robot when it has changed.
-    clock
-        Monotonic seconds.
-    there
-        Whether the person is there for as long as this process is, so that each pulse of the robot is answered; where
-        that is known for moments alone, ``beat`` tells it.
-
-    Attributes
-    ----------
-    mine, request
-        The running episode, if it was begun here, and how it was asked for.
+    Whoever owns it calls ``poll`` every ``POLL_S`` or sooner. ``say`` tells the person one thing, once; ``show`` shows
+    them the report on the robot when it has changed. Each pulse of the robot is answered while the person is ``there``,
+    as for as long as this process is; where that is known for moments alone, ``beat`` tells it.
     """
 
     def __init__(
@@ -79,6 +64,7 @@ class Operator:
         self._there = there
         self.report = Report()
         self.commands = Commands(node.robot, clock)
+        #: The running episode, if it was begun here, and how it was asked for.
         self.mine: str | None = None
         self.request: ResetRequest | None = None
         self._beats = count()

@@ -24,20 +24,7 @@ LEAST_BYTES: Final = 64 * 2**20
 
 
 class Disk:
-    """Watches the room on a disk.
-
-    Parameters
-    ----------
-    clock
-        Seconds.
-    free
-        Returns how many bytes the disk of a folder still takes.
-
-    Attributes
-    ----------
-    warning
-        What whoever drives has to know, in one line; None while there is room enough.
-    """
+    """Watches the room on a disk; ``free`` returns how many bytes the disk of a folder still takes."""
 
     def __init__(
         self, clock: Callable[[], float], free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free
@@ -46,6 +33,7 @@ class Disk:
         self._free = free
         #: When how many bytes had been written.
         self._written: deque[tuple[float, int]] = deque()
+        #: What whoever drives has to know, in one line; None while there is room enough.
         self.warning: str | None = None
 
     def check_room(self, folder: Path) -> None:

@@ -69,18 +69,8 @@ class _Recording:
 class RecorderService:
     """Records episodes, each from its ``started`` to its ``ended``.
 
-    Parameters
-    ----------
-    node
-        Where to listen and serve.
-    root
-        Below it are the folders that the call ``start`` may name.
-    folder
-        Folder to record in from the start, ServiceError when it cannot be used; None waits for the call ``start``.
-    clock
-        Seconds, for the grace after an episode's end.
-    disk
-        Tells how long there is room.
+    It records in a folder from the start (ServiceError when that cannot be used), or else waits for the call ``start``,
+    which names one below the root.
     """
 
     def __init__(

@@ -23,7 +23,7 @@ _CHUNK_NS: Final = 1_000_000_000
 _CHUNK_BYTES: Final = 4 * 2**20
 #: Bytes of an index of messages: before its entries, and of each.
 _INDEX_HEAD: Final = HEAD.size + 6
-INDEX_ENTRY: Final = 16
+_INDEX_ENTRY: Final = 16
 
 
 def _raw(*records: mcap.McapRecord) -> bytes:
@@ -52,22 +52,20 @@ class Index:
         """Add a record of names and values."""
         self.metadata.append(mcap.MetadataIndex(offset=at, length=size, name=name))
 
-    def add_chunk(self, chunk: mcap.Chunk, at: int, size: int, counts: dict[int, int]) -> None:
-        """Add a chunk that is not packed, and behind which an index of each channel's messages stands.
+    @staticmethod
+    def indexes_end(at: int, counts: dict[int, int]) -> int:
+        """Return where the indexes of so many messages by channel end, which begin there."""
+        return at + sum(_INDEX_HEAD + count * _INDEX_ENTRY for count in counts.values())
 
-        Parameters
-        ----------
-        chunk
-            It.
-        at, size
-            Where it begins, and how many bytes it takes.
-        counts
-            Its messages by channel, in the order of their indexes.
+    def add_chunk(self, chunk: mcap.Chunk, at: int, size: int, counts: dict[int, int]) -> None:
+        """Add a chunk that is not packed, which begins there and has so many bytes.
+
+        Behind it an index of each channel's messages stands, in the order of ``counts``, which says how many.
         """
         offsets, end = {}, at + size
         for channel, count in counts.items():
             offsets[channel] = end
-            end += _INDEX_HEAD + count * INDEX_ENTRY
+            end = self.indexes_end(end, {channel: count})
         entry = mcap.ChunkIndex(
             chunk_length=size,
             chunk_start_offset=at,

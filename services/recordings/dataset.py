@@ -21,12 +21,11 @@ from services.kit.errors import UsageError
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import decode_image, stamped_jpeg
 from services.recordings.reader import read_recording
-from services.recordings.recorded import Piece, RecordedEpisode
+from services.recordings.recorded import Piece, RecordedEpisode, episode_of, piece_name
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.sink import first_of
 from services.recordings.stream import RecordingError
-from services.recordings.taught import episode_of
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
 from smal.movement import Atom
@@ -53,17 +52,10 @@ class Teaching:
 class Teacher:
     """Collects the demonstrations of one recording after the other.
 
-    Parameters
-    ----------
-    features
-        Which feature vectors, or some of those that were recorded; frames that were recorded without them have them
-        computed from their image, unless that takes depth, of which there are no images in recordings.
-    shortest
-        Frames that a piece needs in order to teach anything: one sequence.
-    include_runs
-        Whether successful runs of the robot by itself teach too.
-    episodes
-        Names of those that are wanted; all if not given. Nothing is said of the others.
+    Frames that were recorded without the wanted features have them computed from their image, unless that takes depth,
+    of which there are no images in recordings. A piece needs ``shortest`` frames, one sequence, in order to teach
+    anything. Successful runs of the robot by itself teach only with ``include_runs``. Of ``episodes`` that are not
+    wanted, by their names, nothing is said.
     """
 
     def __init__(
@@ -138,10 +130,8 @@ class Teacher:
         other = self._seen.setdefault((episode.robot, episode.episode), path)
         if other == path:
             return unusable(episode, include_runs=self._include_runs)
-        joined = ""
-        if path == first_of(other) or other == first_of(path):
-            joined = f"; {_joined(*sorted((other, path), key=lambda one: len(one.name)))}"
-        return f"it is in {other} too{joined}"
+        first, second = sorted((other, path), key=lambda one: len(one.name))
+        return f"it is in {other} too{f'; {_joined(first, second)}' if first == first_of(second) else ''}"
 
     def _remark(self, text: str) -> None:
         self.teaching.remarks.append(text)
@@ -210,9 +200,8 @@ def states_shared_by_episodes(model: Model) -> int:
 
 
 def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:
-    span = "" if whole else f"[{piece.ticks[0]}-{piece.ticks[-1]}]"
     return Demonstration(
-        name=episode.episode + span,
+        name=episode.episode if whole else piece_name(episode.episode, piece.ticks),
         features=piece.features,
         atoms=_NUMBERS[piece.atoms],
         successful=piece.at_goal,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections import Counter
+from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple, cast
 
@@ -13,14 +13,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
 from schemas.topics import EPISODE, topic_of
-from services.recordings.chunks import INDEX_ENTRY, Index
+from services.recordings.chunks import Index
 from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
 from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
-from services.recordings.writer import EPISODE_METADATA, GAPS_METADATA
+from services.recordings.writer import GAPS_METADATA
 
-#: What an index of messages begins with: its channel, and the bytes that its entries take.
-_MESSAGE_INDEX: Final = struct.Struct("<HI")
 #: So much at its end may not have reached the disk when the power failed: there chunks are checked by their checksums.
 _UNSURE: Final = 16 * 2**20
 
@@ -43,12 +41,8 @@ class Sealed(NamedTuple):
 def seal_leftover(partial: Path) -> Sealed:
     """Seal what a dead recorder left; what was cut off at its end is lost.
 
-    Raises
-    ------
-    LeftoverError
-        When it is not the recording of an episode, or damaged.
-    OSError
-        When it cannot be opened, its recorder lives (BlockingIOError), or there is no room for its end.
+    Raises LeftoverError when it is not the recording of an episode, or damaged; OSError when it cannot be opened, its
+    recorder lives (BlockingIOError), or there is no room for its end.
     """
     descriptor = claim(partial)
     try:
@@ -73,10 +67,7 @@ def seal_leftover(partial: Path) -> Sealed:
 
 
 class _Look:
-    """Goes from chunk to chunk; what is in them is looked at only where a channel is new, for events, and at the end.
-
-    Of what is whole it has the index and the size.
-    """
+    """Takes record after record: of all that is whole it has the index, and the size."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -103,50 +94,41 @@ class _Look:
         return is_last and ChunkSearch(self._data).next(self.size + 1, len(self._data)) == len(self._data)
 
     def _take_all(self) -> bool:
-        """Take record after record; return whether their end was reached."""
+        """Return whether the end of the records was reached."""
         while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(self._data):
             body = self._data[head.begin : head.end]
             match head.opcode:
                 case Opcode.HEADER:
                     self.size = head.end
                 case Opcode.METADATA:
-                    self._take_metadata(cast("Metadata", record_of(Opcode.METADATA, body)), head.end)
+                    record = cast("Metadata", record_of(Opcode.METADATA, body))
+                    self.index.add_metadata(record.name, self.size, head.end - self.size)
+                    self.size = head.end
+                    self.episode = record.metadata.get("episode", self.episode)
+                    # It is the first thing that is written when an episode is over.
+                    self.ended |= record.name == GAPS_METADATA
                 case Opcode.CHUNK:
                     self._take_chunk(chunk_of(body), head.end)
                 case other:
                     return other == Opcode.DATA_END
         return self.size == len(self._data)
 
-    def _take_metadata(self, record: Metadata, end: int) -> None:
-        self.index.add_metadata(record.name, self.size, end - self.size)
-        self.size = end
-        if record.name == EPISODE_METADATA:
-            self.episode = record.metadata.get("episode", "")
-        # It is the first thing that is written when an episode is over.
-        self.ended |= record.name == GAPS_METADATA
-
     def _take_chunk(self, chunk: Chunk, end: int) -> None:
         """Take a chunk and the indexes of its messages; raises McapError where these are not whole."""
-        counts, behind = {}, end
-        for opcode, begin, after in heads(self._data, end):
-            if opcode != Opcode.MESSAGE_INDEX or after > len(self._data):
-                break
-            channel, size = _MESSAGE_INDEX.unpack_from(self._data, begin)
-            if size % INDEX_ENTRY or after - begin != _MESSAGE_INDEX.size + size:
-                raise McapError("an index of another size than its entries")
-            counts[channel], behind = size // INDEX_ENTRY, after
-        known = counts.keys() <= self.index.channels.keys() - self._events
-        if (not known or behind > len(self._data) - _UNSURE) and self._counted_inside(chunk) != counts:
+        if chunk.compression:
+            raise McapError("a chunk that is none of a recorder's")
+        counts = self._counted_inside(chunk, checked=end > len(self._data) - _UNSURE)
+        behind = self.index.indexes_end(end, counts)
+        opcodes = [head.opcode for head in islice(heads(self._data[:behind], end), len(counts) + 1)]
+        if behind > len(self._data) or opcodes != [Opcode.MESSAGE_INDEX] * len(counts):
             raise McapError("a chunk without its indexes")
-        if chunk.compression or len(chunk.data) != chunk.uncompressed_size:
-            raise McapError("a chunk of another size than its records")
         self.index.add_chunk(chunk, self.size, end - self.size, counts)
         self.size = behind
 
-    def _counted_inside(self, chunk: Chunk) -> Counter[int]:
-        """Take note of what is in a chunk; return its messages by channel."""
+    def _counted_inside(self, chunk: Chunk, *, checked: bool) -> Counter[int]:
+        """Take note of what is in a chunk; return its messages by channel, in the order in which they begin."""
         counts = Counter[int]()
-        for record in inside(chunk, Bounds(len(self._data)), checked=True):
+        for record in inside(chunk, Bounds(len(self._data)), checked=checked):
             if isinstance(record, Schema):
                 self.index.schemas[record.id] = record
             elif isinstance(record, Channel):

@@ -53,24 +53,11 @@ def read_recording(
     allowance: Allowance | None = None,
     topics: Collection[Topic] = USUAL,
 ) -> Recording:
-    """Read a recording.
+    """Read a recording, sealed or left behind: the events of episodes, and some topics.
 
-    Parameters
-    ----------
-    path
-        An MCAP file, sealed or left behind.
-    fingerprint
-        Which feature vectors to take from the observations; none of them if not given.
-    allowance
-        For the memory that it takes; one of its own if not given.
-    topics
-        Read these, and the events of episodes.
-
-    Raises
-    ------
-    RecordingError
-        When the file cannot be read, is no MCAP file, holds no episode or no frame, is still being recorded, or takes
-        too much memory.
+    Feature vectors are taken with one ``fingerprint``; none of them if it is not given. The memory that it takes is
+    bounded by an ``allowance``, one of its own if not given. Raises RecordingError when the file cannot be read, is no
+    MCAP file, holds no episode or no frame, is still being recorded, or takes too much memory.
     """
     data = open_recording(path)
     allowance = allowance or Allowance()

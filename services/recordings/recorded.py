@@ -1,7 +1,9 @@
-"""A recorded episode, and the pieces of it that have no gap."""
+"""A recorded episode, the pieces of it that have no gap, and how demonstrations that are made of them are called."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -125,3 +127,23 @@ class RecordedEpisode:
     def _atom(self, tick: int) -> int:
         # With the victim found the robot stops. Any other end only says that nobody watched any more.
         return _STOP if self._is_goal(tick) else ATOMS.index(self.applied[tick].atom)
+
+
+def piece_name(episode: str, ticks: NDArray[np.int64]) -> str:
+    """Return the name of a piece of an episode."""
+    return f"{episode}[{ticks[0]}-{ticks[-1]}]"
+
+
+def episode_of(name: str) -> str:
+    """Return the episode of a demonstration, which may be a piece of it."""
+    return name.partition("[")[0]
+
+
+def ticks_of(names: Sequence[str], frames: int) -> list[int]:
+    """Return the ticks of a drive of so many frames that is made of the named pieces.
+
+    Empty where the names do not say, as that of a whole episode, or say something else than that many.
+    """
+    spans = [re.search(r"\[([0-9]{1,18})-([0-9]{1,18})\]$", name) for name in names]
+    pieces = [range(int(span[1]), int(span[2]) + 1) for span in spans if span is not None]
+    return [tick for piece in pieces for tick in piece] if sum(map(len, pieces)) == frames else []

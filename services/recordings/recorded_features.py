@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import cast
@@ -18,10 +18,7 @@ from smal.features import FeatureSettings
 def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
     """Return the features that recordings hold; the usual ones if they hold none that this version makes.
 
-    Raises
-    ------
-    UsageError
-        When they hold different ones.
+    Raises UsageError when they hold different ones.
     """
     found: dict[FeatureSettings, Path] = {}
     for path in paths:
@@ -34,15 +31,20 @@ def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
 
 
 def features_in(path: Path) -> tuple[FeatureSettings, ...]:
-    """Return the features in a recording, those of each episode once.
+    """Return the features in a recording, those of each episode once, as its first readable observation tells.
 
     Not those of another version, and none of a file that cannot be read: reading it says why.
     """
+    found: dict[tuple[str, str], FeatureSettings | None] = {}
     try:
-        found = dict.fromkeys(_settings(observation) for observation in _observations(mapped(path)))
+        for stored in messages(records(mapped(path))):
+            ids = stored.robot, stored.episode
+            if stored.topic is OBSERVATION and ids not in found:
+                with suppress(ValueError):
+                    found[ids] = _settings(cast("Observation", stored.message()))
     except (OSError, *UNREADABLE):
         return ()
-    return tuple(features for features in found if features is not None)
+    return tuple(dict.fromkeys(features for features in found.values() if features is not None))
 
 
 def _settings(observation: Observation) -> FeatureSettings | None:
@@ -55,14 +57,3 @@ def _settings(observation: Observation) -> FeatureSettings | None:
     except ValueError:
         return None
     return features if features.fingerprint == observation.fingerprint else None
-
-
-def _observations(data: memoryview) -> Iterator[Observation]:
-    """Yield the first readable observation of every episode."""
-    known: set[tuple[str, str]] = set()
-    for stored in messages(records(data)):
-        ids = stored.robot, stored.episode
-        if stored.topic is OBSERVATION and ids not in known:
-            with suppress(ValueError):
-                yield cast("Observation", stored.message())
-                known.add(ids)

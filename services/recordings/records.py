@@ -119,19 +119,8 @@ def mapped(path: Path) -> memoryview:
 def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[McapRecord]:
     """Yield the whole records of the data section that hold something, those in chunks in the place of their chunk.
 
-    Parameters
-    ----------
-    data
-        A file's bytes, or those that a killed recorder left of it.
-    allowance
-        For what is unpacked; one of its own if not given.
-
-    Raises
-    ------
-    MemoryLimitError
-        When it unpacks to too much.
-    McapError, ValueError, struct.error
-        When the file is damaged otherwise.
+    The allowance is for what is unpacked. Raises MemoryLimitError when that is too much, or another one of
+    ``UNREADABLE`` when the file is damaged otherwise.
     """
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")

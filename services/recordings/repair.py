@@ -27,28 +27,12 @@ def usual_name(path: Path, *, replace: bool) -> Path:
 
 
 def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[list[Contents], Contents | None]:
-    """Write the recording of all that is whole in others.
+    """Write the recording of all that is whole in others, which are of one episode, in their order, and stay.
 
-    Parameters
-    ----------
-    paths
-        Recordings of one episode, sealed or left behind, in their order. They stay as they are.
-    out
-        The new one.
-    replace
-        Whether a file that is there is replaced, and what was left behind is removed.
-
-    Returns
-    -------
-    before, after : Contents
-        What was wrong with each, and what still is; after is None where nothing was to be repaired, nor written.
-
-    Raises
-    ------
-    RepairError, RecordingError
-        When nothing can be made of them, one is still being recorded, or there is a file already.
-    OSError
-        When the new one cannot be written.
+    With ``replace``, a file that is there is replaced, and what was left behind is removed. Returns what was wrong with
+    each, and what still is: None where nothing was to be repaired, nor written. Raises RepairError or RecordingError
+    when nothing can be made of them, one is still being recorded, or there is a file already; OSError when the new one
+    cannot be written.
     """
     before = [verify(path) for path in paths]
     if len(before) == 1 and before[0].state == "sealed" and not before[0].damage:

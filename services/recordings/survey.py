@@ -79,26 +79,13 @@ def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapReco
     """Yield the schemas and channels of the summary, then all that is whole in the data section, also behind damage.
 
     It takes the whole file to be read, images too. A record whose length is damaged leads astray, but chunks tell by
-    their checksum that they are whole: the next one is looked for behind the last that was.
-
-    Parameters
-    ----------
-    data
-        A file's bytes.
-    tell
-        Called with each finding, a line.
-
-    Raises
-    ------
-    MemoryLimitError
-        When it unpacks to too much.
+    their checksum that they are whole: the next one is looked for behind the last that was. ``tell`` is called with
+    each finding, a line. Raises MemoryLimitError when it unpacks to too much.
     """
-    summary = summary_of(data)
-    known = summary or Summary(len(data))
-    channels: set[int] = set()
+    known = summary_of(data) or Summary(len(data))
     count = orphans = 0
     yield from known.records
-    channels |= {one.id for one in known.records if isinstance(one, Channel)}
+    channels = {one.id for one in known.records if isinstance(one, Channel)}
     # The summary repeats schemas and channels: nothing that leads astray may lead there.
     for record in _whole(data[: known.data_end + _DATA_END.size], known.data_end, tell):
         if isinstance(record, Channel):

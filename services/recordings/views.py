@@ -125,7 +125,7 @@ class Views:
     @of.register
     def _pose(self, pose: Pose) -> Iterator[View]:
         here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
-        yield View("pose", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=_pose(here)))
+        yield View("pose", _in_world(pose, here))
         _keep(self._true, pose.tick, here)
         yield from self._world(pose)
 
@@ -139,8 +139,7 @@ class Views:
     @of.register
     def _tracked(self, pose: TrackedPose) -> Iterator[View]:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            here = _pose(np.array([pose.x_m, pose.y_m, pose.heading_rad]))
-            yield View("tracked", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=here))
+            yield View("tracked", _in_world(pose, np.array([pose.x_m, pose.y_m, pose.heading_rad])))
 
     @of.register
     def _camera(self, info: CameraInfo) -> Iterator[View]:
@@ -235,6 +234,10 @@ def _quaternion(heading_rad: float) -> Quaternion:
 def _pose(pose: Array) -> FoxglovePose:
     x_m, y_m, heading_rad = pose.tolist()
     return FoxglovePose(position=Vector3(x=x_m, y=y_m), orientation=_quaternion(heading_rad))
+
+
+def _in_world(message: Message, pose: Array) -> PoseInFrame:
+    return PoseInFrame(timestamp=timestamp(message.stamp_ns), frame_id="world", pose=_pose(pose))
 
 
 def _transform(message: Message, parent: str, child: str, pose: Array) -> FrameTransform:

@@ -26,32 +26,18 @@ class EpisodeWriter:
     """Writes the messages of one episode.
 
     The file is called ``<episode>.mcap.partial`` until it is sealed. It grows by a chunk for each second of messages,
-    and when `flush` is called: a process that is killed loses what came since.
-
-    Parameters
-    ----------
-    part
-        The file that is written; OSError when it cannot be made.
-    path
-        Name of the recording once it is sealed.
-    metadata
-        What the episode is, its robot and id included.
-
-    Attributes
-    ----------
-    messages
-        How many it has taken.
-    end_tick
-        When the episode ended; None before.
-    problem
-        Why it takes no more; None while it does.
+    and when `flush` is called: a process that is killed loses what came since. Raises OSError when ``part``, the file
+    that is written, cannot be made; ``metadata`` says what the episode is, its robot and id included.
     """
 
     def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self.ledger = Ledger()
+        #: How many it has taken.
         self.messages = self._written = 0
+        #: When the episode ended.
         self.end_tick: int | None = None
+        #: Why it takes no more; None while it does.
         self.problem: str | None = None
         self._part = part
         self._ids = {name: metadata[name] for name in ("robot", "episode")}

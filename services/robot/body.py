@@ -26,21 +26,13 @@ Triple = tuple[float, float, float]
 
 
 class ImuReading(NamedTuple):
-    """What the inertial unit felt over one step of time.
-
-    Attributes
-    ----------
-    after_s
-        End of the step, seconds since the episode began.
-    angular_velocity_rad_s
-        About the axes ahead, left and up.
-    acceleration_m_s2
-        Along the axes ahead, left and up; gravity is felt as an acceleration upwards.
-    """
+    """What the inertial unit felt over one step of time, about and along the axes ahead, left and up."""
 
     after_s: float
+    """End of the step, seconds since the episode began."""
     angular_velocity_rad_s: Triple
     acceleration_m_s2: Triple
+    """Gravity is felt as an acceleration upwards."""
 
 
 class View(Protocol):
@@ -72,41 +64,23 @@ class View(Protocol):
 
 @dataclass(frozen=True)
 class Beginning:
-    """Where an episode begins.
-
-    Attributes
-    ----------
-    route
-        Way points from there to the goal, metres; none where the way is not known.
-    found_m
-        How near the goal counts as found; None where nobody knows where it is.
-    """
+    """Where an episode begins."""
 
     route: tuple[tuple[float, float], ...] = ()
+    """Way points from there to the goal, metres; none where the way is not known."""
     found_m: float | None = None
+    """How near the goal counts as found; None where nobody knows where it is."""
 
 
 V_co = TypeVar("V_co", bound=View, covariant=True)
 
 
-class Body(Protocol[V_co]):
-    """Wheels and a camera.
-
-    ``drive`` and ``stand`` are called 50 times a second on a thread that does nothing else; they must return at once.
-    Everything else is called on another thread.
-    """
+class Stops(Protocol):
+    """What tells how a body stops: it itself, or what it is made from."""
 
     @property
     def name(self) -> str:
         """Of the world that it is in, or of the robot where that is the real one."""
-
-    @property
-    def speed_m_s(self) -> float:
-        """Nominal speed of ``forward`` and ``backward``, greater than 0."""
-
-    @property
-    def focal_px(self) -> float | None:
-        """Focal length of the camera in pixels, if it is known."""
 
     @property
     def watchdog_s(self) -> float:
@@ -115,6 +89,22 @@ class Body(Protocol[V_co]):
     @property
     def braking_s(self) -> float:
         """Seconds from nominal speed to standing."""
+
+
+class Body(Stops, Protocol[V_co]):
+    """Wheels and a camera.
+
+    ``drive`` and ``stand`` are called 50 times a second on a thread that does nothing else; they must return at once.
+    Everything else is called on another thread.
+    """
+
+    @property
+    def speed_m_s(self) -> float:
+        """Nominal speed of ``forward`` and ``backward``, greater than 0."""
+
+    @property
+    def focal_px(self) -> float | None:
+        """Focal length of the camera in pixels, if it is known."""
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""

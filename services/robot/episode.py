@@ -17,19 +17,8 @@ V = TypeVar("V", bound=View)
 class Episode(Generic[V]):
     """One episode of a body; whoever drives it acts between one frame and the next.
 
-    Parameters
-    ----------
-    body
-        What drives.
-    task
-        What for.
-    request
-        Seed, purpose, where to begin, and after how many frames the time is out, if ever.
-
-    Raises
-    ------
-    ServiceError
-        The body cannot do that.
+    The request says the seed, the purpose, where to begin, and after how many frames the time is out, if ever. Raises
+    ServiceError when the body cannot do that.
     """
 
     def __init__(self, body: Body[V], task: Task[V], request: ResetRequest) -> None:

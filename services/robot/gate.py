@@ -82,17 +82,11 @@ class _Operator:
 class CommandGate:
     """Arbitrates between the sources of commands for one robot; every method may be called on any thread.
 
-    It begins with a stop latched, as `not_armed`: a robot that is started again moves for nobody until it is armed.
+    It begins with a stop latched, as `not_armed`: a robot that is started again moves for nobody until it is armed. The
+    first stop has a number by chance, so that none from before a restart is released; ``first_stop`` sets it.
 
-    Parameters
-    ----------
-    max_age_s
-        Age at which a command expires, counted from the capture of its frame; silence therefore means stop within
-        this time of the last frame that was answered.
-    attended
-        Whether an operator must be there for the robot to move.
-    first_stop
-        Number of the first stop, at least 1; by chance if not given, so that none from before a restart is released.
+    A command expires at an age counted from the capture of its frame: so silence means stop within this time of the
+    last frame that was answered. With ``attended``, an operator must be there for the robot to move.
     """
 
     def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
@@ -187,10 +181,7 @@ class CommandGate:
     def watch(self, now_s: float) -> None:
         """Latch a stop where the operator has answered no pulse for too long.
 
-        Parameters
-        ----------
-        now_s
-            Of the clock that ``pulse`` and ``hear`` are told, which never stands.
+        The time is of the clock that ``pulse`` and ``hear`` are told, which never stands.
         """
         with self._lock:
             last = self._operator
@@ -228,12 +219,7 @@ class CommandGate:
     def resume(self, episode: str | None, tick: int, session: str) -> str | None:
         """Let the driver go on after a person had taken over, or say why not; what was asked before no longer counts.
 
-        Parameters
-        ----------
-        episode, tick
-            The newest frame that the person had heard of; None for the episode where none runs.
-        session
-            Theirs.
+        Episode and tick are of the newest frame that the person had heard of; there is no episode where none runs.
         """
         with self._lock:
             mine = self._latest.get("teleop")

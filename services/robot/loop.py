@@ -8,11 +8,11 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
-from services.robot.body import Body, View
+from services.robot.body import Body, Stops, View
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 
@@ -23,23 +23,7 @@ STAND_WITHIN_S: Final = 0.5
 _log = logging.getLogger("robot")
 
 
-class Stopping(Protocol):
-    """What tells how a body stops: it itself, or what it is made from."""
-
-    @property
-    def name(self) -> str:
-        """As `Body` has it."""
-
-    @property
-    def watchdog_s(self) -> float:
-        """As `Body` has it."""
-
-    @property
-    def braking_s(self) -> float:
-        """As `Body` has it."""
-
-
-def stopping_times_s(body: Stopping) -> dict[str, float]:
+def stopping_times_s(body: Stops) -> dict[str, float]:
     """Return how long the robot moves on at most, in seconds, by what falls silent: all delays together."""
     return {
         "the driver": MAX_AGE_S + PERIOD_S + body.braking_s,
@@ -48,7 +32,7 @@ def stopping_times_s(body: Stopping) -> dict[str, float]:
     }
 
 
-def check_stopping(body: Stopping) -> None:
+def check_stopping(body: Stops) -> None:
     """Refuse a body that cannot stand in time.
 
     Raises ServiceError after the silence of somebody it would move for longer than `STAND_WITHIN_S`.
@@ -65,18 +49,8 @@ class ActuatorLoop:
     """Carries out what the gate lets through, in a thread of its own, until it is closed.
 
     Where the body fails, a stop is latched: a robot that does not do what it is told is moved by nobody until somebody
-    has looked at it and arms it again.
-
-    Parameters
-    ----------
-    gate
-        Which command is obeyed.
-    body
-        What moves.
-    tell
-        Called with what is carried out whenever that changes; it must return at once.
-    clock
-        The actuator's seconds.
+    has looked at it and arms it again. ``tell`` is called with what is carried out whenever that changes; it must
+    return at once.
     """
 
     def __init__(

@@ -115,14 +115,7 @@ Paces = Mapping[Mode, Callable[[], Pace[V]]]
 class RealTime(Generic[V]):
     """The clock runs: ten frames a second, or as many as can be made, and a loop that moves the robot meanwhile.
 
-    Parameters
-    ----------
-    gate, body
-        Which command is obeyed, and by what.
-    clock
-        The actuator's seconds.
-    wake
-        Makes somebody call ``poll`` soon.
+    ``wake`` makes somebody call ``poll`` soon.
     """
 
     def __init__(self, gate: CommandGate, body: Body[V], clock: Callable[[], float], wake: Callable[[], None]) -> None:

@@ -40,30 +40,10 @@ V = TypeVar("V", bound=View)
 
 
 class EpisodeRunner(Generic[V]):
-    """Runs episodes of one robot.
+    """Runs episodes of one robot, whose session distinguishes this process's episodes from an earlier one's.
 
     ``offer``, ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` may be called on any thread; everything else on
-    one.
-
-    Parameters
-    ----------
-    body, task
-        What moves, and what for.
-    gate
-        Which command it obeys.
-    robot
-        Robot id.
-    session
-        Distinguishes this process's episodes from an earlier one's.
-    paces
-        How time passes in other modes than real time.
-    clock, wall_clock_ns
-        The actuator's seconds, and nanoseconds since 1970.
-
-    Attributes
-    ----------
-    wake
-        Called when ``poll`` has something to do; must return at once.
+    one. ``paces`` are how time passes in other modes than real time; ``wall_clock_ns`` gives nanoseconds since 1970.
     """
 
     def __init__(
@@ -80,10 +60,10 @@ class EpisodeRunner(Generic[V]):
     ) -> None:
         self.body = body
         self.gate = gate
+        #: Called when ``poll`` has something to do; must return at once.
         self.wake: Callable[[], None] = lambda: None
         self.task = task
         self._robot = robot
-        #: Of this process.
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
         self._clock = clock

@@ -41,20 +41,7 @@ class RobotSettings(ServiceSettings):
 
 
 def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:
-    """Refuse to be a second robot of one id.
-
-    Parameters
-    ----------
-    settings
-        Of this one.
-    instead
-        What its user can do.
-
-    Raises
-    ------
-    ServiceError
-        When another process answers for this robot.
-    """
+    """Refuse to be a second robot of one id, with a ServiceError that says what its user can do instead."""
     with closing(settings.open_bus(ROBOT)) as bus, suppress(RpcError):
         other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
         raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); {instead}")
@@ -67,13 +54,6 @@ class RobotService:
     before them, and no queue can lose an emergency stop. Pulses are sent on a thread of their own: an operator is
     missed for their silence, and not for that of a robot which opens a world or takes long for a picture. Everything
     else happens on the node's thread, which renders as well.
-
-    Parameters
-    ----------
-    runner
-        The robot.
-    node
-        Where to serve.
     """
 
     def __init__(self, runner: EpisodeRunner[V], node: Node) -> None:
@@ -189,7 +169,7 @@ class RobotService:
         if applied.source is None or applied.latency_ns is None or answered == self._timed:
             return
         self._timed = answered
-        self._node.metrics.decision(applied.source, applied.latency_ns / 1e9)
+        self._node.metrics.took("decision", applied.source, applied.latency_ns / 1e9)
 
 
 def serve_robot(
@@ -199,24 +179,10 @@ def serve_robot(
     *,
     wall_clock_ns: Callable[[], int] = time.time_ns,
 ) -> None:
-    """Drive a body until stopped.
+    """Drive a body until stopped; the task says that the goal is reached.
 
-    Parameters
-    ----------
-    settings
-        Robot, router, and whether an operator has to be there.
-    open_body
-        Makes the body, and how time passes for it in other modes than real time; called when no other robot of this id
-        is there.
-    task
-        Who says that the goal is reached.
-    wall_clock_ns
-        Nanoseconds since 1970.
-
-    Raises
-    ------
-    ServiceError
-        Another process is this robot, or the body cannot stand in time.
+    When no other robot of this id is there, ``open_body`` makes the body, and how time passes for it in other modes
+    than real time. Raises ServiceError where another process is this robot, or the body cannot stand in time.
     """
     check_alone(settings)
     with Node(ROBOT, settings) as node:

@@ -57,17 +57,7 @@ class Ros2Body:
 
     It is moved while the camera and all that must be heard (wheels, scanner, bumpers) are heard. Where something
     forbids to go on, the movement fails: the robot then stands until a person has looked at it and armed it again.
-
-    Parameters
-    ----------
-    config
-        Which base.
-    senses
-        What its messages say.
-    link
-        Where velocities go.
-    clock
-        The actuator's seconds.
+    Velocities go over the ``link``.
     """
 
     def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
@@ -93,13 +83,7 @@ class Ros2Body:
         return self._senses.focal_px(self._width)
 
     def drive(self, atom: Atom, speed: float) -> None:
-        """Go on with a movement; stand where somebody who must be heard is silent.
-
-        Raises
-        ------
-        ServiceError
-            Something forbids it.
-        """
+        """Go on with a movement; stand where somebody who must be heard is silent. ServiceError if it is forbidden."""
         why = self._senses.forbids(atom)
         if why is not None:
             self.stand()
@@ -126,10 +110,8 @@ class Ros2Body:
     def begin(self, request: ResetRequest) -> Beginning:
         """Be ready where it stands: a person has put it there.
 
-        Raises
-        ------
-        ServiceError
-            Something that it needs is not heard, or it was asked for what only a simulated robot can do.
+        Raises ServiceError where something that it needs is not heard, or it was asked for what only a simulated robot
+        can do.
         """
         if request.kidnap_tick is not None:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")

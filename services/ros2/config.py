@@ -145,10 +145,7 @@ def known_presets() -> list[str]:
 def read_config(path: Path) -> Ros2Config:
     """Read a configuration, a YAML file; with `preset: NAME` it says only what differs from that one.
 
-    Raises
-    ------
-    ConfigError
-        It cannot be used.
+    Raises ConfigError where it cannot be used.
     """
     own = _read(path)
     preset = own.get("preset")

@@ -15,19 +15,14 @@ _TURN_RAD: Final = 1.01 * math.tau
 
 
 class Way(NamedTuple):
-    """What is known of one way.
-
-    Attributes
-    ----------
-    nearest_m
-        How far the nearest thing is that is nearer than `Scan.stop_m`; else infinity. Too near to be measured is 0.
-    unseen_rad, seen
-        The widest angle in which no beam tells anything; whether that is narrow enough for the way to be free.
-    """
+    """What is known of one way."""
 
     nearest_m: float
+    """How far the nearest thing is that is nearer than `Scan.stop_m`; else infinity. Too near to be measured is 0."""
     unseen_rad: float
+    """The widest angle in which no beam tells anything."""
     seen: bool
+    """Whether that is narrow enough for the way to be free."""
 
 
 def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
@@ -35,12 +30,8 @@ def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
 
     A beam says that something is near, as -inf or a range, also one below the scanner's least; or that nothing is, as
     +inf or a range that the scanner can have (REP 117). All else says nothing: NaN, 0 (unless it is told what that
-    means), what is negative, beyond the scanner's range, or a part of the robot.
-
-    Raises
-    ------
-    MessageError
-        Its angles or limits are those of no scanner, or of one that cannot tell what it is asked.
+    means), what is negative, beyond the scanner's range, or a part of the robot. Raises MessageError where its angles
+    or limits are those of no scanner, or of one that cannot tell what it is asked.
     """
     ranges = np.asarray(message.ranges, dtype=np.float64)
     _check(message, ranges.size, scan)

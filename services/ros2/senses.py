@@ -69,36 +69,19 @@ class Frame:
 
 
 class Heard(NamedTuple):
-    """A topic that is listened to.
-
-    Attributes
-    ----------
-    type_name
-        What comes there.
-    take
-        Takes a message, and when it was made by our clock.
-    clock
-        That of its stamps; None where messages count from their arrival.
-    silence_s
-        After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not.
-    """
+    """A topic that is listened to."""
 
     type_name: str
     take: Callable[[RosMessage, float], None]
+    """Takes a message, and when it was made by our clock."""
     clock: StampedClock | None = None
+    """That of its stamps; None where messages count from their arrival."""
     silence_s: float | None = None
+    """After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not."""
 
 
 class Senses:
-    """Takes a robot's messages on whatever thread they come, and tells the newest of it.
-
-    Parameters
-    ----------
-    config
-        Which topics there are.
-    clock
-        The actuator's seconds.
-    """
+    """Takes a robot's messages on whatever thread they come, and tells the newest of it."""
 
     def __init__(self, config: Ros2Config, clock: Callable[[], float] = now_s) -> None:
         self._config = config
@@ -323,10 +306,7 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
 def picture(message: RosMessage) -> tuple[bytes, int]:
     """Return the JPEG in a CompressedImage, or of the pixels in an Image, and how wide it is.
 
-    Raises
-    ------
-    MessageError
-        There is none that we understand.
+    Raises MessageError where there is none that we understand.
     """
     try:
         if hasattr(message, "format"):

@@ -52,19 +52,9 @@ def _settings(config: Ros2Config) -> zenoh.Config:
 
 
 class Ros2Session:
-    """The way to a base: hears what it says, sends it velocities, and shows us to `ros2 node list`.
+    """The way to a base: has the senses take what it says, sends it velocities, and shows us to `ros2 node list`.
 
-    Parameters
-    ----------
-    config
-        Which base.
-    senses
-        Takes what is heard.
-
-    Raises
-    ------
-    ServiceError
-        Its router does not answer.
+    Raises ServiceError when its router does not answer.
     """
 
     def __init__(self, config: Ros2Config, senses: Senses) -> None:

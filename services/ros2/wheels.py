@@ -30,12 +30,8 @@ class Wheels(NamedTuple):
 class Track:
     """Adds up what the wheels say, so that a base whose count begins anew does not leap.
 
-    Parameters
-    ----------
-    speed_m_s, turn_rate_rad_s
-        What the base does at most; twice of it is believed.
-    silence_s
-        After so much silence the count may have begun anew: it has where it is nearer to nothing than to what it was.
+    Of the speeds that the base has at most twice is believed. After so much silence the count may have begun anew: it
+    has where it is nearer to nothing than to what it was.
     """
 
     def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:

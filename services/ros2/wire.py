@@ -129,16 +129,8 @@ class Bridge:
 class RmwZenoh(Bridge):
     """The middleware of ROS 2 itself, rmw_zenoh_cpp.
 
-    Parameters
-    ----------
-    messages
-        Of the robot's distribution.
-    domain
-        ROS_DOMAIN_ID of the robot.
-    namespace, node
-        What we are called.
-    hashed
-        Whether keys hold the hashes of types; Humble has none.
+    The messages are of the robot's distribution, the domain is its ROS_DOMAIN_ID; we are called by namespace and node.
+    Keys hold the hashes of types with ``hashed``; Humble has none.
     """
 
     attached = True

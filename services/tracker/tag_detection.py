@@ -31,7 +31,7 @@ def _detector() -> cv2.aruco.ArucoDetector:
 
 
 def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
-    """Return the corners of every marker of OpenCV's ``DICT_4X4_50`` with one number in an RGB image (height, width, 3).
+    """Return the corners of every marker of OpenCV's ``DICT_4X4_50`` with one number in an RGB image.
 
     OpenCV's own refinement fits each corner by itself, which at 30 pixels a side errs by up to 2.6 pixels and
     6 degrees when the white margin is narrow; here the corners are where straight lines along the sides meet.

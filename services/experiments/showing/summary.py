@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from schemas.codec import printable
 from services.experiments.words import counted, described_by
-from services.recordings.taught import episode_of
+from services.recordings.recorded import episode_of
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.planning import cost_to_go
