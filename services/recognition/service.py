@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -106,22 +107,20 @@ class RecognitionService:
     def _answer(self, observation: Observation) -> State | None:
         assert self._localizer is not None  # noqa: S101 - without a model nothing waits
         self._waiting = None
-        if self._last is None or self._last.episode != observation.episode:
+        last = self._last if self._last is not None and self._last.episode == observation.episode else None
+        if last is None:
             self._localizer.reset()
-        since = self._last.tick if self._last is not None and self._last.episode == observation.episode else 0
+        since = 0 if last is None else last.tick
         atoms = [] if self._localizer.by_odometry else self._atoms(observation.episode, since, observation.tick)
         odometry = self._odometry.get((observation.episode, observation.tick))
         found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
-        if found is not None and (self._last is None or self._last.episode != found.episode):
-            self._announce(found)
-        self._last = found or self._last
+        if found is None:
+            return None
+        if last is None:
+            for known in self._localizer.taught_map():
+                self.announce(TaughtMap.after(found, model=found.model, **known))
+        self._last = found
         return found
-
-    def _announce(self, first: State) -> None:
-        assert self._localizer is not None  # noqa: S101 - it has just answered
-        known = self._localizer.taught_map()
-        if known is not None:
-            self.announce(TaughtMap.after(first, model=first.model, **known))
 
     def detail(self) -> Detail:
         """Tell the loaded model."""
@@ -155,23 +154,16 @@ class _ByFilter:
         belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         told = belief.summary()
-        return State.of_belief(
-            observation,
-            self._identity,
-            told.keyframes,
-            told.offsets,
-            told.weights,
-            lost=told.lost,
-            cosine=told.cosine,
-            tracked_m=told.tracked,
-        )
+        places = told.keyframes, told.offsets, told.weights
+        of_all = {"lost": told.lost, "cosine": told.cosine, "tracked_m": told.tracked}
+        return State.of_belief(observation, self._identity, *places, **of_all)
 
-    def taught_map(self) -> dict[str, Any] | None:
-        """Return where the keyframes are, as the fields of its message."""
+    def taught_map(self) -> Iterator[dict[str, Any]]:
+        """Yield where the keyframes are, as the fields of its message."""
         drives = self._mapped.drives[self._mapped.keyframes]
         begins = np.flatnonzero(np.diff(drives, prepend=-1))[:_MOST_DRIVES].tolist()
         poses = in_common_axes(self._mapped).astype(np.float32)
-        return {"keyframes": Float32Array.from_numpy(poses), "begins": tuple(begins)}
+        yield {"keyframes": Float32Array.from_numpy(poses), "begins": tuple(begins)}
 
 
 class _ByPaper:
@@ -186,8 +178,9 @@ class _ByPaper:
     def reset(self) -> None:
         self._recognizer.reset()
 
-    def taught_map(self) -> None:
-        """Return nothing: states of the paper have no places."""
+    def taught_map(self) -> Iterator[dict[str, Any]]:
+        """Yield nothing: states of the paper have no places."""
+        yield from ()
 
     def observe(
         self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom], *, behind: bool
@@ -195,15 +188,5 @@ class _ByPaper:
         # The first decision is due with the first whole window, the others follow at equal distances.
         first = self._length - 1
         due = (observation.tick - first) % self._loaded.stride == 0 and not behind
-        found = self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
-        return State.after(
-            observation,
-            status=found.status,
-            model=self._loaded.identity,
-            state=found.state,
-            score=found.score,
-            total_weight=found.total_weight,
-            residual=found.residual,
-            agreement=found.agreement,
-            duality_gap=found.duality_gap,
-        )
+        found = asdict(self._recognizer.observe(observation.tick, observation.features.to_numpy(), due))
+        return State.after(observation, model=self._loaded.identity, **found)

@@ -89,44 +89,27 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
 
 
 def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
-    """Read a file that `write` wrote: what it says, its arrays, and its checksum in hex.
-
-    Parameters
-    ----------
-    file : binary file
-        At its beginning.
-    name : str
-        What errors call it.
-    version : int
-        Of the format.
+    """Read a file that `write` wrote, of a version of the format: what it says, its arrays, and its checksum in hex.
 
     Raises
     ------
     NoModelError
-        The file cannot be read, is too large, or is of another kind.
+        The file, which errors call `name`, cannot be read, is too large, or is of another kind.
     ModelError
         It is of another version, truncated or altered.
     """
-    try:
+    with _explained(name):
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
             raise NoModelError(f"{name}: too large for a model: {size} bytes, at most {LARGEST}")
-        # The beginning alone, before memory is taken for the rest.
-        if size < _FIXED.size or file.read(len(MAGIC)) != MAGIC:
-            raise NoModelError(f"{name}: not a SMAL model")
+        header_size = _header_size(file, name, version)
         file.seek(0)
         content = file.read(size)
-    except OSError as error:
-        raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
-    header_size = _header_size(content, name, version)
-    body, digest = memoryview(content)[:-32], content[-32:]
-    if hashlib.sha256(body).digest() != digest:
-        raise ModelError(f"{name}: truncated or altered: its checksum does not match")
-    try:
+        body, digest = memoryview(content)[:-32], content[-32:]
+        if hashlib.sha256(body).digest() != digest:
+            raise ModelError(f"{name}: truncated or altered: its checksum does not match")
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
         return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :]), digest.hex()
-    except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
 
 
 def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
@@ -137,24 +120,32 @@ def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     ModelError
         The file cannot be read, is of another kind or version, or does not say what it should.
     """
+    with _explained(name):
+        meta = json.loads(file.read(_header_size(file, name, version)))["meta"]
+        if not isinstance(meta, dict):
+            raise TypeError("it says nothing of itself")
+        return meta
+
+
+@contextmanager
+def _explained(name: str) -> Iterator[None]:
+    """Raise what goes wrong in reading a file as the error that says so in one line."""
     try:
-        fixed = file.read(_FIXED.size)
-        if len(fixed) < _FIXED.size or not fixed.startswith(MAGIC):
-            raise NoModelError(f"{name}: not a SMAL model")
-        meta = json.loads(file.read(_header_size(fixed, name, version)))["meta"]
-    except OSError as error:
-        raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
+        yield
     except ModelError:
         raise
-    except (LookupError, TypeError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
+    except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
-    if not isinstance(meta, dict):
-        raise ModelError(f"{name}: the header does not describe a model")
-    return meta
 
 
-def _header_size(content: bytes, name: str, version: int) -> int:
-    _, found, size = _FIXED.unpack_from(content)
+def _header_size(file: IO[bytes], name: str, version: int) -> int:
+    """Read the beginning alone, before memory is taken for the rest; return the length of the header behind it."""
+    fixed = file.read(_FIXED.size)
+    if len(fixed) < _FIXED.size or not fixed.startswith(MAGIC):
+        raise NoModelError(f"{name}: not a SMAL model")
+    _, found, size = _FIXED.unpack(fixed)
     if found != version:
         raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
     if size > LARGEST_HEADER:

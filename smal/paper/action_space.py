@@ -31,18 +31,9 @@ def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np
 
 
 def learn_action_space(demonstrations: Sequence[NDArray[np.int8]], sequence_length: int) -> ActionSpace:
-    """Collect the distinct actions of all demonstrations, numbered in the order of their atoms.
+    """Collect the distinct actions of demonstrations, int8 (f,) each, numbered in the order of their atoms.
 
-    Parameters
-    ----------
-    demonstrations : sequence of int8 arrays (f,)
-        Atoms of each demonstration.
-    sequence_length : int
-
-    Raises
-    ------
-    ValueError
-        A value that is no atom, or no whole sequence.
+    Raises ValueError for a value that is no atom, or no whole sequence.
     """
     for atoms in demonstrations:
         if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):

@@ -10,20 +10,10 @@ from smal.paper.model import Model
 
 @dataclass(frozen=True)
 class Recognition:
-    """Which state the last l frames show.
+    """Which state the last l frames show, the last of which is `tick`; the numbers are those of the `Match`.
 
-    Parameters
-    ----------
-    status : str
-        "collecting": the episode has no l frames yet, or no answer was due; "recognized"; or "unknown": W is zero.
-    tick : int
-        Of the last frame.
-    state : int or None
-        The one of Eq. 9, with the largest weight; only if recognized.
-    score, total_weight, residual, agreement : float
-        See `smal.paper.novelty.Match`; 0, 0, 1, 0 while collecting.
-    duality_gap : float
-        Of the match.
+    "collecting": the episode has no l frames yet, or no answer was due; "unknown": W is zero. The state is the one of
+    Eq. 9, with the largest weight.
     """
 
     status: Literal["collecting", "recognized", "unknown"]
@@ -40,14 +30,9 @@ class Recognition:
 class Decision:
     """What to do next, and why.
 
-    Parameters
-    ----------
-    kind : str
-        "action": the policy's action; "goal": stop, since a demonstration ended here with success; "dead_end": stop,
-        since nothing is known to follow; "stop": stop, since the state is unknown; "wait": no state is due yet.
-    atoms : tuple of Atom
-        The plan, l atoms long; empty for "wait", which leaves the last plan as it is.
-    state, action : int or None
+    "action": the policy's action; "goal": stop, since a demonstration ended here with success; "dead_end": stop, since
+    nothing is known to follow; "stop": stop, since the state is unknown; "wait": no state is due yet. The plan is l
+    atoms long; "wait" has none, and leaves the last one as it is.
     """
 
     kind: Literal["action", "goal", "dead_end", "stop", "wait"]

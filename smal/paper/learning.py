@@ -95,15 +95,9 @@ def learn(
     settings: LearningSettings | None = None,
     progress: StageProgress = lambda _stage, _done, _total: None,
 ) -> tuple[Model, LearningReport]:
-    """Learn states, actions, transitions, reward and policy.
+    """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 
-    Parameters
-    ----------
-    demonstrations : sequence of Demonstration
-        At least one successful.
-    settings : LearningSettings, optional
-    progress : callable
-        Called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
+    `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
 
     Raises
     ------

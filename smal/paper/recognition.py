@@ -27,22 +27,10 @@ class Recognizer:
         self._last_tick: int | None = None
 
     def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
-        """Take one frame.
+        """Take the raw features (m,) of one frame; answer if an answer is due.
 
-        Parameters
-        ----------
-        tick : int
-            Frame number in the episode. Unless it follows the last one, the window starts anew: a sequence
-            never spans a dropped frame.
-        raw_features : array (m,)
-            From `smal.features.extract`.
-        due : bool
-            Whether an answer is wanted; otherwise the frame is only taken in.
-
-        Raises
-        ------
-        ValueError
-            Features of the wrong length, NaN or infinity; the frame is then not taken in.
+        Unless the frame follows the last one, the window starts anew: a sequence never spans a dropped frame. Features
+        of the wrong length, NaN or infinity raise ValueError, and the frame is not taken in.
         """
         if raw_features.ndim != 1:
             raise ValueError(f"features of one frame must have the shape (m,), got {raw_features.shape}")

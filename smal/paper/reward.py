@@ -94,20 +94,9 @@ class _Program:
 def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5) -> Reward:
     """Find a reward under which the expert's majority policy is optimal.
 
-    Parameters
-    ----------
-    transitions : Transitions
-    gamma : float
-        Discount factor, at least 0 and below 1.
-    sparsity : float
-        lambda as a share, from 0 to 1, of its critical value (module docstring).
-
-    Raises
-    ------
-    ValueError
-        A parameter out of range.
-    RewardError
-        HiGHS did not solve the program. It is never infeasible in exact arithmetic: R = V = 0 is feasible.
+    `gamma`, the discount factor, is at least 0 and below 1; `sparsity` is lambda as a share, from 0 to 1, of its
+    critical value (module docstring); else ValueError is raised. RewardError is raised where HiGHS did not solve the
+    program. It is never infeasible in exact arithmetic: R = V = 0 is feasible.
     """
     check_discount(gamma)
     if not 0.0 <= sparsity <= 1.0:

@@ -50,16 +50,10 @@ def learn_state_space(
     ----------
     demonstrations : sequence of float32 arrays (f, m)
         Centred features, unit length; a sequence never spans two of them.
-    sequence_length : int
-        l.
-    lambda1, lambda2 : float
-        Of Eq. 7.
-    tau : float
-        Of Eq. 8, per query frame.
-    tolerance : float
-        Relative duality gap of each match.
+    lambda1, lambda2, tau, tolerance : float
+        Of Eq. 7; of Eq. 8, per query frame; relative duality gap of each match.
     max_bytes : int, optional
-        Bound on the memory of templates: n frames need 4 n m bytes.
+        Bound on the memory of templates: n frames need 4 n m bytes; MemoryBoundError where that is not enough.
     progress : callable, optional
         Called with the number of sequences done and their total.
 
@@ -67,8 +61,6 @@ def learn_state_space(
     ------
     ValueError
         No demonstration has l frames.
-    MemoryBoundError
-        The templates need more.
     """
     l = sequence_length  # noqa: E741
     sequences = [
