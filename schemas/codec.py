@@ -41,33 +41,15 @@ def misfit(message: type[Message], encoding: str, size: int) -> str | None:
 
 
 def encode(message: Message) -> bytes:
-    """Pack a message as msgpack.
-
-    Returns
-    -------
-    bytes
-        A map from field name to value; the same message always gives the same bytes.
-    """
+    """Pack a message as msgpack: a map from field name to value; the same message always gives the same bytes."""
     packed: bytes = msgpack.packb(message.model_dump(), use_bin_type=True)
     return packed
 
 
 def decode(cls: type[M], payload: bytes, encoding: str) -> M:
-    """Unpack and validate one message.
+    """Unpack and validate one message of a class, whose name and version the encoding must have.
 
-    Parameters
-    ----------
-    cls
-        The message class that the topic carries.
-    payload
-        The bytes received.
-    encoding
-        The encoding received; name and version must be those of ``cls``.
-
-    Raises
-    ------
-    DecodeError
-        For any payload that is not a valid message; no other exception leaves this function.
+    Raises DecodeError for any payload that is not a valid message; no other exception leaves this function.
     """
     if (why := misfit(cls, encoding, len(payload))) is not None:
         raise DecodeError(why)

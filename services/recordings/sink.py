@@ -34,15 +34,6 @@ def claim(path: Path, flags: int = os.O_RDWR) -> int:
     return descriptor
 
 
-def is_being_recorded(path: Path) -> bool:
-    """Whether a living recorder writes this recording."""
-    try:
-        os.close(claim(path, os.O_RDONLY))
-    except BlockingIOError:
-        return True
-    return False
-
-
 def free_path(folder: Path, stem: str) -> Path:
     """Return ``<stem>.mcap`` in a folder, or ``<stem>-2.mcap`` and so on: no recording is ever overwritten."""
     number, path = 1, folder / f"{stem}.mcap"

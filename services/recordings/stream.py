@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from schemas.topics import JPEG, Topic, topic_of
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.records import MAGIC, mapped
-from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
+from services.recordings.sink import PARTIAL_SUFFIX, claim
 
 #: Memory that a message takes which is kept, beside its bytes, which may be few: its object, and the numbers in it.
 OBJECTS: Final = 2048
@@ -31,9 +32,13 @@ class RecordingError(Exception):
 def being_recorded(path: Path) -> bool:
     """Whether a living recorder writes this recording; raises RecordingError when it cannot be read."""
     try:
-        return path.suffix == PARTIAL_SUFFIX and is_being_recorded(path)
+        if path.suffix == PARTIAL_SUFFIX:
+            os.close(claim(path, os.O_RDONLY))
+    except BlockingIOError:
+        return True
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
+    return False
 
 
 def open_recording(path: Path, *, living: bool = False) -> memoryview:
@@ -75,32 +80,22 @@ class Stored(NamedTuple):
             raise ValueError(f"{self.key} is no topic of ours")
         payload = bytes(self.payload)
         try:
-            if self.topic is JPEG:
-                image = self._image(payload)
-                if pixels:
-                    decode_jpeg(image.data)
-                return image
-            message = self.topic.message.model_validate_json(payload)
+            message = self._image(payload) if self.topic is JPEG else self.topic.message.model_validate_json(payload)
         except ValidationError as error:
             raise ValueError(describe(error)) from None
         if (message.robot, message.episode, message.topic_name) != (self.robot, self.episode, self.topic.name):
             raise ValueError("of another robot, episode or topic than its channel")
+        if pixels and isinstance(message, CompressedImage):
+            decode_jpeg(message.data)
         return message
 
     def _image(self, payload: bytes) -> CompressedImage:
         _, jpeg = stamped_jpeg(payload)
-        size = jpeg_size(jpeg)
-        if size is None:
+        width, height = jpeg_size(jpeg) or (0, 0)
+        if not width * height:
             raise ValueError("not a JPEG image")
-        return CompressedImage(
-            robot=self.robot,
-            episode=self.episode,
-            tick=self.tick,
-            stamp_ns=self.stamp_ns,
-            width=size[0],
-            height=size[1],
-            data=jpeg,
-        )
+        header = Message(robot=self.robot, episode=self.episode, tick=self.tick, stamp_ns=self.stamp_ns)
+        return CompressedImage.after(header, width=width, height=height, data=jpeg)
 
 
 def messages(records: Iterable[McapRecord]) -> Iterator[Stored]:

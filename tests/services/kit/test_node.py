@@ -252,6 +252,23 @@ def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> No
     assert node.status().dropped == {}, "nothing is lost where nothing was said"
 
 
+def test_a_node_ends_although_what_works_apart_hangs(
+    node: Node, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("services.kit.node._LAST_WORK_S", 0.05)
+    hangs, release = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        hangs.set()
+        release.wait(30.0)
+
+    node.apart(0.001, hang)
+    assert hangs.wait(10.0)
+    node.close()
+    release.set()
+    assert caplog.messages == ["the thread 'sample, hang' did not end within 0.05 s"]
+
+
 def test_throttle_lets_one_line_a_second_through() -> None:
     now_s = 0.0
     throttle = Throttle(lambda: now_s)
@@ -301,7 +318,7 @@ def wait_for(log: TextIO, text: str) -> None:
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, number: signal.Signals) -> None:
     process = start("--router", router_endpoint)
     assert process.stderr is not None
