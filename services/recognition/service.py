@@ -154,9 +154,8 @@ class _ByFilter:
         belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         told = belief.summary()
-        places = told.keyframes, told.offsets, told.weights
-        of_all = {"lost": told.lost, "cosine": told.cosine, "tracked_m": told.tracked}
-        return State.of_belief(observation, self._identity, *places, **of_all)
+        places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
+        return State.of_belief(observation, self._identity, *places, lost=lost, cosine=cosine, tracked_m=told.tracked)
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""

@@ -9,17 +9,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, cast
 
 from schemas.base import Message
-from schemas.codec import printable
+from schemas.codec import encode, printable
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
+from services.kit.inbox import Inbox
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import RootSettings, below
 from services.recorder.disk import LOOK_S, Disk
-from services.recorder.early import EARLY_S, Early
 from services.recordings.leftover import LeftoverError, Sealed, seal_leftover
 from services.recordings.sink import leftovers
 from services.recordings.writer import EpisodeWriter
@@ -30,6 +30,11 @@ QUEUE_FACTOR: Final = 2
 #: and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
+#: Order holds within a topic, not between topics: how long messages wait for the beginning of their episode, how many
+#: of them, and how many bytes. Frames as JPEG of half a megabyte, at 10 Hz, are 25 MB in that time.
+EARLY_S: Final = 5.0
+_EARLY_QUEUE: Final = 4096
+_EARLY_BYTES: Final = 64 << 20
 #: How long `flush` and `stop` wait for that.
 _SETTLE_S: Final = 10.0
 SEAL_PERIOD_S: Final = 0.05
@@ -87,7 +92,8 @@ class RecorderService:
         self._disk = disk or Disk(clock)
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
-        self._early = Early()
+        self._early = Inbox(clock, _EARLY_BYTES)
+        self._early.open("early", _EARLY_QUEUE)
         self._files: list[Path] = []
         #: Episodes of which a killed recorder left the beginning. The rest is sent again, soon after this time.
         self._cut: set[str] = set()
@@ -198,18 +204,32 @@ class RecorderService:
         recording = self._open.get(message.episode)
         if recording is not None:
             self._write(recording, message)
-            for early in self._early.of(message.episode) if event == "started" else ():
-                self._write(recording, early)
+            if event == "started":
+                self._write_early(recording, message.episode)
             recording.closing |= event == "ended"
         elif self._folder is not None and not self._is_recorded(message.episode, self._folder):
-            self._lost += self._early.hold(message, self._clock())
+            lost = self._early.dropped.total()
+            self._early.put("early", message, len(encode(message)))
+            self._lost += self._early.dropped.total() - lost
+
+    def _write_early(self, recording: _Recording, episode: str) -> None:
+        """Record what has come before the beginning of an episode; what is of others waits on."""
+        for _ in range(self._early.waiting()["early"]):
+            item = self._early.take(0.0)
+            assert item is not None  # noqa: S101 - one thread puts and takes
+            message = cast("Message", item.content)
+            if message.episode == episode:
+                self._write(recording, message)
+            else:
+                self._early.put("early", message, len(encode(message)))
 
     def seal_complete(self) -> None:
         """Finish the files of episodes of which nothing more is to be expected."""
         now_s = self._clock()
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
-        self._early.forget(now_s)
+        while self._early.oldest_s() > EARLY_S:
+            self._early.take(0.0)
 
     def look_after_files(self) -> None:
         """Write what waits, and seal what is being recorded while there is room for that."""

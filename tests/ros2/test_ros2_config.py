@@ -86,7 +86,6 @@ def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--robot-body", "ros2"), "--robot-body ros2 and --ros2-config FILE go together"),
         (("--ros2-config", "x.yaml"), "--robot-body ros2 and --ros2-config FILE go together"),
         (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
     ],

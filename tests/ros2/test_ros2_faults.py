@@ -37,11 +37,9 @@ FAULT_S = 3.0
 #: By how much the robot's clock is ahead of ours.
 AHEAD_S = 3600.0
 DIALECTS = ("rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped")
-#: What is harmed, and how, in every dialect.
-HARMS = [(one, *harm) for one in DIALECTS for harm in (("robot", "kill"), ("router", "freeze"), ("camera", "freeze"))]
-# And what is the same in all of them; a link that is down is a black hole, as one that is frozen.
-HARMS += [("rmw_zenoh", *harm) for harm in (("robot", "freeze"), ("router", "kill"), ("camera", "kill"))]
-HARMS += [("rmw_zenoh", "link", "freeze")]
+#: What is harmed, and how; most is the same in all dialects. A link that is down is a black hole, as a frozen one.
+HARMS = [("rmw_zenoh", part, harm) for part in ("robot", "router", "camera") for harm in ("kill", "freeze")]
+HARMS += [("rmw_zenoh", "link", "freeze"), *((one, "router", "freeze") for one in DIALECTS[1:])]
 
 
 @dataclass

