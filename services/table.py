@@ -14,36 +14,28 @@ from schemas.topics import COMMANDS, TOPICS, Topic
 
 @dataclass(frozen=True)
 class Service:
-    """One row of the table.
-
-    Attributes
-    ----------
-    name
-        Part of the keys of its queryables.
-    meaning
-        What it does, in a few words.
-    takes, gives, fetches
-        Topics that it may subscribe to, publish, and have sent what it has missed of.
-    serves, calls
-        Verbs that it answers beside ``status``, and what it may call of others, ``<service>/<verb>``.
-    image
-        Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
-    module
-        What ``python -m`` runs; ``services.<name>`` if not given.
-    role
-        Whose certificate it shows to the router; its own if not given.
-    """
+    """One row of the table."""
 
     name: str
+    """Part of the keys of its queryables."""
     meaning: str
+    """What it does, in a few words."""
     takes: tuple[Topic, ...] = ()
+    """Topics that it may subscribe to."""
     gives: tuple[Topic, ...] = ()
+    """Topics that it may publish."""
     fetches: tuple[Topic, ...] = ()
+    """Topics of which it may have sent what it has missed."""
     serves: tuple[str, ...] = ()
+    """Verbs that it answers beside ``status``."""
     calls: tuple[str, ...] = ()
+    """What it may call of others, ``<service>/<verb>``."""
     image: Literal["services", "recognition", "simulator"] | None = "services"
+    """Target of the Dockerfile that it runs in; None for what is no process of its own in a stack."""
     module: str = ""
+    """What ``python -m`` runs; ``services.<name>`` if not given."""
     role: str = ""
+    """Whose certificate it shows to the router; its own if not given."""
 
     @property
     def command(self) -> tuple[str, str]:
@@ -157,27 +149,18 @@ def graph() -> str:
 
 @dataclass(frozen=True)
 class Role:
-    """What the holder of a certificate may do on a robot's bus; all else is refused by the router.
-
-    Attributes
-    ----------
-    name
-        Common name of the certificate.
-    takes, gives, fetches
-        Topics that it may subscribe to, publish, and have sent what it has missed of.
-    serves, calls
-        Queryables that it may be, and may ask, ``<service>/<verb>``.
-    person
-        Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics.
-    """
+    """What the holder of a certificate may do on a robot's bus, as of a service; all else is refused by the router."""
 
     name: str
+    """Common name of the certificate."""
     takes: tuple[Topic, ...]
     gives: tuple[Topic, ...]
     fetches: tuple[Topic, ...]
     serves: tuple[str, ...]
+    """Queryables that it may be, ``<service>/<verb>``."""
     calls: tuple[str, ...]
     person: bool = False
+    """Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics."""
 
 
 def role_of(name: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 
 from pydantic import field_validator
 
@@ -43,22 +42,14 @@ class FeaturesService:
 
     Where they need depth, the colour and the depth image of a frame are joined; either may come first, and only the
     newest of each is kept.
-
-    Parameters
-    ----------
-    features
-        Which modalities.
-    complain
-        Is told, in one line and at most once a second, that frames are left out because their depth never came.
     """
 
-    def __init__(self, features: FeatureSettings, complain: Callable[[str], None] = _log.warning) -> None:
+    def __init__(self, features: FeatureSettings) -> None:
         self.needs_depth = "depth" in features.needs
         self.without_depth = 0
         self._features = features
         # A message has the names of our own only; which network it is stands in the fingerprint.
         self._names = features.modalities if MODALITIES.keys() >= set(features.modalities) else ()
-        self._complain = complain
         self._throttle = Throttle()
         self._image: CompressedImage | None = None
         self._depth: DepthImage | None = None
@@ -106,10 +97,10 @@ class FeaturesService:
     def _give_up(self, image: CompressedImage) -> None:
         self.without_depth += 1
         if self._throttle.due():
-            self._complain(
-                f"episode {image.episode}, frame {image.tick}: no depth image came; "
-                f"{self.without_depth} frames were left out so far"
-            )
+            _log.warning(
+                "episode %s, frame %d: no depth image came; %d frames were left out so far",
+                image.episode, image.tick, self.without_depth,
+            )  # fmt: skip
 
 
 def _same_frame(one: CompressedImage, other: CompressedImage | DepthImage) -> bool:

@@ -8,30 +8,19 @@ from contextvars import ContextVar
 from typing import Final, TypeVar
 
 T = TypeVar("T")
-
-
-def _nobody_asks() -> None:
-    """Go on."""
-
-
-_ASK: Final[ContextVar[Callable[[], None]]] = ContextVar("go_on", default=_nobody_asks)
-
-
-def go_on() -> None:
-    """Raise what ends the work of this thread, where somebody wants it to end."""
-    _ASK.get()()
+_ASK: Final[ContextVar[Callable[[], None]]] = ContextVar("go_on", default=lambda: None)
 
 
 def each(items: Iterable[T]) -> Iterator[T]:
-    """Give items one after another for as long as the work is to go on."""
+    """Give items one after another for as long as the work of this thread is to go on."""
     for item in items:
-        go_on()
+        _ASK.get()()
         yield item
 
 
 @contextmanager
 def asking(ask: Callable[[], None]) -> Iterator[None]:
-    """Have ``go_on`` call something on this thread, which raises what ends the work."""
+    """Have ``each`` call something on this thread, which raises what ends the work."""
     token = _ASK.set(ask)
     try:
         yield

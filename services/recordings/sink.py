@@ -79,12 +79,7 @@ def publish(partial: Path, path: Path) -> None:
 class Sink:
     """An unbuffered file being recorded, whose content a thread puts on the disk every second.
 
-    Parameters
-    ----------
-    descriptor
-        Of the file, from `claim`; closed with this.
-    size
-        Bytes that it goes on after; the rest is cut off.
+    Its descriptor is from `claim`, and closed with this. It goes on after so many bytes; the rest is cut off.
     """
 
     def __init__(self, descriptor: int, size: int = 0) -> None:

@@ -138,10 +138,7 @@ def require_terminal() -> None:
 def open_terminal() -> Iterator[Terminal]:
     """Read keys without waiting for Enter and without showing them; restored however the context is left.
 
-    Raises
-    ------
-    NoTerminalError
-        When standard input is not a terminal.
+    Raises NoTerminalError when standard input is not a terminal.
     """
     require_terminal()
     before = termios.tcgetattr(sys.stdin)

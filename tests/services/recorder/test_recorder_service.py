@@ -24,7 +24,6 @@ from services.recordings.contents import contents_of, verify
 from services.recordings.reader import read_recording
 from services.recordings.repair import repair
 from services.recordings.sink import partial_of
-from services.robot.clock import TICK_S
 from tests.services.recordings.recorded_messages import (
     FINGERPRINT,
     applied,
@@ -160,7 +159,7 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
     """What had been written is sealed when there is room."""
     monkeypatch.setattr("services.recordings.writer.Sink", FullDisk)
     sent = list(episode("full", frames=40))
-    send(client, sent)
+    publish(client, sent)
     eventually(lambda: sealed(client, 1))
     detail = ready(client, "recorder").detail
     assert "cannot seal" in str(detail["last_error"])
@@ -225,7 +224,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     before, killed = list(episode("before", frames=3)), list(episode("killed", frames=40))
     publish(client, before)
     eventually(lambda: sealed(client, 1))
-    send(client, killed[:50])
+    publish(client, killed[:50])
     eventually(lambda: ready(client, "recorder").detail["messages"] == len(before) + 50)
     process.kill()
     process.wait(5.0)
@@ -276,13 +275,12 @@ class Room:
         return Disk(lambda: self.now_s, lambda _: self.free)
 
     def drive(self, recorder: RecorderService, ticks: Iterable[int]) -> None:
-        """Drive, with images of 100 kB; each takes that from the disk."""
+        """Drive, with an image of a megabyte a second, which takes that from the disk."""
         for tick in ticks:
-            data = image("e", tick).data + bytes(100_000)
+            data = image("e", tick).data + bytes(1_000_000)
             recorder.handle(image("e", tick).model_copy(update={"data": data}))
-            self.now_s, self.free = self.now_s + TICK_S, self.free - 100_000
-            if tick % 10 == 9:
-                recorder.look_after_files()
+            self.now_s, self.free = self.now_s + 1.0, self.free - 1_000_000
+            recorder.look_after_files()
 
 
 def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_full(
@@ -292,22 +290,22 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path, lambda: room.now_s, room.disk())
         recorder.handle(event("e", 0, "started"))
-        room.drive(recorder, range(100))
+        room.drive(recorder, range(10))
         assert recorder.detail()["disk"] is None, "690 seconds are left"
         room.free -= 120 * 1_000_000
-        room.drive(recorder, range(100, 200))
+        room.drive(recorder, range(10, 20))
         assert recorder.detail()["disk"] == "the disk has room for 9 minutes more"
         room.free -= 500 * 1_000_000
-        room.drive(recorder, range(200, 260))
+        room.drive(recorder, range(20, 26))
         assert recorder.detail()["disk"] == "the disk has room for 50 seconds more"
-        room.drive(recorder, range(260, 900))
+        room.drive(recorder, range(26, 90))
         detail = recorder.detail()
         assert str(detail["disk"]).startswith("the disk is full (")
         assert str(detail["last_error"]) == f"{detail['disk']}; what was before is sealed"
         whole = contents_of(tmp_path / "e.mcap")
         assert (whole.state, whole.damage) == ("sealed", [])
-        assert whole.episodes[0].frames + int(str(detail["lost"])) == 900
-        assert whole.episodes[0].frames > 650
+        assert whole.episodes[0].frames + int(str(detail["lost"])) == 90
+        assert whole.episodes[0].frames > 65
         room.free = LEAST_BYTES - 1
         recorder.handle(event("next", 0, "started"))
         assert str(recorder.detail()["last_error"]).startswith("cannot record episode next: the disk is full")

@@ -15,7 +15,7 @@ from services.recordings.sink import partial_of
 from services.recordings.stream import RecordingError
 from services.recordings.views import is_view
 from services.recordings.writer import EpisodeWriter
-from tests.command import run_smal
+from tests.services.cli.conftest import Smal
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import applied, episode, event, frame, image
 from tests.services.recordings.test_recorder_files import check, leave, read_all, record, stored_in, wanted
@@ -50,20 +50,20 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
 
-def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path) -> None:
+def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path, smal: Smal) -> None:
     driven_corridor.record(tmp_path)
     record(tmp_path, list(episode("drive-1", outcome="aborted")))
-    first, second = json.loads(run_smal("recording", "info", tmp_path, "--json").stdout)
+    first, second = json.loads(smal("recording", "info", tmp_path, "--json")[1])
     assert first["episodes"][0]["outcome"] == "aborted"
     assert second["episodes"][0]["topics"]["odometry"]["messages"] == 30
     (tmp_path / "notes.mcap").write_text("shopping list")
-    text = run_smal("recording", "info", tmp_path)
-    assert text.returncode == 1
-    assert "found (says the operator)" in text.stdout
-    assert text.stderr == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
+    status, text, why = smal("recording", "info", tmp_path)
+    assert status == 1
+    assert "found (says the operator)" in text
+    assert why == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
 
 
-def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
+def test_each_kind_of_fault_is_one_line(tmp_path: Path, smal: Smal) -> None:
     assert verify(record(tmp_path, list(episode("e")))).findings == []
     sent = [message for message in episode("e", frames=6) if (message.topic_name, message.tick) != ("camera/jpeg", 2)]
     writer = EpisodeWriter.begin(tmp_path, sent[0])
@@ -73,9 +73,9 @@ def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
     writer.write(frame("e", 3)[0])
     writer.write(image("e", 4).model_copy(update={"data": b"no image", "tick": 9}))
     (one,) = [writer.seal()]
-    done = run_smal("recording", "verify", one)
-    assert done.returncode == 1
-    assert done.stdout.splitlines() == [
+    status, told, _ = smal("recording", "verify", one)
+    assert status == 1
+    assert told.splitlines() == [
         f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image",
         f"{one}: episode e: pose/truth: 1 are there twice, the first of tick 3",
         f"{one}: episode e: its end was not recorded",
@@ -104,7 +104,7 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
     path = record(tmp_path, list(episode("e", frames=35)))
     content, whole, seconds = path.read_bytes(), read_all(path), seconds_of(path)
     bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
-    for at in range(8, len(content) - hole, 14_001):
+    for at in range(8, len(content) - hole, 28_001):
         instead = bytes([content[at] ^ 0x10]) if hole == 1 else bytes(hole)
         bad.write_bytes(content[:at] + instead + content[at + hole :])
         assert verify(bad).damage, f"byte {at} of {len(content)}"
@@ -114,14 +114,13 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
         out.unlink()
 
 
-def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
+def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> None:
     sent = list(episode("e", frames=24))
     partial, other = leave(tmp_path, sent), tmp_path / "e.mcap"
     before = partial.read_bytes()
     other.write_bytes(b"another")
-    refused = run_smal("recording", "repair", partial, "--out", other)
-    assert refused.returncode == 2
-    assert refused.stderr == f"smal: --out {other}: is there already; give another name, or --replace\n"
+    status, _, why = smal("recording", "repair", partial, "--out", other)
+    assert (status, why) == (2, f"smal: --out {other}: is there already; give another name, or --replace\n")
     with pytest.raises(RepairError, match="is there already"):
         repair([partial], other)
     path = usual_name(partial, replace=False)

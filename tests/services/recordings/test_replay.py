@@ -36,6 +36,7 @@ from services.table import SERVICES
 from smal.model import Model
 from tests import corridor
 from tests.command import run_smal
+from tests.services.cli.conftest import Smal
 from tests.services.conftest import RunNode
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import episode
@@ -192,28 +193,28 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
 
 @pytest.mark.zenoh
 def test_the_command_replays_and_is_refused_where_a_robot_is(
-    client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path
+    client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path, smal: Smal
 ) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=5)))
     heard = Heard(client, topics.JPEG, topics.EPISODE)
-    done = run_smal("replay", path, "--router", router_endpoint, "--rate", 20)
-    assert done.returncode == 0, done.stderr
-    assert "episode drive-1 of rescuebot as replay-" in done.stderr
+    status, _, told = smal("replay", path, "--router", router_endpoint, "--rate", 20)
+    assert status == 0, told
+    assert "episode drive-1 of rescuebot as replay-" in told
     heard.wait(topics.JPEG, 4)
     stepped = run_smal("replay", path, "--router", router_endpoint, "--step", typed="\n\n")
     assert stepped.returncode == 0, stepped.stderr
     eventually(lambda: [one.tick for one in heard.order if isinstance(one, Episode)][-1] == 1)
     run_node(Node("robot", settings))
     ready(client, "robot")
-    refused = run_smal("replay", path, "--router", router_endpoint)
-    assert refused.returncode == 1
-    assert refused.stderr.startswith("smal: robot rescuebot is there already (process ")
-    assert "smal up --robot-body none" in refused.stderr
-    assert refused.stderr.count("\n") == 1
+    status, _, why = smal("replay", path, "--router", router_endpoint)
+    assert status == 1
+    assert why.startswith("smal: robot rescuebot is there already (process ")
+    assert "smal up --robot-body none" in why
+    assert why.count("\n") == 1
 
 
 @pytest.mark.system
-def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path) -> None:
+def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path, smal: Smal) -> None:
     path = driven_corridor.record(tmp_path)
     model = corridor.save_model(tmp_path / "corridor.smal")
     up = subprocess.Popen(
@@ -229,8 +230,8 @@ def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: 
         assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
         with closing(Bus(ROBOT, free_endpoint)) as bus:
             heard = Heard(bus, topics.ACTION)
-            done = run_smal("replay", path, "--router", free_endpoint, "--rate", 0.5)
-            assert done.returncode == 0, done.stderr
+            status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 0.5)
+            assert status == 0, told
             eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
     finally:
         up.terminate()

@@ -52,7 +52,7 @@ def place(camera: Calibration, size: tuple[int, int], across: float, down: float
 # -- accuracy
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     _shares, _shares, _angles, _angles, st.floats(0.3, 1.0), st.floats(0, 6), st.integers(0, 2**32 - 1)
 )  # fmt: skip
@@ -68,7 +68,7 @@ def test_pose_is_within_a_centimetre_and_a_degree(
     assert found.error_px < 0.5
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.floats(300, 1500), _angles, _shares, _shares, st.integers(0, 2**32 - 1))
 def test_accuracy_holds_from_16_to_80_pixels_a_side(
     focal_px: float, heading: float, across: float, down: float, seed: int
@@ -157,7 +157,7 @@ def seen_right_or_not_at_all(image: np.ndarray, camera: Calibration, pose: tuple
     return True
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(_angles, st.floats(-0.25, 0.25), st.booleans(), st.floats(0.2, 0.8), st.integers(0, 2**32 - 1))
 def test_tag_across_the_border_is_seen_right_or_not_at_all(
     heading: float, outside_m: float, side: bool, along: float, seed: int
@@ -176,7 +176,7 @@ def test_tag_across_the_border_is_seen_right_or_not_at_all(
     assert seen or outside_m > -0.2 - 3 * scale
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(_angles, _angles, st.floats(0.0, 0.19), st.integers(0, 2**32 - 1))
 def test_covered_tag_is_seen_right_or_not_at_all(heading: float, towards: float, from_m: float, seed: int) -> None:
     # Something grey with a straight edge lies over everything further than `from_m` in one direction.
@@ -198,7 +198,7 @@ def test_camera_below_the_tag_is_an_error_that_names_both() -> None:
         locate(TAG, image, below)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_any_image_is_answered(width: int, height: int, seed: int) -> None:
     image = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
