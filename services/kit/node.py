@@ -347,11 +347,13 @@ class Node:
         )
 
     def close(self) -> None:
-        """Leave the bus; what works apart has a while to end."""
+        """Leave the bus, once; what works apart has a while to end."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
         if self._http is not None:
             self._http.shutdown()
             self._http.server_close()
-        self._closed.set()
         until_s = time.monotonic() + _LAST_WORK_S
         for thread in self._apart:
             thread.join(max(0.0, until_s - time.monotonic()))

@@ -53,8 +53,9 @@ def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
 
 
 @pytest.fixture
-def node(settings: ServiceSettings) -> Node:
-    return Node("sample", settings)
+def node(settings: ServiceSettings) -> Iterator[Node]:
+    with Node("sample", settings) as node:
+        yield node
 
 
 # -- messages ---------------------------------------------------------------------------------------------------------

@@ -86,8 +86,9 @@ WAYS = pytest.mark.parametrize("subscribe", [plain, replayed, at_once], ids=lamb
 
 
 @pytest.fixture
-def node(settings: ServiceSettings) -> Node:
-    return Node("sample", settings)
+def node(settings: ServiceSettings) -> Iterator[Node]:
+    with Node("sample", settings) as node:
+        yield node
 
 
 @pytest.mark.parametrize(

@@ -81,13 +81,15 @@ def reading(*paths: Path) -> tuple[int, list[str]]:
     """Return by how much reading files as `smal learn` does raises the peak of a process's memory, and its remarks."""
     told, teller = os.pipe()
     if os.fork() == 0:
-        teacher = Teacher(FeatureSettings(), 5)
-        teacher._allowance = Allowance(ALLOWED)
-        before = peak()
-        for path in paths:
-            teacher.read(path)
-        os.write(teller, json.dumps([peak() - before, teacher.teaching.remarks]).encode())
-        os._exit(0)
+        try:
+            teacher = Teacher(FeatureSettings(), 5)
+            teacher._allowance = Allowance(ALLOWED)
+            before = peak()
+            for path in paths:
+                teacher.read(path)
+            os.write(teller, json.dumps([peak() - before, teacher.teaching.remarks]).encode())
+        finally:
+            os._exit(0)
     os.close(teller)
     with os.fdopen(told) as said:
         more, remarks = json.load(said)
