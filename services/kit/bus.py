@@ -64,13 +64,6 @@ _LAST_ANSWER_S: Final = 1.0
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT
-_PRIORITY: Final = {
-    "real_time": zenoh.Priority.REAL_TIME,
-    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
-    "interactive_low": zenoh.Priority.INTERACTIVE_LOW,
-    "data_high": zenoh.Priority.DATA_HIGH,
-}
-_CONGESTION: Final = {"block": zenoh.CongestionControl.BLOCK, "drop": zenoh.CongestionControl.DROP}
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 _logger = logging.getLogger("bus")
 R = TypeVar("R", bound=Strict)
@@ -146,26 +139,24 @@ class Bus:
 
     def declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
         """Declare the publisher that a topic asks for."""
-        session, key = self.sessions[topic.lane], topic.key(self.robot)
-        encoding = zenoh.Encoding(encoding_of(topic.message))
-        how = quality(topic)
-        congestion, priority = _CONGESTION[how.congestion_control], _PRIORITY[how.priority]
+        session, key, how = self.sessions[topic.lane], topic.key(self.robot), quality(topic)
+        options: dict[str, Any] = {
+            "encoding": zenoh.Encoding(encoding_of(topic.message)),
+            "congestion_control": getattr(zenoh.CongestionControl, how.congestion_control.upper()),
+            "priority": getattr(zenoh.Priority, how.priority.upper()),
+            "express": how.express,
+        }
         if not topic.recorded:
-            return session.declare_publisher(
-                key, encoding=encoding, congestion_control=congestion, priority=priority, express=how.express
-            )
-        replies = zenoh.ext.RepliesConfig(
-            congestion_control=zenoh.CongestionControl.BLOCK, priority=REPLAY_PRIORITY, express=False
-        )
+            return session.declare_publisher(key, **options)
+        block = zenoh.CongestionControl.BLOCK
+        replies = zenoh.ext.RepliesConfig(congestion_control=block, priority=REPLAY_PRIORITY, express=False)
+        missed = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S)
         return zenoh.ext.declare_advanced_publisher(
             session,
             key,
-            encoding=encoding,
-            congestion_control=congestion,
-            priority=priority,
-            express=how.express,
+            **options,
             cache=zenoh.ext.CacheConfig(topic.kept, replies_config=replies),
-            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            sample_miss_detection=missed,
             publisher_detection=True,
         )
 

@@ -81,13 +81,17 @@ class LoadedModel:
     """A model that a service may work with."""
 
     model: AnyModel
-    identity: str
     name: str
     """Its file: the path in the settings, or the name that a call gave."""
     stride: int
     """Frames from one decision to the next; 1 but for the paper's scheme."""
     goal: str | None
     """Where to go; None for the only goal."""
+
+    @property
+    def identity(self) -> str:
+        """See ``identity_of``."""
+        return identity_of(self.model)
 
     @classmethod
     def of(
@@ -99,11 +103,9 @@ class LoadedModel:
         goal: str | None = None,
     ) -> Self:
         """Work with a model. Raises ServiceError when it cannot be used so."""
-        refusal = refused(model, scheme, stride, goal)
-        if refusal is not None:
+        if (refusal := refused(model, scheme, stride, goal)) is not None:
             raise ServiceError(f"{name}: {refusal}")
-        stride = 1 if isinstance(model, Model) else stride or model.sequence_length
-        return cls(model, identity_of(model), name, stride, goal)
+        return cls(model, name, 1 if isinstance(model, Model) else stride or model.sequence_length, goal)
 
     @classmethod
     def read(cls, path: Path, scheme: Scheme | None = None, stride: int | None = None, goal: str | None = None) -> Self:

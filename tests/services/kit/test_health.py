@@ -50,8 +50,9 @@ def test_health_is_about_work_that_gets_done(change: dict[str, object], problem:
 
 
 @pytest.fixture
-def node(settings: ServiceSettings) -> Node:
-    return Node("sample", settings.model_copy(update={"http": "127.0.0.1:0"}))
+def node(settings: ServiceSettings) -> Iterator[Node]:
+    with closing(Node("sample", settings.model_copy(update={"http": "127.0.0.1:0"}))) as node:
+        yield node
 
 
 def get(node: Node, path: str) -> tuple[int, str]:

@@ -262,8 +262,13 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     assert body.orders[-1][0] == "stop"
     with pytest.raises(ServiceError, match="a person has taken over"):
         reset(runner, driver="policy")
-    assert runner.running is not None
-    runner.resume(ResumeRequest(episode=runner.running.id, tick=runner.running.tick))
+    run = runner.running
+    assert run is not None
+    answer(runner, "stop", source="teleop")
+    for episode, tick in (("other", 9), (run.id, 0)):
+        with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
+            runner.resume(ResumeRequest(episode=episode, tick=tick))
+    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
     answer(runner)
     advance(runner, clock, 0.04)
     assert body.orders[-1][0] == "forward"
@@ -281,31 +286,6 @@ def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither()
     reset(runner)
     with pytest.raises(ServiceError, match="another episode has begun"):
         runner.resume(ResumeRequest(episode="none", tick=0))
-
-
-def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
-    clock = Clock()
-    body = LineBody(clock)
-    runner, _ = begin(body, mode="realtime")
-    answer(runner, "left", source="teleop")
-    answer(runner)
-    advance(runner, clock, 0.04)
-    assert body.orders[-1][0] == "left"
-    for _ in range(8):
-        answer(runner)
-        messages = advance(runner, clock, 0.1)
-    assert (body.orders[-1][0], applied(messages)[-1].reason) == ("stop", "taken_over")
-    run = runner.running
-    assert run is not None
-    for episode, tick in (("other", 9), (run.id, 0)):
-        answer(runner, "stop", source="teleop")
-        with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
-            runner.resume(ResumeRequest(episode=episode, tick=tick))
-    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
-    advance(runner, clock, 0.1)
-    answer(runner)
-    advance(runner, clock, 0.04)
-    assert body.orders[-1][0] == "forward"
 
 
 def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
