@@ -42,8 +42,8 @@ __all__ = [
 
 #: How long a process waits for a router that is perhaps just starting.
 PATIENCE_S: Final = 10.0
-#: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
-#: that missed it notices.
+#: How often a publisher tells how many samples there were, so that a subscriber that missed the last ones notices; also
+#: when it has been silent for long, since the router may have been away meanwhile.
 HEARTBEAT_S: Final = 0.25
 #: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
 #: them on a busy machine, and the rest be lost.
@@ -150,7 +150,7 @@ class Bus:
             return session.declare_publisher(key, **options)
         block = zenoh.CongestionControl.BLOCK
         replies = zenoh.ext.RepliesConfig(congestion_control=block, priority=REPLAY_PRIORITY, express=False)
-        missed = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S)
+        missed = zenoh.ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None)
         return zenoh.ext.declare_advanced_publisher(
             session,
             key,

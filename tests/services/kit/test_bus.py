@@ -19,7 +19,7 @@ from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
-from services.kit.bus import Bus, BusError, Router, RpcError
+from services.kit.bus import HEARTBEAT_S, Bus, BusError, Router, RpcError
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
 
@@ -253,8 +253,9 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
 
 @pytest.mark.parametrize("topic", [topics.STATE, topics.COMMANDS["teleop"]], ids=lambda topic: topic.name)
 @pytest.mark.parametrize("kept_s", [topics.KEPT_S, 0.05], ids=["short", "longer than is asked for"])
+@pytest.mark.parametrize("away_s", [0.0, 3 * HEARTBEAT_S])
 def test_what_is_recorded_survives_an_outage_of_the_router(
-    free_endpoint: str, topic: topics.Topic, kept_s: float, monkeypatch: pytest.MonkeyPatch
+    free_endpoint: str, topic: topics.Topic, kept_s: float, away_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
     monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
@@ -272,6 +273,7 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
         eventually(lambda: not sender.connected() and not receiver.connected())
         for tick in range(1, 101):
             send(tick)
+        time.sleep(away_s)
         router = Router(free_endpoint)
         eventually(lambda: len(ticks()) > 100)
         assert ticks() == list(range(101))

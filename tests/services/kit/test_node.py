@@ -23,9 +23,9 @@ from schemas.command import Command
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
+from services.kit import process as service_process
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.node import Node, ServiceError
-from services.kit.process import read_settings, run_service
 from services.kit.settings import ServiceSettings
 from services.kit.throttle import Throttle
 from tests.services.conftest import RunNode
@@ -285,17 +285,12 @@ def test_throttle_lets_one_line_a_second_through() -> None:
 
 SERVICE = """
 from services.kit.settings import ServiceSettings
-from services.kit.node import Node
-from services.kit.process import configure_logging, read_settings, run_service
-def serve():
-    settings = read_settings(ServiceSettings, "sample")
-    configure_logging(settings.log_level)
-    with Node("sample", settings) as node:
-        node.stop_on_signals()
-        node.log.info("serving")
-        node.spin()
-        node.log.info("stopped with %s", node.status().state)
-run_service("sample", serve)
+from services.kit.process import run_node
+def serve(node, settings):
+    node.log.info("serving")
+    node.spin()
+    node.log.info("stopped with %s", node.status().state)
+run_node("sample", ServiceSettings, serve)
 """
 
 
@@ -368,18 +363,23 @@ def test_read_settings_names_the_unknown_flag(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["sample", "--colour", "red"])
     with pytest.raises(SystemExit) as ended:
-        read_settings(ServiceSettings, "sample")
+        service_process.run_node("sample", ServiceSettings, lambda *_: None)
     assert ended.value.code == 2
     assert "--colour" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("error", [ServiceError("no such model"), BusError("no router")])
-def test_a_service_that_cannot_start_says_why(error: Exception, caplog: pytest.LogCaptureFixture) -> None:
-    def serve() -> None:
+def test_a_service_that_cannot_start_says_why(
+    error: Exception, caplog: pytest.LogCaptureFixture, router_endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def serve(_node: Node, _settings: ServiceSettings) -> None:
         raise error
 
+    monkeypatch.setattr(sys, "argv", ["sample", "--router", router_endpoint])
+    monkeypatch.setattr(Node, "stop_on_signals", lambda _: None)
+    monkeypatch.setattr(service_process, "configure_logging", lambda _: None)
     with pytest.raises(SystemExit) as ended:
-        run_service("sample", serve)
+        service_process.run_node("sample", ServiceSettings, serve)
     assert ended.value.code == 1
     assert caplog.messages == [str(error)]
 
