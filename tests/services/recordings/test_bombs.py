@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -42,6 +42,26 @@ CHUNKS, PADDING = 40, 48 * MIB
 FAIR = np.random.default_rng(1).bytes(MIB // 2) * (PADDING // (MIB // 2))
 _KEYS = {"episode": 1, "camera/jpeg": 2, "padding": 3, "pose/truth": 4}
 
+_READ = """
+import sys
+from pathlib import Path
+from services.recordings.dataset import Teacher
+from services.recordings.records import Allowance
+from smal.features import FeatureSettings
+
+def peak():
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
+    return int(line.split()[1]) * 1024
+
+teacher = Teacher(FeatureSettings(), 5)
+teacher._allowance = Allowance(int(sys.argv[1]))
+before = peak()
+for path in sys.argv[2:]:
+    teacher.read(Path(path))
+print(peak() - before)
+print(*teacher.teaching.remarks, sep=chr(10))
+"""
+
 
 def raw(*parts: McapRecord) -> bytes:
     builder = RecordBuilder()
@@ -72,29 +92,14 @@ def write(path: Path, *chunks: bytes) -> Path:
     return path
 
 
-def peak() -> int:
-    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
-    return int(line.split()[1]) * 1024
-
-
 def reading(*paths: Path) -> tuple[int, list[str]]:
-    """Return by how much reading files as `smal learn` does raises the peak of a process's memory, and its remarks."""
-    told, teller = os.pipe()
-    if os.fork() == 0:
-        try:
-            teacher = Teacher(FeatureSettings(), 5)
-            teacher._allowance = Allowance(ALLOWED)
-            before = peak()
-            for path in paths:
-                teacher.read(path)
-            os.write(teller, json.dumps([peak() - before, teacher.teaching.remarks]).encode())
-        finally:
-            os._exit(0)
-    os.close(teller)
-    with os.fdopen(told) as said:
-        more, remarks = json.load(said)
-    os.wait()
-    return more, remarks
+    """Return by how much reading files as `smal learn` does raises the peak of memory, and what it remarks."""
+    done = subprocess.run(
+        [sys.executable, "-c", _READ, str(ALLOWED), *map(str, paths)],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    peak, *remarks = done.stdout.splitlines()
+    return int(peak), remarks
 
 
 def images(path: Path) -> Path:
