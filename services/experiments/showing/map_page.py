@@ -14,7 +14,7 @@ from services.experiments.showing import figures
 from services.experiments.showing.summary import goals_of
 from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
-from services.recordings.taught import episode_of
+from services.recordings.recorded import episode_of
 from smal.demonstration import Demonstration
 from smal.model import Model
 from smal.planning import cost_to_go
