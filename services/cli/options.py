@@ -20,7 +20,7 @@ from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
 from services.kit.settings import DEFAULT_SECURE_ROUTER, ServiceSettings
-from services.simulator.simulation import BaseKind
+from services.simulator.opening import BaseKind
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import World as LoadedWorld
 from services.simulator.world import WorldError, load_world

@@ -18,8 +18,8 @@ from services.cli import options, outputs
 from services.cli.grouping import STYLE
 from services.kit.errors import JobError, UsageError
 from services.kit.tables import table
-from services.simulator.camera import CameraSettings
 from services.simulator.scene.vulkan import UnavailableError
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_world
 from services.simulator.world.loading import Wishes, import_map
 from services.simulator.world.osm import Surroundings

@@ -10,8 +10,8 @@ from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody
-from services.simulator.camera import FindVictim, SimulatedView
 from services.simulator.lockstep import Lockstep
+from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.worlds import SimulatorSettings, Worlds
 
 

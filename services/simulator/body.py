@@ -13,7 +13,7 @@ from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
-from services.simulator.camera import SimulatedView
+from services.simulator.sensors.camera import SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.worlds import Worlds

@@ -17,9 +17,10 @@ from schemas.base import ATOMS
 from schemas.rpc import MAX_TICKS as NO_LIMIT
 from schemas.rpc import ResetRequest
 from services.robot.clock import TICK_S
-from services.simulator.camera import CameraSettings
 from services.simulator.lockstep import LockstepEpisode
-from services.simulator.simulation import Simulation, open_simulation
+from services.simulator.opening import open_simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 
 #: Frames after which an episode is truncated: five minutes.
 MAX_TICKS: Final = 3000

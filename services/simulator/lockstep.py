@@ -15,7 +15,7 @@ from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
 from services.robot.pace import Running, Teller
 from services.simulator.body import SimulatedBody
-from services.simulator.camera import FindVictim, SimulatedView
+from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
 
 #: Seconds without an answer after which a frame is sent again (a message may be lost), and given up.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +13,17 @@ from schemas.base import Atom
 from schemas.episode import Purpose
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.camera import CameraSettings, SimulatedView
-from services.simulator.sensors import Sensors
-from services.simulator.variation import DAY, Variation, variation_named
-from services.simulator.world import load_world
+from services.simulator.sensors.camera import CameraSettings, SimulatedView
+from services.simulator.sensors.readings import Sensors
+from services.simulator.variation import DAY, Variation
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import sample_start
-from services.simulator.world.varying import vary
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
 
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
-BaseKind = Literal["physics", "kinematic"]
 
 
 class Simulation:
@@ -111,31 +107,3 @@ class Simulation:
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""
         return plan_route(self.world, (self._start.x, self._start.y))
-
-
-def open_simulation(
-    world: str,
-    camera: CameraSettings,
-    *,
-    base: BaseKind = "physics",
-    shake: float | None = None,
-    variation: str = "day",
-    task: tuple[Pose, Pose] | None = None,
-) -> Simulation:
-    """Load a world by name or path, and put its robot into it.
-
-    The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass. `task` is a start
-    and where the victim lies, those of the world if not given. Raises WorldError where the world cannot be used,
-    UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
-    """
-    conditions = variation_named(variation)
-    there = load_world(world)
-    if task is not None:
-        there = replace(there, start=task[0], victim=task[1])
-    there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
-    wheels: Base | None = None
-    if base == "physics":
-        from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
-
-        wheels = PhysicalBase(there.place)
-    return Simulation(there, replace(camera, light=conditions.light), wheels, shake=shake, variation=conditions)

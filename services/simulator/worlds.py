@@ -12,9 +12,10 @@ from schemas.rpc import WorldName
 from services.kit.node import ServiceError
 from services.kit.root import WORLDS, OutsideError, RootSettings, below
 from services.robot.service import RobotSettings
-from services.simulator.camera import CameraSettings
+from services.simulator.opening import BaseKind, open_simulation
 from services.simulator.scene.vulkan import UnavailableError
-from services.simulator.simulation import BaseKind, Simulation, open_simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import WorldError, known_worlds
 

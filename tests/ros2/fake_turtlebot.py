@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from services.kit.ros_message import ros_message
 from services.simulator.base import WheelSpeeds, move
-from services.simulator.camera import CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import obstacles_of

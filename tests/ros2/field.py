@@ -28,7 +28,7 @@ from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from services.expert.driver import ExpertService
 from services.kit.bus import RpcError
 from services.kit.node import Detail
-from services.simulator.camera import VISIBLE_FRACTION
+from services.simulator.sensors.camera import VISIBLE_FRACTION
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route

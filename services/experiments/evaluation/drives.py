@@ -16,8 +16,8 @@ from services.expert.driver import DRIVE_TICKS, RouteDriver
 from services.kit.jpeg import decode_jpeg
 from services.recordings.dataset import RecordedImages
 from services.robot.messages import rounded
-from services.simulator.camera import SimulatedView
 from services.simulator.lockstep import LockstepEpisode
+from services.simulator.sensors.camera import SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route

@@ -14,8 +14,8 @@ from schemas.rpc import ResetRequest
 from services.experiments.evaluation.drives import drive, drive_of
 from services.experiments.evaluation.plan import TEACHING_SEED
 from services.experiments.evaluation.search import search
-from services.simulator.camera import CameraSettings
-from services.simulator.simulation import open_simulation
+from services.simulator.opening import open_simulation
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
 from smal.features import FeatureSettings

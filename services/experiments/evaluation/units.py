@@ -40,8 +40,9 @@ from services.experiments.evaluation.recognition import (
 )
 from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
 from services.kit.jpeg import encode_jpeg
-from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
-from services.simulator.simulation import Simulation, open_simulation
+from services.simulator.opening import open_simulation
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.simulation import Simulation
 from smal.evaluation.teach_and_repeat import TeachAndRepeat
 from smal.features import Centering, FeatureSettings
 from smal.mapping import learn as learn_map

@@ -14,8 +14,9 @@ from services.simulator.scene import bodies, room
 from services.simulator.scene.buildings import barriers, buildings
 from services.simulator.scene.ground import cast_shade, ground
 from services.simulator.scene.meshes import Mesh, ball, make, tube
+from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
 from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, surfaces
-from services.simulator.scene.textures import BOTTOM_DEG, TOP_DEG, noise, paint_sky
+from services.simulator.scene.textures import noise
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
-from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.surfaces import Lights, Surface, Vector
 from services.simulator.scene.vulkan import cannot_render, load_sapien
-from services.simulator.sensors import LEVEL, Tilt
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.sensors.readings import LEVEL, Tilt
 from services.simulator.world.place import OverheadMount, Pose, World
 
 _MOST_PICTURES: Final = 2048

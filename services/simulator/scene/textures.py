@@ -1,4 +1,4 @@
-"""Pictures of materials and of the sky, (h, w, 3) uint8 RGB: seamless, the same in every run."""
+"""Pictures of materials, (h, w, 3) uint8 RGB: seamless, the same in every run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from services.simulator.tables import table
-from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
 
 Picture = NDArray[np.uint8]
@@ -19,14 +18,6 @@ Painter = Callable[..., Picture]
 _MATERIALS: Final = table("materials", dict[str, dict[str, Any]])
 _SHAPE: Final = (512, 512)
 _PLAIN_SHAPE: Final = (64, 64)
-_SKY_SHAPE: Final = (1024, 4096)
-#: Elevation in degrees at the top and at the bottom of the picture.
-TOP_DEG: Final = 90.0
-BOTTOM_DEG: Final = -10.0
-_FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
-_CLOUDS: Final = np.array([246.0, 246.0, 244.0])
-_HILLS: Final = np.array([122.0, 134.0, 138.0])
-_TREES: Final = np.array([86.0, 104.0, 78.0])
 
 
 def noise(
@@ -157,36 +148,6 @@ def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
     down, across = np.indices(_SHAPE)
     threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
     return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
-
-
-def paint_sky(seed: int, light: Daylight) -> Picture:
-    """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
-    rng = np.random.default_rng(seed)
-    elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
-    up = np.clip(elevation / 90.0, 0, 1)[..., None]
-    horizon, zenith = np.array(light.horizon), np.array(light.zenith)
-    sky = horizon + (zenith - horizon) * up**0.55
-    cloud = np.clip(light.clouds * _clouds(rng, elevation), 0, 1)[..., None]
-    # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.
-    tint = horizon / _FAIR_HORIZON
-    picture = sky * (1 - cloud) + _CLOUDS * tint * cloud
-    picture = np.where(elevation[..., None] < _skyline(rng, 3.2, 1.1, 90.0), _HILLS * tint, picture)
-    trees = _TREES * tint * (1.0 + 0.10 * noise(rng, _SKY_SHAPE, 5.0))[..., None]
-    picture = np.where(elevation[..., None] < _skyline(rng, 1.2, 0.45, 12.0), trees, picture)
-    return as_picture(picture)
-
-
-def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how much cloud covers each place, 0 to 1; clouds are flat and crowd towards the horizon."""
-    billows = 0.7 * noise(rng, _SKY_SHAPE, (60.0, 200.0)) + 0.45 * layered(rng, _SKY_SHAPE, (14.0, 40.0))
-    amount = np.clip((billows - 0.35) * 0.9, 0, 1)
-    return np.asarray(amount * np.clip(elevation / 12.0, 0, 1) * 0.9, dtype=np.float64)
-
-
-def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float) -> NDArray[np.float64]:
-    """Return the elevation in degrees of a rugged line around the horizon, (1, width, 1)."""
-    line = noise(rng, (1, _SKY_SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(rng, (1, _SKY_SHAPE[1]), (1.0, 4.0))
-    return np.asarray(mean_deg + spread_deg * line[..., None], dtype=np.float64)
 
 
 _PAINTERS: Final[dict[str, Painter]] = {

@@ -14,7 +14,7 @@ from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.service import ROBOT, serve_robot
 from services.simulator.base import STEP_S
 from services.simulator.body import SimulatedBody
-from services.simulator.camera import CameraSettings, FindVictim
+from services.simulator.sensors.camera import CameraSettings, FindVictim
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.worlds import SimulatorSettings

@@ -14,8 +14,8 @@ from services.robot.loop import PERIOD_S
 from services.robot.pace import Pace, RealTime
 from services.robot.runner import EpisodeRunner
 from services.simulator.body import SimulatedBody
-from services.simulator.camera import FindVictim, SimulatedView
 from services.simulator.lockstep import Lockstep
+from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
 from tests.services.robot.line import Clock, LineBody, LineView, Reach
 

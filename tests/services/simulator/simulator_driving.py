@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Atom
-from services.simulator.camera import CameraSettings
 from services.simulator.scene.rendering import SceneCamera
-from services.simulator.sensors import Tilt
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.sensors.readings import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose

@@ -12,8 +12,8 @@ from schemas.rpc import ResetRequest
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
-from services.simulator.camera import depth_message
 from services.simulator.robots import Drive
+from services.simulator.sensors.camera import depth_message
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from tests.services.robot.line import Clock

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.camera import CameraSettings
 from services.simulator.scene.rendering import ROBOT, SceneCamera
-from services.simulator.sensors import LEVEL, Tilt
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.sensors.readings import LEVEL, Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.robot.body import ImuReading
-from services.simulator import sensors as sensing
 from services.simulator.base import Motion, WheelSpeeds, move
 from services.simulator.robots import TURTLEBOT
-from services.simulator.sensors import GRAVITY_M_S2, Sensors
+from services.simulator.sensors import readings as sensing
+from services.simulator.sensors.readings import GRAVITY_M_S2, Sensors
 from services.simulator.world.place import Pose
 
 STEP_S = 0.02

@@ -15,7 +15,7 @@ from services.kit.going_on import asking
 from services.kit.node import ServiceError
 from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
-from services.simulator.camera import CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world

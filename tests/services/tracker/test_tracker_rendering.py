@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from services.simulator.camera import CameraSettings, overhead_message
 from services.simulator.robots import TURTLEBOT
 from services.simulator.scene.rendering import SceneCamera
+from services.simulator.sensors.camera import CameraSettings, overhead_message
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route

@@ -17,7 +17,7 @@ from services.experiments.evaluation import units as work
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.search import finding, search
 from services.experiments.evaluation.units import Finding, Recognize, Searches, Unit, units
-from services.simulator.sensors import Tilt
+from services.simulator.sensors.readings import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose

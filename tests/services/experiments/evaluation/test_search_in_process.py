@@ -22,8 +22,9 @@ from services.features.service import FeaturesService
 from services.kit.model_service import LoadedModel, load_model
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
-from services.simulator.camera import CameraSettings
-from services.simulator.simulation import Simulation, open_simulation
+from services.simulator.opening import open_simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.movement import Atom

@@ -19,7 +19,7 @@ from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
-from services.simulator.sensors import Tilt
+from services.simulator.sensors.readings import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
 

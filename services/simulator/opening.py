@@ -1,0 +1,44 @@
+"""Load a world and put its robot into it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from services.simulator.base import Base
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
+from services.simulator.variation import variation_named
+from services.simulator.world import load_world
+from services.simulator.world.place import Pose
+from services.simulator.world.varying import vary
+
+BaseKind = Literal["physics", "kinematic"]
+
+
+def open_simulation(
+    world: str,
+    camera: CameraSettings,
+    *,
+    base: BaseKind = "physics",
+    shake: float | None = None,
+    variation: str = "day",
+    task: tuple[Pose, Pose] | None = None,
+) -> Simulation:
+    """Load a world by name or path, and put its robot into it.
+
+    The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass. `task` is a start
+    and where the victim lies, those of the world if not given. Raises WorldError where the world cannot be used,
+    UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
+    """
+    conditions = variation_named(variation)
+    there = load_world(world)
+    if task is not None:
+        there = replace(there, start=task[0], victim=task[1])
+    there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
+    wheels: Base | None = None
+    if base == "physics":
+        from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
+
+        wheels = PhysicalBase(there.place)
+    return Simulation(there, replace(camera, light=conditions.light), wheels, shake=shake, variation=conditions)

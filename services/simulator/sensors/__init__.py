@@ -1,0 +1,1 @@
+"""What the robot senses: its camera, its wheels, its tilt."""
