@@ -65,22 +65,22 @@ class Settings:
     # -- the filter
     #: Probability, with each new view, that the wheels do not tell where the robot is: it was carried, or follows a
     #: wrong place. Where the view is not like the one before it is as much likelier as that says.
-    jump: float = 2e-3
+    jump: float = 5e-3
     #: Views that show nothing of the place, since something hides it; with each new view, the probability that it shows
     #: again, and that as much of it shows as in another light.
-    hidden: float = 0.05
+    hidden: float = 0.1
     appears: float = 0.5
-    light: float = 0.01
+    light: float = 0.1
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
     located: float = 0.9
     slip: float = 0.1
     #: First belief: at the start of a taught drive, beside any way, lost; and how far the heading may be off there.
-    first: tuple[float, float, float] = (0.5, 0.25, 0.25)
+    first: tuple[float, float, float] = (0.5, 0.35, 0.15)
     first_turn_deg: float = 30.0
     #: Starts scatter by what is driven in this time.
     start_s: float = 0.5
     #: Lost robots that are beside the way again, with each new view.
-    back: float = 0.02
+    back: float = 0.05
     #: Particles of each set: more take longer and find no more; and keyframes to both sides among which one that moved
     #: finds its nearest.
     particles: int = 1000
