@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from smal.features import Centering, extract
 from smal.likelihood import scale
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
-from smal.particles import Particles, View, systematic
+from smal.particles import HIDES, Particles, View, systematic
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
@@ -106,6 +106,8 @@ class Filter:
         self._jumped: Particles | None = None
         # Probabilities that the tracked particles are right, that it has jumped to where the others are, or neither.
         self._shares = np.array([SETTINGS.first[0], 0.0, SETTINGS.first[2]])
+        #: Probability of the scouts that the next view sends.
+        self._to_send = SETTINGS.first[1]
         self._last = self._counted = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._used = self._moved = self._since = 0.0
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
@@ -140,27 +142,27 @@ class Filter:
         components = self._map.described(self._centering.apply(raw_features))
         seen = self._seen(components, movement)
         if self._tracked is None:
-            self._tracked, scouts = self._at_starts(), SETTINGS.first[1]
+            self._tracked = self._at_starts()
         else:
-            scouts = self._jump(components, seen, movement)
+            self._jump(components, seen, movement)
             for particles in (self._tracked, self._jumped):
                 if particles is not None:
                     particles.move(movement, noise, seen.newness, self._rng)
             self._move_sure(movement)
         if seen.newness > 0.0:
             self._last, self._since = components, 0.0
-            self._weigh(seen, scouts)
+            self._weigh(seen)
         return self._belief(seen)
 
-    def _weigh(self, seen: View, scouts: float) -> None:
-        """Weigh all by a view; send scouts of this share, before the view is taken into account."""
+    def _weigh(self, seen: View) -> None:
+        """Weigh all by a view, and send scouts."""
         assert self._tracked is not None
         tracked, jumped, lost = map(float, self._shares)
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:
             jumped *= self._jumped.update(seen, self._rng)
         sent, likelihood = self._scouts(seen)
-        scouts *= likelihood
+        scouts, self._to_send = self._to_send * likelihood, 0.0
         self._jumped = sent if self._jumped is None else self._drawn((self._jumped, jumped), (sent, scouts))
         jumped += scouts
         if jumped > tracked:
@@ -178,10 +180,10 @@ class Filter:
         """
         cosines = self._map.cosines(components)
         middle, spread = scale(self._map.sampled(cosines))
+        self._moved += self._map.lengths(movement)
         if not components.any() or components @ self._blank > cosines.max():
             return View(cosines, middle, 0.0, 0.0)  # It looks like nothing, more than like any place.
         likelihood = self._map.likelihood
-        self._moved += self._map.lengths(movement)
         same = min(likelihood.correlation(float(components @ self._counted)), self._expected(self._moved))
         new = (1.0 - same) / (1.0 + same)
         newness, self._used = max(new - self._used, 0.0), max(new, self._used)
@@ -193,8 +195,8 @@ class Filter:
         """Return how far two views should say the same that are so many correlation lengths apart."""
         return math.pow(self._map.likelihood.correlation(self._map.next_cosine), SETTINGS.views_a_length * lengths)
 
-    def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> float:
-        """Take from the particles, and return, the probability that goes to where the wheels do not lead.
+    def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> None:
+        """Take from the particles the probability that goes to where the wheels do not lead.
 
         With every new view a little; much more where it does not look like the one just before, though the robot has
         hardly moved.
@@ -207,14 +209,13 @@ class Filter:
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
         visible = 1.0 - float(self._tracked.shares[0])
         rise = visible * math.expm1(max(-expected * like_last, 0.0))
-        hides = SETTINGS.appears * SETTINGS.hidden
-        jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + hides) * seen.newness * rise)
+        jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
         _, anywhere, lost = SETTINGS.first
         out, back = lost / (anywhere + lost), SETTINGS.back * seen.newness
         tracked, jumped, off = map(float, self._shares)
         gone, found = (tracked + jumped) * jump, off * back
         self._shares = np.array([tracked * (1.0 - jump), jumped * (1.0 - jump), off - found + gone * out])
-        return float(gone * (1.0 - out) + found)
+        self._to_send += gone * (1.0 - out) + found
 
     def _at_starts(self) -> Particles:
         keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
@@ -278,7 +279,9 @@ class Filter:
         drives = self._map.drives[self._map.keyframes[tracked.keyframes]]
         drive = int(drives[tracked.weights.argmax()])
         there = tracked.weights * (drives == drive)
-        pose = there @ tracked.poses / max(float(there.sum()), 1e-12)
+        x, y, _ = there @ tracked.poses / max(float(there.sum()), 1e-12)
+        heading = math.atan2(there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2]))
+        pose = np.array([x, y, heading])
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
         if self._shares[0] * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
@@ -299,7 +302,7 @@ class Filter:
             np.concatenate([particles.keyframes for particles, _ in sets]),
             np.concatenate([particles.offsets() for particles, _ in sets]),
             np.concatenate([particles.weights * (share / total) for particles, share in sets]),
-            1.0 - total,
+            float(self._shares[2] / self._shares.sum()),
             sum(particles.cosine(seen) * share for particles, share in sets) / total,
             sum(float(particles.weights @ particles.followed) * share for particles, share in sets) / total,
         )

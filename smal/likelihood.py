@@ -78,12 +78,13 @@ class Likelihood:
         edges = np.append(GRID, GRID[-1] + width) - width / 2.0
         # Too few views stand out by much to be counted. Excesses over a high threshold are exponential; what n of them
         # let expect of the next one, whose mean is not known, is a Pareto distribution (Lomax).
-        least = float(np.quantile(elsewhere, SETTINGS.usual))
-        above = elsewhere[elsewhere > least] - least
+        elsewhere = np.minimum(elsewhere, GRID[-1])
+        threshold = float(np.quantile(elsewhere, SETTINGS.usual))
+        above = elsewhere[elsewhere > threshold] - threshold
         mean = max(float(above.mean()), width) if above.size else 1.0
         count = max((1.0 - SETTINGS.usual) * independent, 1.0)
-        usual = np.histogram(elsewhere[elsewhere <= least], edges)[0].astype(np.float64)
-        tail = (1.0 + np.maximum(GRID - least, 0.0) / (count * mean)) ** (-count - 1.0) * (least <= GRID)
+        usual = np.histogram(elsewhere[elsewhere <= threshold], edges)[0].astype(np.float64)
+        tail = (1.0 + np.maximum(GRID - threshold, 0.0) / (count * mean)) ** (-count - 1.0) * (threshold <= GRID)
         p0 = SETTINGS.usual * usual / max(usual.sum(), 1.0) + (1.0 - SETTINGS.usual) * tail / tail.sum()
         p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
         zero = int(np.argmin(np.abs(GRID)))

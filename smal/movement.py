@@ -55,7 +55,8 @@ class MotionNoise:
     Parameters
     ----------
     ahead, turn : float
-        Relative errors of the way ahead and of a turn.
+        Of the way ahead after a correlation length, as a share of it; and of a turn after a radian. Both grow with the
+        square root.
     drift_rad : float
         Of the heading, for every correlation length of way; it grows with the square root of the way.
     jitter_rad : float

@@ -97,7 +97,7 @@ class Particles:
         """Return the cosine with the view at each particle's offset, and how far that lies and is turned beyond views.
 
         Between two views the one between them is their sum, scaled to unit length; what lies beyond the outermost ones
-        is in correlation lengths and turns.
+        is in steps aside, correlation lengths ahead, and correlation turns.
         """
         offsets = self.offsets()
         by_turn, by_place = self._map.neighbour_cosines
@@ -132,11 +132,14 @@ class Particles:
         self.weights = np.full(which.size, 1.0 / which.size)
 
 
+#: Probability that something hides a new view, if it did not hide the one before.
+HIDES: Final = SETTINGS.appears * SETTINGS.hidden / (1.0 - SETTINGS.hidden)
+
+
 def _changes() -> NDArray[np.float64]:
     """Return how the share that shows changes with a new view, (from, to); in the long run, a part is hidden."""
-    hides = SETTINGS.appears * SETTINGS.hidden / (1.0 - SETTINGS.hidden)
-    rows = (1.0 - hides - SETTINGS.light) * np.eye(SHARES.size) + SETTINGS.light * ANY_DAY
-    rows[:, 0] += hides
+    rows = (1.0 - HIDES - SETTINGS.light) * np.eye(SHARES.size) + SETTINGS.light * ANY_DAY
+    rows[:, 0] += HIDES
     rows[0] = SETTINGS.appears * ANY_DAY
     rows[0, 0] = 1.0 - SETTINGS.appears
     return rows

@@ -194,7 +194,7 @@ class Planner:
         # Beside or beyond the end by more than views change over, it is not at it.
         ended = leads & (to_end < self._map.correlation_length)
         ended &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
-        sure = float(belief.weights @ at_goal) * (1.0 - belief.lost) > SETTINGS.sure
+        sure = float(belief.weights @ at_goal) * (1.0 - belief.lost) > SETTINGS.arrived
         clear = abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
         return _Wish(math.atan2(mean.imag, mean.real), clear, share >= 0.5, float(belief.weights @ ended) > 0.5, sure)
 

@@ -1,4 +1,4 @@
-"""Every number of the map's method that was tuned, with its unit and its reason.
+"""The numbers of the map's method that were tuned, with their units and reasons.
 
 What the drives tell is not here: how the camera sees, over which way and turn views change, how alike views of one
 place are, how fast the robot drives and turns.
@@ -17,7 +17,7 @@ class Settings:
     views_a_length: int = 5
     #: Or turned by so much: of the nearest keyframe a robot is then turned by about one virtual view at most.
     spacing_deg: float = 12.0
-    #: Virtual views are taken as far aside as two keyframes are apart.
+    #: Virtual views are taken as far aside as two steps from keyframe to keyframe.
     aside: float = 0.4
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
     #: alike; beyond 40 hardly anything of the taught image is left.
@@ -57,7 +57,7 @@ class Settings:
     #: How fast robots turn, where no drive turns and nothing else tells.
     usual_turn_deg_s: float = 45.0
 
-    # -- the wheels (`smal.movement`): relative errors of way and turn; degrees of heading a correlation length, and at
+    # -- the wheels (`smal.movement.MotionNoise`): of the way, of a turn, degrees of heading a correlation length and at
     # every new view, for what shakes. Wheels slip a little; of atoms only the usual movement is known.
     wheels: tuple[float, float, float, float] = (0.05, 0.03, 1.5, 0.3)
     atoms: tuple[float, float, float, float] = (0.1, 0.1, 5.0, 0.3)
@@ -102,7 +102,7 @@ class Settings:
     go_over_s: float = 2.0
     #: Probability with which it says that it has arrived, and the time of driving within which it is then of the goal:
     #: half of what is usually called found.
-    sure: float = 0.99
+    arrived: float = 0.99
     goal_s: float = 1.25
 
     # -- stitches
