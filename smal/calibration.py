@@ -286,7 +286,8 @@ def likelihood_of_views(
     if not apart.size:
         apart = np.random.default_rng(0).standard_normal(10_000)
     pairs = np.concatenate(chains, axis=1) if chains else np.empty((2, 0))
-    correlation = float(np.corrcoef(pairs)[0, 1]) if pairs.shape[1] > 2 else 0.5
+    told = pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all())
+    correlation = float(np.corrcoef(pairs)[0, 1]) if told else 0.5
     return Likelihood.fit(np.array(here), apart, independent, gamma_of(float(np.mean(neighbours)), correlation))
 
 

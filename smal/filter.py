@@ -50,8 +50,7 @@ class Belief:
     cosine : float
         Mean cosine of the last view with the views of these places.
     tracked : float
-        Mean way that the particles have been followed for since they were drawn as scouts, in the map's unit; a turn
-        counts as the way that changes the view as much.
+        Way that nine tenths of the particles have been followed for since they were drawn as scouts, in the map's unit.
     """
 
     keyframes: NDArray[np.intp]
@@ -109,7 +108,9 @@ class Filter:
         #: Probability of the scouts that the next view sends.
         self._to_send = SETTINGS.first[1]
         self._last = self._counted = np.zeros(self._map.basis.shape[1], dtype=np.float32)
-        self._used = self._moved = self._since = 0.0
+        self._used = 0.0
+        # Steps since the last view that was counted in full, and since the last view.
+        self._step = self._since = np.zeros(3)
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
 
@@ -140,7 +141,10 @@ class Filter:
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
             raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
         components = self._map.described(self._centering.apply(raw_features))
-        seen = self._seen(components, movement)
+        if self._tracked is not None:
+            step = np.array([movement.ahead, 0.0, movement.turn_rad])
+            self._step, self._since = placed(step, self._step), placed(step, self._since)
+        seen = self._seen(components)
         if self._tracked is None:
             self._tracked = self._at_starts()
         else:
@@ -150,7 +154,7 @@ class Filter:
                     particles.move(movement, noise, seen.newness, self._rng)
             self._move_sure(movement)
         if seen.newness > 0.0:
-            self._last, self._since = components, 0.0
+            self._last, self._since = components, np.zeros(3)
             self._weigh(seen)
         return self._belief(seen)
 
@@ -171,39 +175,43 @@ class Filter:
         self._shares = np.array([tracked, jumped, lost]) / (tracked + jumped + lost)
         self._note_sure()
 
-    def _seen(self, components: NDArray[np.float32], movement: Movement) -> View:
+    def _seen(self, components: NDArray[np.float32]) -> View:
         """Compare a view with those of the map, and say how much of it is new.
 
-        It is new against the last one that was counted in full, by how it looks or by how far the robot has moved,
+        It is new against the last one that was counted in full, by how it looks or by how far the robot is from there,
         whichever is more: many small changes make one new view; one that comes back, or noise while the robot stands,
-        makes none.
+        makes none. What looks like nothing more than like any place, or is the same to the bit, shows no place.
         """
         cosines = self._map.cosines(components)
         middle, spread = scale(self._map.sampled(cosines))
-        self._moved += self._map.lengths(movement)
-        if not components.any() or components @ self._blank > cosines.max():
-            return View(cosines, middle, 0.0, 0.0)  # It looks like nothing, more than like any place.
+        same_picture = self._tracked is not None and np.array_equal(components, self._last)
+        if not components.any() or components @ self._blank > cosines.max() or same_picture:
+            return View(cosines, middle, 0.0, 0.0)
         likelihood = self._map.likelihood
-        same = min(likelihood.correlation(float(components @ self._counted)), self._expected(self._moved))
+        same = min(likelihood.correlation(float(components @ self._counted)), self._expected(self._step))
         new = (1.0 - same) / (1.0 + same)
         newness, self._used = max(new - self._used, 0.0), max(new, self._used)
-        if same < likelihood.correlation(self._map.next_cosine):
-            self._counted, self._used, self._moved = components, 0.0, 0.0
+        if same < max(likelihood.correlation(self._map.next_cosine), 1e-3):
+            self._counted, self._used, self._step = components, 0.0, np.zeros(3)
         return View(cosines, middle, spread, newness)
 
-    def _expected(self, lengths: float) -> float:
-        """Return how far two views should say the same that are so many correlation lengths apart."""
+    def _expected(self, step: NDArray[np.float64]) -> float:
+        """Return how far two views should say the same that are a step apart (ahead, left, turn)."""
+        lengths = self._map.lengths(Movement(math.hypot(step[0], step[1]), math.remainder(step[2], math.tau)))
         return math.pow(self._map.likelihood.correlation(self._map.next_cosine), SETTINGS.views_a_length * lengths)
 
     def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> None:
         """Take from the particles the probability that goes to where the wheels do not lead.
 
         With every new view a little; much more where it does not look like the one just before, though the robot has
-        hardly moved.
+        hardly moved. Without views the wheels alone are believed less and less.
         """
         assert self._tracked is not None
         likelihood = self._map.likelihood
-        self._since += self._map.lengths(movement)
+        if seen.spread == 0.0:
+            kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
+            self._shares = np.append(kept * self._shares[:2], self._shares[2] + (1.0 - kept) * self._shares[:2].sum())
+            return
         expected = self._expected(self._since)
         like_last = float(likelihood.of(seen.stands_out(components @ self._last)))
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
@@ -298,11 +306,19 @@ class Filter:
         if self._jumped is not None:
             sets.append((self._jumped, float(self._shares[1])))
         total = sum(share for _, share in sets)
+        weights = np.concatenate([particles.weights * (share / total) for particles, share in sets])
         return Belief(
             np.concatenate([particles.keyframes for particles, _ in sets]),
             np.concatenate([particles.offsets() for particles, _ in sets]),
-            np.concatenate([particles.weights * (share / total) for particles, share in sets]),
+            weights,
             float(self._shares[2] / self._shares.sum()),
-            sum(particles.cosine(seen) * share for particles, share in sets) / total,
-            sum(float(particles.weights @ particles.followed) * share for particles, share in sets) / total,
+            min(sum(particles.cosine(seen) * share for particles, share in sets) / total, 1.0),
+            _least_of_most(np.concatenate([particles.followed for particles, _ in sets]), weights),
         )
+
+
+def _least_of_most(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Return what nine tenths of the weight are not below."""
+    order = np.argsort(values)
+    first = int(np.searchsorted(np.cumsum(weights[order]), 0.1))
+    return float(values[order[min(first, values.size - 1)]])

@@ -110,7 +110,7 @@ class Likelihood:
 
     def correlation(self, cosine: float) -> float:
         """Return how far two views of this cosine say the same, 0 to 1."""
-        return math.pow(max(cosine, 0.0), self.gamma)
+        return math.pow(min(max(cosine, 0.0), 1.0), self.gamma)
 
 
 def gamma_of(cosine: float, correlation: float) -> float:

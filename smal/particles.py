@@ -57,7 +57,7 @@ class Particles:
         turn += noise.drift_rad * way * drift + noise.jitter_rad * math.sqrt(newness) * jitter
         middle = self.poses[:, 2] + turn / 2.0
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
-        self.followed += self._map.lengths(movement) * self._map.correlation_length
+        self.followed += abs(movement.ahead)
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
         apart = self.poses[:, None] - self._map.key_poses[near]

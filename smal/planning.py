@@ -148,12 +148,12 @@ class Planner:
         """Return for each keyframe the one whose drive is to be followed there, and its own offset from that one."""
         keyframe, offset = np.arange(len(following)), np.zeros((len(following), 3))
         stitch = {(one, other): k for k, (one, other) in enumerate(self._map.stitched.tolist())}
-        for start in range(len(following)):
-            here = start
-            while (here, int(following[here])) in stitch:
-                offset[start] = placed(offset[start], self._map.stitch_offsets[stitch[here, int(following[here])]])
-                here = int(following[here])
-            keyframe[start] = here
+        # What follows is nearer to the goal.
+        for start in np.argsort(self._to_go_s).tolist():
+            then = int(following[start])
+            if (start, then) in stitch:
+                keyframe[start] = keyframe[then]
+                offset[start] = placed(self._map.stitch_offsets[stitch[start, then]], offset[then])
         return keyframe, offset
 
     def reset(self) -> None:
@@ -177,8 +177,9 @@ class Planner:
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
         wish = self._wish(belief)
-        # It has arrived only after it was followed for a correlation length: a few views may show another place.
-        self.done = self.done or (wish.ended and wish.sure and belief.tracked > self._map.correlation_length)
+        followed = belief.tracked > SETTINGS.followed * self._map.correlation_length
+        followed |= self._looked_rad >= math.radians(SETTINGS.look_deg)
+        self.done = self.done or (wish.ended and wish.sure and followed)
         kind = self._kind(wish, belief.lost > 0.5)
         return Decision(kind, self._atom(kind, wish.error_rad, elapsed_s), wish.error_rad)
 

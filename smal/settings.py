@@ -71,6 +71,8 @@ class Settings:
     hidden: float = 0.1
     appears: float = 0.5
     light: float = 0.1
+    #: Way without a view after which the wheels are believed half.
+    blind: float = 2.0
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
     located: float = 0.9
     slip: float = 0.1
@@ -103,6 +105,8 @@ class Settings:
     #: Probability with which it says that it has arrived, and the time of driving within which it is then of the goal:
     #: half of what is usually called found.
     arrived: float = 0.99
+    #: It must have been followed for this way before, or have looked all around: a few views may show another place.
+    followed: float = 2.0
     goal_s: float = 1.25
 
     # -- stitches
