@@ -231,7 +231,8 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     publish(client, killed[50:-1])
     command = [*process.args[:-1], str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as again:
-        eventually((tmp_path / "killed-2.mcap.partial").exists)
+        # What was said while nobody recorded, and what was not written yet, is fetched from who said it.
+        eventually(lambda: ready(client, "recorder").detail["messages"] == len(killed) - 1, timeout_s=20.0)
         publish(client, killed[-1:])
         eventually((tmp_path / "killed-2.mcap").exists, timeout_s=20.0)
         again.send_signal(signal.SIGTERM)
