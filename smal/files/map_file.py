@@ -80,7 +80,9 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
         "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1 and all(map(_is_name, one.goals)),
         "names": len(one.names) == len(one.goals) and all(map(_are_names, one.names)),
-        "stitched": one.stitched.shape == (joined, 2) and _within(one.stitched, count),
+        "stitched": one.stitched.shape == (joined, 2)
+        and _within(one.stitched, count)
+        and len(np.unique(one.stitched, axis=0)) == joined,
         "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
     }
 

@@ -189,6 +189,7 @@ def test_the_content_makes_the_map_again() -> None:
         ("goals", lambda _: ("x" * 65,), "goals"),
         ("goals", lambda _: ("victim", "victim"), "goals"),
         ("stitched", lambda _: np.array([[0, 10**6]], dtype=np.int32), "stitched"),
+        ("stitched", lambda _: np.array([[0, 1], [0, 1]], dtype=np.int32), "stitched"),
     ],
 )
 def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: str) -> None:
