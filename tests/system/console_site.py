@@ -112,9 +112,15 @@ def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
     eventually(lambda: page.locator(f"#world-form option[value='{world}']").count() == 1)
     page.select_option("#world-form [name=world]", world)
     before = data(page, "episode")
-    insist(page, site, lambda: page.click("#drive-form button"), lambda: data(page, "episode") not in ("", before))
-    # Pressed twice, it has begun two, and the page follows.
-    eventually(lambda: site.poses and site.poses[-1].episode == data(page, "episode"))
+    insist(
+        page,
+        site,
+        lambda: page.click("#drive-form button"),
+        # Pressed twice, it has begun two, and the page follows.
+        lambda: (
+            data(page, "episode") not in ("", before) and site.poses and site.poses[-1].episode == data(page, "episode")
+        ),
+    )
 
 
 def drive_ahead(page: Page, site: Site) -> None:
