@@ -43,7 +43,11 @@ def scale(sample: NDArray[Any]) -> tuple[float, float]:
 
 def standing_out(cosines: NDArray[Any], sample: NDArray[Any]) -> NDArray[Any]:
     """Return by how much the cosines of a view stand out from those with a sample of elsewhere; 0 if it is blank."""
-    middle, spread = scale(sample)
+    return over(cosines, *scale(sample))
+
+
+def over(cosines: NDArray[Any], middle: float, spread: float) -> NDArray[Any]:
+    """Return cosines less the middle, over the spread; 0 where there is none."""
     return (cosines - middle) / spread if spread > 1e-6 else np.zeros_like(cosines)
 
 

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.likelihood import ANY_DAY, SHARES
+from smal.likelihood import ANY_DAY, SHARES, over
 from smal.movement import MotionNoise, Movement, seen_from, wrapped
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
@@ -33,7 +33,7 @@ class View(NamedTuple):
 
     def stands_out(self, cosines: NDArray[Any]) -> NDArray[Any]:
         """Return by how much cosines stand out."""
-        return (cosines - self.middle) / self.spread if self.spread > 1e-6 else np.zeros_like(cosines)
+        return over(cosines, self.middle, self.spread)
 
 
 class Particles:

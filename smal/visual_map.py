@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.calibration import evenly
 from smal.files.map_file import check_map
 from smal.likelihood import Likelihood
 from smal.movement import Atom, Movement
@@ -104,8 +105,7 @@ class VisualMap:
     @cached_property
     def reference(self) -> NDArray[np.intp]:
         """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
-        count = len(self.keyframes)
-        return np.unique(np.linspace(0, count - 1, min(count, SETTINGS.reference)).astype(np.intp))
+        return evenly(len(self.keyframes), SETTINGS.reference)
 
     @cached_property
     def likelihood(self) -> Likelihood:
