@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from schemas.base import DIRECTIONS
 from services.exporters.drives import FORMATS, Nominal, read, write
@@ -51,6 +52,13 @@ def exported(
 def brought_back(source: Path, form: str, folder: Path, **fields: object) -> list[RecordedEpisode]:
     report, _ = imported(source, form, folder, **fields)
     return [episode_of(file) for file in report.files]
+
+
+def images_of(video: Path) -> list[NDArray[np.uint8]]:
+    import av  # noqa: PLC0415 - of the extra `formats`
+
+    with av.open(str(video)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
 def jpegs(episode: RecordedEpisode) -> dict[int, bytes]:
@@ -101,14 +109,20 @@ def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_the_same_export_has_the_same_bytes(form: str, tmp_path: Path) -> None:
+def test_the_same_export_is_the_same_again(form: str, tmp_path: Path) -> None:
+    """To the byte, but for videos: their encoder does not promise that. Beside busy cores it broke it now and then."""
     files = [recording(tmp_path / "recordings", name) for name in ("one", "two")]
-    found = []
+    found: list[dict[Path, bytes]] = []
+    shown: list[list[NDArray[np.uint8]]] = []
     for folder in (tmp_path / "first", tmp_path / "again"):
         exported(files, form, folder / "out")
-        every = [path for path in folder.rglob("*") if path.is_file()]
-        found.append({path.relative_to(folder): path.read_bytes() for path in every})
+        every = sorted(path for path in folder.rglob("*") if path.is_file())
+        found.append({path.relative_to(folder): path.read_bytes() for path in every if path.suffix != ".mp4"})
+        shown.append([image for path in every if path.suffix == ".mp4" for image in images_of(path)])
     assert found[0] == found[1] != {}
+    assert len(shown[0]) == len(shown[1]) == (2 * FRAMES if form == "lerobot" else 0)
+    for image, again in zip(*shown, strict=True):
+        np.testing.assert_allclose(again, image.astype(float), atol=2.0)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
