@@ -51,6 +51,12 @@ def over(cosines: NDArray[Any], middle: float, spread: float) -> NDArray[Any]:
     return (cosines - middle) / spread if spread > 1e-6 else np.zeros_like(cosines)
 
 
+def log_ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return log(here / elsewhere) at each `GRID` point, ascending: what stands out more never speaks less."""
+    ratio = np.log(np.maximum(here, 1e-300) / elsewhere)
+    return np.asarray(isotonic_regression(ratio, weights=here + elsewhere).x, dtype=np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Likelihood:
     """The log ratio for each z, and how fast views become new.
@@ -97,8 +103,7 @@ class Likelihood:
             shares = _FINE[(least <= _FINE) & (most >= _FINE)]
             shown = np.clip(np.multiply.outer(shares, np.maximum(here, 0.0)).ravel(), 0.0, GRID[-1])
             p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[zero : zero + GRID.size]
-            # What stands out more never speaks less for a place.
-            row[:] = isotonic_regression(np.log(np.maximum(p1, 1e-300) / p0), weights=p0 + p1).x
+            row[:] = log_ratio(p1, p0)
         # Any view may be hidden.
         return cls(np.clip(ratio, math.log(SETTINGS.hidden), 50.0), gamma)
 

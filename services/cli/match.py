@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -13,19 +14,20 @@ from typer import Argument, Option
 from services.cli import options, outputs
 from services.cli.progress import Bars
 from services.experiments.matching.image_folder import ImageFolder, Traverse, describe_frames, list_folder
-from services.experiments.matching.report import Quality, Result, as_json, as_text, in_folders
+from services.experiments.matching.report import Quality, Result, as_json, as_text, in_folders, title_of
 from services.experiments.matching.truth_file import read_truth
-from services.experiments.words import counted, described_by
+from services.experiments.words import counted
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
+from smal.evaluation.reliability import Reliability, known_from_unknown
 from smal.features import FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
 _METHODS: Final = "; ".join(
-    f"{name}: {method.meaning} (l = {method.length}" + (f", penalty {method.penalty:g})" if method.penalty else ")")
+    f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()
 )
 
@@ -36,8 +38,12 @@ def match(
     name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,
-    penalty: Annotated[float | None, Option(help="Weight of the regularization; see above.")] = None,
+    tolerance: Annotated[int | None, Option(min=0, max=10**6, help="Frames off that are right as well.")] = None,
+    online: Annotated[int | None, Option(min=0, metavar="LAG", help="Answer each query so many frames later.")] = None,
     tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
+    precision: Annotated[
+        float | None, Option(min=0.0, max=1.0, help="Leave out so many that this share is right.")
+    ] = None,
     reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
     query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERY_DIR.")] = None,
     truth: Annotated[Path | None, Option(metavar="CSV", help="What is right; see above.")] = None,
@@ -49,34 +55,44 @@ def match(
     Frames are a folder's images in natural order (img2 before img10), counted from 0. Any format and size that OpenCV
     reads will do, grey or with 16 bits as well. An image that cannot be read is skipped and keeps its number.
 
-    Every query frame gets a match as soon as a window of --length frames ends there: the first ones get none. Scores
-    are at least 0, or at least -1 with nearest; a higher one is a surer match, comparable within one run only.
+    The score of smal is the probability that the match is right, to --tolerance frames (by default as far as references
+    look alike, with --truth half of what usually is right). So --precision .99 keeps as many matches as are right in 99
+    of 100 cases; and a query that most probably no reference shows has no match. Scores of the other methods order the
+    matches of one run, no more. Their first queries get no match, as long as no window of --length frames ends there.
 
-    What all images of a folder have in common, as its light, is taken away (but by paper): matching is not causal, and
-    the more queries there are, the better it works.
+    What all images of a folder have in common, as its light, is taken away (but by paper and image), and smal looks at
+    all queries before it answers: the more there are, the better it works. With --online LAG it answers a query by
+    those up to LAG frames later: 0 as soon as it is seen.
 
-    --penalty is above 0 and below 1: with smal and image a share of the one for which nothing matches, with paper a in
-    lambda1 = lambda2 = a sqrt(l). Depth images have 16 bits, in millimetres; --reference-depth has one for each image
-    of REFERENCE_DIR, in the same order.
+    Depth images have 16 bits, in millimetres; --reference-depth has one for each image of REFERENCE_DIR, in the same
+    order.
 
-    The file of --truth has the columns query, reference_first, reference_last, one row a query, frames counted from 0,
-    the last included (7,20,24). A query that no reference shows has the row 7,, and one without a row is not judged. It
-    adds the area under the precision-recall curve (AUC) and the recall at 100 % precision, with --tau of what is left.
+    The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
+    (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
+    shows has the row 7,, and one without a row is not judged. It adds the area under the precision-recall curve (AUC)
+    and the recall at 100 % precision, with --tau and --precision of what is left; how often a query that the references
+    show is told from one that they do not; and of smal how far scores are off the share that is right (expected
+    calibration error).
 
-    The JSON has "method", "length", "tau", "modalities", "weights", "penalty"; the folders' paths as "references" and
-    "queries" and the names of their frames, read or not; "matches", one for each query frame: {"query", "reference",
-    "score"}, reference null and score 0 where there is none; and with --truth "auc", "recall_at_100_precision", both
-    with 95 % intervals, and how many queries were "judged" and "to_find".
+    The JSON has what was chosen; the folders' paths as "references" and "queries" and the names of their frames, read
+    or not; "matches", one for each query frame: {"query", "reference", "score", "unknown"}, reference null and score 0
+    where there is none, unknown the probability that no reference shows it; and with --truth "auc" and
+    "recall_at_100_precision", both with 95 % intervals, "calibration_error", "known_from_unknown", and how many queries
+    were "judged" and "to_find".
 
-    Example: smal match summer winter --length 10 --truth truth.csv --json matches.json --plot matches.png
+    Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png
     """
-    method, settings = choose(name, length, modalities, penalty)
+    method, settings = choose(name, length, modalities, tolerance, online)
+    if precision is not None and not method.probable:
+        raise UsageError(f"--precision {precision:g}: the scores of the method {name} are no probabilities; use --tau")
     folders = [one for one in (reference_dir, query_dir, reference_depth, query_depth) if one is not None]
     _check_outputs(json_file, plot, [] if truth is None else [truth], folders)
     known, asked = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
     named = (("--reference-depth", reference_depth, known), ("--query-depth", query_depth, asked))
     depths = [_depth_folder(settings.features, *one) for one in named]
     expected = None if truth is None else read_truth(truth, len(asked.frames), len(known.frames))
+    if expected is not None and method.probable and tolerance is None:
+        settings = replace(settings, tolerance=expected.tolerance)
     began_s = time.perf_counter()
     references = describe_frames(known, settings.features, depths[0], "reading references")
     queries = describe_frames(asked, settings.features, depths[1], "reading queries")
@@ -89,10 +105,11 @@ def match(
             raise JobError(f"{one.folder.path}: {few}; choose a shorter --length")
     found = in_folders(_match(method, references, queries, settings), references, queries)
     matches = found if tau is None else found.above(tau)
+    matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
-    quality = None if expected is None else _quality(matches, expected, settings.length)
+    quality = None if expected is None else _quality(matches, expected, settings.length, method)
     unsure = int(found.matched.sum() - matches.matched.sum())
-    result = Result(name, settings, tau, references, queries, matches, unsure, quality, seconds)
+    result = Result(name, settings, tau, precision, references, queries, matches, unsure, quality, seconds)
     written: list[Path] = []
     try:
         if json_file is not None:
@@ -108,7 +125,7 @@ def match(
 
 
 def choose(
-    name: str, length: int | None, modalities: FeatureSettings | None, penalty: float | None
+    name: str, length: int | None, modalities: FeatureSettings | None, tolerance: int | None, lag: int | None
 ) -> tuple[Method, MatchSettings]:
     """Take a method of the table, and its own settings where nothing is asked for.
 
@@ -121,13 +138,11 @@ def choose(
         own = ", ".join(method.features.modalities)
         raise UsageError(f"--modalities {modalities.text}: the method {name} has its own features, {own}")
     if length not in (None, method.length) and not method.any_length:
-        raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
-    if penalty is not None and method.penalty is None:
-        raise UsageError(f"--penalty {penalty:g}: the method {name} has none")
-    if penalty is not None and not 0.0 < penalty < 1.0:
-        raise UsageError(f"--penalty {penalty:g}: must be above 0 and below 1")
-    penalty = method.penalty if penalty is None else penalty
-    return method, MatchSettings(modalities or method.features, length or method.length, penalty)
+        raise UsageError(f"--length {length}: the method {name} has no windows")
+    for option, value in (("--tolerance", tolerance), ("--online", lag)):
+        if value is not None and not method.probable:
+            raise UsageError(f"{option} {value}: the method {name} does not know of it")
+    return method, MatchSettings(modalities or method.features, length or method.length, tolerance, lag)
 
 
 def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
@@ -171,11 +186,18 @@ def _match(method: Method, references: Traverse, queries: Traverse, settings: Ma
             raise JobError("matching {} and {} frames takes more memory than there is".format(*sizes)) from None
 
 
-def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
+def _quality(matches: Matches, truth: IntervalTruth, length: int, method: Method) -> Quality:
     judgement = truth.judge(matches)
     judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
     intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
-    return Quality(PrecisionRecall.of(judgement), intervals, judged, to_find)
+    return Quality(
+        PrecisionRecall.of(judgement),
+        intervals,
+        judged,
+        to_find,
+        Reliability.of(judgement) if method.probable else None,
+        known_from_unknown(judgement, 1.0 - matches.unknown if method.probable else matches.score),
+    )
 
 
 def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
@@ -185,9 +207,8 @@ def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
         result.matches,
         len(result.references.folder.frames),
         truth,
-        None if result.quality is None else result.quality.curve,
-        f"{result.name}, l = {result.settings.length}, {described_by(result.settings.features)}"
-        + ("" if result.tau is None else f", scores above {result.tau:g}"),
+        result.quality,
+        title_of(result),
     )
     with outputs.writing(plot, "--plot") as file:
         figure.savefig(file, dpi=150, format=plot.suffix[1:].lower())

@@ -32,16 +32,18 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class IntervalTruth:
-    """Right are all references from a first to a last one.
+    """Right are all references from a first to a last one, of one interval or several.
 
     Parameters
     ----------
-    first, last : int64 arrays (q,)
-        0 <= first <= last, or both -1 where the reference traverse does not show the place.
+    query, first, last : int64 arrays (k,)
+        Intervals: 0 <= first <= last. Of a place that the references show several times a query has several, of one
+        that they do not show none.
     judged : bool array (q,)
         See `Judgement`.
     """
 
+    query: NDArray[np.int64]
     first: NDArray[np.int64]
     last: NDArray[np.int64]
     judged: NDArray[np.bool_]
@@ -49,13 +51,18 @@ class IntervalTruth:
     @property
     def findable(self) -> NDArray[np.bool_]:
         """See `Judgement`."""
-        found: NDArray[np.bool_] = self.judged & (self.first >= 0)
-        return found
+        return np.bincount(self.query, minlength=self.judged.size) > 0
+
+    @property
+    def tolerance(self) -> int:
+        """How many frames off a reference usually still is right: half of the median interval."""
+        return int(np.median(self.last - self.first)) // 2
 
     def judge(self, matches: Matches) -> Judgement:
         """Hold a method's answers against this truth of the same queries."""
-        inside = (matches.reference >= self.first) & (matches.reference <= self.last)
-        right = matches.matched & self.findable & inside
+        answers = matches.reference[self.query]
+        inside = (answers >= self.first) & (answers <= self.last)
+        right = matches.matched & (np.bincount(self.query, inside, self.judged.size) > 0)
         return Judgement(matches.score, matches.matched, right, self.judged, self.findable)
 
 

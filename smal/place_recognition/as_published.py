@@ -1,6 +1,6 @@
 """The paper's matching as it stands, on two traverses: Eq. 7 with sequences cut at fixed phases, and Eq. 9.
 
-Beside the method of `traverse_matching`, to show what order, speeds and centering add.
+With l = 1 it is the paper's baseline.
 """
 
 import math
@@ -18,13 +18,9 @@ LAMBDA_SCALE: Final = 0.1
 
 
 def match_as_in_the_paper(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
-    length: int,
-    lambda_scale: float,
-    progress: Progress = ignore,
+    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
 ) -> Matches:
-    """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
+    """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l) (`LAMBDA_SCALE`).
 
     References (n, m) and queries (q, m) are centred by the mean of the references, and weighted. References beyond the
     last whole sequence are left out. There is no match for the first l-1 queries, where W = 0, and for any where n < l.
@@ -33,7 +29,7 @@ def match_as_in_the_paper(
     """
     check_features(references, queries, length)
     total, whole = len(queries), len(references) // length * length
-    matches, templates, penalty = Matches.none(total), references[:whole].T, lambda_scale * math.sqrt(length)
+    matches, templates, penalty = Matches.none(total), references[:whole].T, LAMBDA_SCALE * math.sqrt(length)
     for query in range(length - 1, total if whole else 0):
         window = queries[query - length + 1 : query + 1].T
         solution = solve(templates, window, length, penalty, penalty, tolerance=1e-3)

@@ -1,7 +1,8 @@
 """What every method of place recognition takes and answers."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -30,24 +31,34 @@ class Matches:
     score : float64 array (q,)
         How sure the match is: higher is surer, comparable between the queries of one method only. 0 where there is no
         match.
+    unknown : float64 array (q,)
+        The probability that no reference shows the query; 0 of a method that does not tell.
     """
 
     reference: NDArray[np.int64]
     score: NDArray[np.float64]
+    unknown: NDArray[np.float64]
 
     @classmethod
     def none(cls, queries: int) -> Self:
         """Return the answer that recognizes no query of `queries`."""
-        return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries))
+        return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries), np.zeros(queries))
 
     def above(self, threshold: float) -> Self:
         """Return the matches with a score above a threshold; the others are none."""
         sure = self.matched & (self.score > threshold)
-        return type(self)(np.where(sure, self.reference, NONE), np.where(sure, self.score, 0.0))
+        return replace(self, reference=np.where(sure, self.reference, NONE), score=np.where(sure, self.score, 0.0))
+
+    def surest(self, precision: float) -> Self:
+        """Return as many of the surest matches as have this precision, by scores that are probabilities."""
+        falling = np.sort(self.score[self.matched])[::-1]
+        expected = np.cumsum(falling) / np.arange(1, falling.size + 1)
+        enough = falling[expected >= precision]
+        return self.above(np.nextafter(enough[-1], 0.0) if enough.size else math.inf)
 
     def of(self, queries: NDArray[np.int64]) -> Self:
         """Return the matches of some queries."""
-        return type(self)(self.reference[queries], self.score[queries])
+        return type(self)(self.reference[queries], self.score[queries], self.unknown[queries])
 
     @property
     def matched(self) -> NDArray[np.bool_]:

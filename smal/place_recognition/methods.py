@@ -8,33 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
-from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
+from smal.place_recognition.as_published import match_as_in_the_paper
 from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
-from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
+from smal.place_recognition.places import match_places
+from smal.place_recognition.seqslam import match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses
-from smal.place_recognition.traverse_matching import RELATIVE_PENALTY, match_traverses
 
 Features = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What can be chosen of a method.
-
-    Parameters
-    ----------
-    features : FeatureSettings
-    length : int
-        Frames l of a window, at least 1.
-    penalty : float, optional
-        Its own if None. With `smal` and `image` lambda as a share of the smallest one for which W = 0, above 0 and
-        below 1; with `paper` a in lambda1 = lambda2 = a sqrt(l), above 0.
-    """
+    """What can be chosen of a method: features, frames l of a window, and of `smal` what `match_places` says."""
 
     features: FeatureSettings
-    length: int
-    penalty: float | None = None
+    length: int = 1
+    tolerance: int | None = None
+    lag: int | None = None
 
 
 #: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows of both.
@@ -43,31 +34,19 @@ Match = Callable[[Features, Features, MatchSettings, Progress], Matches]
 
 @dataclass(frozen=True)
 class Method:
-    """One way to recognize places.
+    """One way to recognize places: what it means, in one line, and what it looks at unless told otherwise.
 
-    Parameters
-    ----------
-    meaning : str
-        One line for people.
-    features : FeatureSettings
-        What it looks at unless told otherwise.
-    length : int
-        Frames of a window unless told otherwise, at least 1.
-    way : callable
-        See `Match`.
-    penalty : float, optional
-        Weight of its regularization unless told otherwise; None if it has none.
-    any_features, any_length : bool
-        Whether it works with other features, or another length, than its own.
+    A window has so many frames (`length`) unless told otherwise. It may not work with other features or another length
+    than its own. Scores may be probabilities of being right; then it may be told a tolerance and a lag.
     """
 
     meaning: str
     features: FeatureSettings
-    length: int
     way: Match
-    penalty: float | None = None
+    length: int = 1
     any_features: bool = True
     any_length: bool = True
+    probable: bool = False
 
     def match(self, references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
         """Match raw features (n, m) and (q, m); of fewer than `length` of either it finds no match."""
@@ -79,9 +58,8 @@ class Method:
 
 
 def _smal(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    penalty = RELATIVE_PENALTY if settings.penalty is None else settings.penalty
-    centred = centre_traverses(references, queries, settings.features)
-    return match_traverses(*centred, settings.length, penalty, progress)
+    centred = centre_traverses(references, queries, settings.features, causal=settings.lag is not None)
+    return match_places(*centred, settings.tolerance, settings.lag, progress)
 
 
 def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
@@ -90,13 +68,12 @@ def _nearest(references: Features, queries: Features, settings: MatchSettings, p
 
 
 def _seqslam(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    return match_seqslam(references, queries, SeqSlamSettings(length=settings.length), progress)
+    return match_seqslam(references, queries, settings.length, progress)
 
 
 def _paper(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     mean = Centering.fit(references, settings.features)
-    scale = LAMBDA_SCALE if settings.penalty is None else settings.penalty
-    return match_as_in_the_paper(mean.apply(references), mean.apply(queries), settings.length, scale, progress)
+    return match_as_in_the_paper(mean.apply(references), mean.apply(queries), settings.length, progress)
 
 
 #: What looks at the whole image, and changes little where light and season do.
@@ -105,19 +82,17 @@ FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "smal": Method(
-            "the paper's sparse convex matching, with sequences in order and at speeds from half to twice",
-            FEATURES, 10, _smal, RELATIVE_PENALTY,
+            "a hidden Markov model over places, speeds and 'no reference shows it'; the score is a probability",
+            FEATURES, _smal, any_length=False, probable=True,
         ),
-        "image": Method(
-            "the paper's baseline: the same of single images", FEATURES, 1, _smal, RELATIVE_PENALTY, any_length=False
-        ),
+        "nearest": Method("largest sum of products along the sequence, at equal speeds", FEATURES, _nearest, 10),
         "seqslam": Method(
-            "Milford and Wyeth 2012", FeatureSettings.of(("thumbnail",)), 10, _seqslam, any_features=False
+            "Milford and Wyeth 2012", FeatureSettings.of(("thumbnail",)), _seqslam, 10, any_features=False
         ),
-        "nearest": Method("largest sum of products along the sequence, at equal speeds", FEATURES, 10, _nearest),
         "paper": Method(
             "Eq. 7 as published, with colour and HOG: sequences without order, cut at fixed phases",
-            FeatureSettings(), 10, _paper, LAMBDA_SCALE,
+            FeatureSettings(), _paper, 10,
         ),
+        "image": Method("the paper's baseline: Eq. 7 of single images", FeatureSettings(), _paper, any_length=False),
     }
 )  # fmt: skip

@@ -4,18 +4,16 @@ The products of every query with every reference are summed along the diagonal, 
 and the reference sequence with the largest sum is the match. There is no optimization and nothing to set but l.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
-from smal.place_recognition.trajectories import rolling, sums_along
 
 
 def match_nearest_sequence(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
-    length: int,
-    progress: Progress = ignore,
+    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
 ) -> Matches:
     """Match each query with the end of the reference sequence that has the largest mean product.
 
@@ -27,15 +25,26 @@ def match_nearest_sequence(
     earliest is taken. Features that do not fit or are not finite raise ValueError.
     """
     check_features(references, queries, length)
-    total, count = len(queries), len(references)
-    matches = Matches.none(total)
-    for done, rows in rolling(lambda frames: queries[frames] @ references.T, total, count, length):
-        means = sums_along(rows, range(length)) / np.float32(length)
-        if means.size:
-            best = means.argmax(axis=1)
-            ends = slice(done - best.size, done)
-            matches.reference[ends] = best + length - 1
-            matches.score[ends] = means[np.arange(best.size), best]
-        progress(done)
-    progress(total)
+    matches = Matches.none(len(queries))
+    means = sums_along(queries @ references.T, range(length)) / np.float32(length)
+    if means.size:
+        best = means.argmax(axis=1)
+        matches.reference[length - 1 :] = best + length - 1
+        matches.score[length - 1 :] = means[np.arange(best.size), best]
+    progress(len(queries))
     return matches
+
+
+def sums_along(rows: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
+    """Sum a matrix (q, n) of queries and references along one straight line of l steps, from each of its ends.
+
+    Steps are references before the end, 0 to l-1 queries before it. Entry (i, j) of the result
+    (q - l + 1, max(n - steps[-1], 0)) is the sum of the line that ends at row i + l - 1 and at reference j + steps[-1];
+    those that end earlier would begin before the first reference.
+    """
+    (height, width), length, reach = rows.shape, len(steps), steps[-1]
+    total = np.zeros((max(height - length + 1, 0), max(width - reach, 0)), dtype=np.float32)
+    if total.size:
+        for back, step in enumerate(steps):
+            total += rows[length - 1 - back : height - back, reach - step : width - step]
+    return total

@@ -17,10 +17,18 @@ PRIOR_FRAMES: Final = 5
 
 
 def centre_traverses(
-    references: NDArray[np.float32], queries: NDArray[np.float32], settings: FeatureSettings
+    references: NDArray[np.float32], queries: NDArray[np.float32], settings: FeatureSettings, *, causal: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Centre two traverses, raw features (n, m) and (q, m), and weight their modalities; see `Centering.apply`."""
-    known, own = Centering.fit(references, settings), Centering.fit(queries, settings)
-    share = np.float32(queries.shape[0] / (queries.shape[0] + PRIOR_FRAMES))
-    seen = Centering(share * own.mean + (1 - share) * known.mean, settings)
-    return known.apply(references), seen.apply(queries)
+    """Centre two traverses, raw features (n, m) and (q, m), and weight their modalities; see `Centering.apply`.
+
+    If it is to be causal, each query is centred by the mean of those up to it.
+    """
+    known = Centering.fit(references, settings)
+    total, asked = PRIOR_FRAMES * known.mean.astype(np.float64), np.empty_like(queries)
+    if not causal:
+        mean = (total + queries.sum(axis=0, dtype=np.float64)) / (len(queries) + PRIOR_FRAMES)
+        return known.apply(references), Centering(mean.astype(np.float32), settings).apply(queries)
+    for seen, query in enumerate(queries, start=1):
+        total += query
+        asked[seen - 1] = Centering((total / (seen + PRIOR_FRAMES)).astype(np.float32), settings).apply(query)
+    return known.apply(references), asked

@@ -94,7 +94,8 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
     references = np.stack([start + one.reference for start, one in zip(starts, found, strict=True)])
     best, every = scores.argmax(axis=0), np.arange(len(views))
     matched = np.isfinite(scores.max(axis=0))
-    return Matches(np.where(matched, references[best, every], NONE), np.where(matched, scores[best, every], 0.0))
+    answered, score = np.where(matched, references[best, every], NONE), np.where(matched, scores[best, every], 0.0)
+    return Matches(answered, score, np.zeros(len(views)))
 
 
 class NearestImitation:
@@ -134,7 +135,7 @@ def judged(
         For every query its ``tick``, ``score`` and ``answered``; for every criterion ``right`` and ``findable``.
     """
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
-    asked, there = Matches(matches.reference[ticks], matches.score[ticks]), true[ticks]
+    asked, there = matches.of(ticks), true[ticks]
     judgements = [judge_by_poses(asked, demonstrated, there, one.distance_m, one.angle_deg) for one in criteria]
     return {
         "tick": ticks.tolist(),

@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.experiments.drawing import COLOURS, MUTED, styled
+from services.experiments.matching.report import Quality
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall
+from smal.evaluation.reliability import Reliability
 from smal.place_recognition import Matches
 
 _BAND: Final = "#cfe8cf"
@@ -20,29 +22,32 @@ _WRONG: Final = "#c62828"
 
 @styled
 def draw_matches(
-    matches: Matches, references: int, truth: IntervalTruth | None, curve: PrecisionRecall | None, title: str
+    matches: Matches, references: int, truth: IntervalTruth | None, quality: Quality | None, title: str
 ) -> Figure:
     """Draw which reference, of so many, every query frame matches.
 
-    Given a truth, it is drawn below the matches, and those that are wrong are marked; given a curve, it is drawn beside
-    them.
+    Given a truth, it is drawn below the matches, and those that are wrong are marked; given how good they are, the
+    curve is drawn beside them, and how reliable their scores are.
     """
-    figure = Figure(figsize=(7, 6) if curve is None else (12, 6))
+    reliability = None if quality is None else quality.reliability
+    panels = 1 + (quality is not None) + (reliability is not None)
+    figure = Figure(figsize=(2 + 5 * panels, 6))
     figure.suptitle(title)
-    axes, *more = figure.subplots(1, 1 if curve is None else 2, squeeze=False)[0]
+    axes, *more = figure.subplots(1, panels, squeeze=False)[0]
     axes.grid(visible=False)
     if truth is not None:
-        queries = np.flatnonzero(truth.findable)
-        spans = truth.last[queries] - truth.first[queries] + 1
-        axes.bar(queries, spans, 1.0, truth.first[queries] - 0.5, color=_BAND, label="same place", zorder=1)
+        spans = truth.last - truth.first + 1
+        axes.bar(truth.query, spans, 1.0, truth.first - 0.5, color=_BAND, label="same place", zorder=1)
     _draw_points(figure, axes, matches, truth)
     # A little more than all frames, so that no point is cut.
     across, up = matches.reference.size, references
     axes.set(xlim=(-1.0 - 0.02 * across, 1.02 * across), ylim=(-1.0 - 0.02 * up, 1.02 * up))
     axes.set(xlabel="query frame", ylabel="reference frame")
     axes.locator_params(integer=True)
-    if curve is not None:
-        _draw_curve(more[0], curve)
+    if quality is not None:
+        _draw_curve(more[0], quality.curve)
+    if reliability is not None:
+        _draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():
         # Beside the matches, where it hides none.
         figure.legend(loc="outside lower center", ncols=4)
@@ -84,3 +89,12 @@ def _draw_curve(axes: Axes, curve: PrecisionRecall) -> None:
         axes.plot([at_100], [1.0], "o", color=COLOURS[0], label=f"recall {at_100:.2f} at 100 % precision")
     axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal")
     axes.set_title(f"area under the curve {curve.auc:.3f}")
+
+
+def _draw_reliability(axes: Axes, reliability: Reliability) -> None:
+    # The larger a point, the more answers it stands for; on the line scores are what they say.
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
+    sizes = 20.0 + 400.0 * reliability.count / max(int(reliability.count.sum()), 1)
+    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0])
+    axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="score", ylabel="share that is right", aspect="equal")
+    axes.set_title(f"calibration error {reliability.error:.3f}")

@@ -14,6 +14,7 @@ from services.experiments.matching.image_folder import Traverse
 from services.experiments.words import counted, described_by
 from services.kit.tables import table
 from smal.evaluation.precision_recall import Intervals, PrecisionRecall
+from smal.evaluation.reliability import Reliability
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
@@ -24,24 +25,31 @@ _SHOWN: Final = 12
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good the matches are: the curve, its 95 % intervals, how many queries were judged, and were to be found."""
+    """How good the matches are: the curve, its 95 % intervals, how many queries were judged, and were to be found.
+
+    Where scores are probabilities, how right they are; and where queries are judged that no reference shows, how often
+    a known one is told from an unknown one.
+    """
 
     curve: PrecisionRecall
     intervals: Intervals
     judged: int
     to_find: int
+    reliability: Reliability | None
+    known_from_unknown: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
     """What was asked for, and what came out: matches numbered as the folders are.
 
-    ``unsure`` matches with a score of at most ``tau`` were left out; ``seconds`` is the time of each stage.
+    ``unsure`` matches were left out for ``tau`` and ``precision``; ``seconds`` is the time of each stage.
     """
 
     name: str
     settings: MatchSettings
     tau: float | None
+    precision: float | None
     references: Traverse
     queries: Traverse
     matches: Matches
@@ -56,29 +64,32 @@ def in_folders(matches: Matches, references: Traverse, queries: Traverse) -> Mat
     Windows run over the frames that could be read; a query that could not has no match.
     """
     count = len(queries.folder.frames)
-    reference, score = np.full(count, NONE, dtype=np.int64), np.zeros(count)
+    found = Matches.none(count)
     where = queries.numbers[matches.matched]
-    reference[where] = references.numbers[matches.reference[matches.matched]]
-    score[where] = matches.score[matches.matched]
-    return Matches(reference, score)
+    found.reference[where] = references.numbers[matches.reference[matches.matched]]
+    found.score[queries.numbers], found.unknown[queries.numbers] = matches.score, matches.unknown
+    return found
 
 
 def as_json(result: Result) -> dict[str, object]:
     """Return the result as ``--json`` writes it."""
-    pairs = zip(result.matches.reference.tolist(), result.matches.score.tolist(), strict=True)
+    found = result.matches
+    rows = zip(found.reference.tolist(), found.score.tolist(), found.unknown.tolist(), strict=True)
     references, queries, settings = result.references, result.queries, result.settings
     written: dict[str, object] = {
         "method": result.name,
         "length": settings.length,
+        "tolerance": settings.tolerance,
+        "online": settings.lag,
         "tau": result.tau,
+        "precision": result.precision,
         "references": str(references.folder.path),
         "queries": str(queries.folder.path),
         "matches": [
-            {"query": query, "reference": None if reference == NONE else reference, "score": score}
-            for query, (reference, score) in enumerate(pairs)
+            {"query": query, "reference": None if reference == NONE else reference, "score": score, "unknown": unknown}
+            for query, (reference, score, unknown) in enumerate(rows)
         ],
         "modalities": list(settings.features.modalities),
-        "penalty": settings.penalty,
         "weights": list(settings.features.weights),
         "reference_names": _printable(references.folder.frames),
         "query_names": _printable(queries.folder.frames),
@@ -93,6 +104,8 @@ def as_json(result: Result) -> dict[str, object]:
             "auc_95": list(quality.intervals.auc),
             "recall_at_100_precision": quality.curve.recall_at_100_precision,
             "recall_at_100_precision_95": list(quality.intervals.recall_at_100_precision),
+            "calibration_error": None if quality.reliability is None else quality.reliability.error,
+            "known_from_unknown": quality.known_from_unknown,
             "judged": quality.judged,
             "to_find": quality.to_find,
         }
@@ -102,10 +115,8 @@ def as_json(result: Result) -> dict[str, object]:
 def as_text(result: Result, written: list[Path]) -> Iterator[str]:
     """Yield the lines that are printed; `written` are the files of results."""
     matches, settings = result.matches, result.settings
-    windows = "single frames" if settings.length == 1 else f"windows of {settings.length} frames"
-    penalty = "" if settings.penalty is None else f", penalty {settings.penalty:g}"
     rows = {
-        "method": f"{result.name}, {windows}{penalty}",
+        "method": title_of(result),
         "features": described_by(settings.features),
         "references": _frames(result.references),
         "queries": _frames(result.queries),
@@ -119,6 +130,10 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
         rows["recall at 100 % precision"] = _with_interval(
             curve.recall_at_100_precision, intervals.recall_at_100_precision
         )
+        if quality.reliability is not None:
+            rows["calibration error"] = f"{quality.reliability.error:.3f}"
+        if quality.known_from_unknown is not None:
+            rows["known from unknown"] = f"{quality.known_from_unknown:.3f} of pairs"
     if written:
         rows["written"] = ", ".join(map(str, written))
     width = max(map(len, rows)) + 2
@@ -128,6 +143,18 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
         yield from _some_matches(result)
 
 
+def title_of(result: Result) -> str:
+    """Return the method and what was chosen of it."""
+    chosen = {
+        "windows of {} frames": result.settings.length if result.settings.length > 1 else None,
+        "right within {} frames": result.settings.tolerance,
+        "{} frames later": result.settings.lag,
+        "scores above {:g}": result.tau,
+        "{:g} of them right": result.precision,
+    }
+    return ", ".join([result.name, *(text.format(value) for text, value in chosen.items() if value is not None)])
+
+
 def _why_not_all(result: Result) -> str:
     """Explain the frames without a match."""
     unreadable, early, matched = len(result.queries.unreadable), result.settings.length - 1, result.matches.matched
@@ -135,7 +162,7 @@ def _why_not_all(result: Result) -> str:
         "before the first window": early,
         "unreadable": unreadable,
         "like no reference": int((~matched).sum()) - unreadable - early - result.unsure,
-        f"not above tau {result.tau or 0.0:g}": result.unsure,
+        "unsure": result.unsure,
     }
     said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
     return f" ({said})" if said else ""

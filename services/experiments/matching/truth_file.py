@@ -2,7 +2,8 @@
 
 A CSV file in UTF-8 with the columns query, reference_first and reference_last, named in its first line, in any order
 and with others beside them. Frames are counted from 0, and the last reference belongs to the interval. Where both
-references are empty the reference traverse does not show the place. A query without a row is not judged.
+references are empty the reference traverse does not show the place. A query without a row is not judged; one that the
+references show several times has several.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
     Raises UsageError when it is no truth of these folders, or there is nothing to find: one line that names the file,
     the line in it, and what is wrong.
     """
-    first, last, judged = np.full(queries, -1), np.full(queries, -1), np.zeros(queries, dtype=np.bool_)
+    intervals: list[tuple[int, int, int]] = []
+    judged, unknown = np.zeros(queries, dtype=np.bool_), np.zeros(queries, dtype=np.bool_)
     try:
         # Spreadsheets begin UTF-8 with a byte order mark.
         text = path.read_bytes().decode("utf-8-sig")
@@ -43,29 +45,31 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
             if table.fieldnames.count(name) != 1:
                 raise ValueError(f"needs the column {name} once; the columns are {_quoted(','.join(table.fieldnames))}")
         for row in table:
-            query, first_one, last_one = _interval(row, queries, references)
-            if judged[query]:
-                raise ValueError(f"query {query} has a row already")
-            first[query], last[query], judged[query] = first_one, last_one, True
+            query, interval = _interval(row, queries, references)
+            if unknown[query] or (judged[query] and interval is None):
+                raise ValueError(f"query {query} has a row already, and one of them says that no reference shows it")
+            judged[query], unknown[query] = True, interval is None
+            if interval is not None:
+                intervals.append((query, *interval))
     except (ValueError, csv.Error) as error:
         raise UsageError(f"--truth {path}: line {max(1, table.reader.line_num)}: {error}") from None
-    truth = IntervalTruth(first, last, judged)
-    if not truth.findable.any():
+    if not intervals:
         raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
-    return truth
+    query_of, first, last = np.array(intervals, dtype=np.int64).T
+    return IntervalTruth(query_of, first, last, judged)
 
 
-def _interval(row: dict[Any, Any], queries: int, references: int) -> tuple[int, int, int]:
-    """Return query, first and last reference of a row, (-1, -1) where there is nothing to find."""
+def _interval(row: dict[Any, Any], queries: int, references: int) -> tuple[int, tuple[int, int] | None]:
+    """Return query, and first and last reference of a row, None where there is nothing to find."""
     if None in row:
         raise ValueError("has more values than columns")
     query = _frame(row, "query", queries)
     if not any((row[name] or "").strip() for name in COLUMNS[1:]):
-        return query, -1, -1
+        return query, None
     first, last = (_frame(row, name, references) for name in COLUMNS[1:])
     if first > last:
         raise ValueError(f"reference_first {first} is after reference_last {last}")
-    return query, first, last
+    return query, (first, last)
 
 
 def _frame(row: dict[str, str | None], name: str, count: int) -> int:

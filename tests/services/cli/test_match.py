@@ -44,8 +44,8 @@ def table_of(**methods: Method) -> MappingProxyType[str, Method]:
 
 COLOUR = FeatureSettings.of(["color"])
 TABLE = table_of(
-    smal=Method("for these tests.", COLOUR, LENGTH, nearest, penalty=0.25),
-    own=Method("with its own features.", COLOUR, 1, nearest, any_features=False, any_length=False),
+    smal=Method("for these tests.", COLOUR, nearest, LENGTH),
+    own=Method("with its own features.", COLOUR, nearest, any_features=False, any_length=False),
 )
 
 
@@ -79,7 +79,7 @@ def references_of(written: dict[str, object]) -> list[int | None]:
     rows = written["matches"]
     assert isinstance(rows, list)
     assert [row["query"] for row in rows] == list(range(len(rows)))
-    assert all(set(row) == {"query", "reference", "score"} for row in rows)
+    assert all(set(row) == {"query", "reference", "score", "unknown"} for row in rows)
     return [row["reference"] for row in rows]
 
 
@@ -125,7 +125,9 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
         (["ref", "query", "--length", "25"], 1, "ref: 24 images, too few for a window of 25; choose a shorter"),
         (["ref", "query", "--json", "query/img3.png"], 2, "--json query/img3.png: would lie among the files"),
         (["ref", "query", "--method", "x"], 2, "--method x: unknown; known are smal, own"),
-        (["ref", "query", "--penalty", "0"], 2, "--penalty 0: must be above 0 and below 1"),
+        (["ref", "query", "--online", "0"], 2, "--online 0: the method smal does not know of it"),
+        (["ref", "query", "--precision", "0.9"], 2, "--precision 0.9: the scores of the method smal are no"),
+        (["ref", "query", "--method", "own", "--length", "2"], 2, "--length 2: the method own has no windows"),
         (["ref", "query", "--modalities", "x"], 2, "unknown feature modality 'x'; known are "),
         (["ref", "query", "--truth", "short.csv"], 2, "--truth short.csv: line 2: query 24 is beyond the traverse"),
         (["ref", "query", "--truth", "truth.csv", "--json", "truth.csv"], 2, "--json truth.csv: is a file that this"),
@@ -157,7 +159,7 @@ def test_what_ends_before_the_end_leaves_the_file_as_it_was(
     def fail(*_: object) -> Matches:
         raise raised
 
-    monkeypatch.setattr(match, "METHODS", table_of(smal=Method("fails.", COLOUR, LENGTH, fail)))
+    monkeypatch.setattr(match, "METHODS", table_of(smal=Method("fails.", COLOUR, fail, LENGTH)))
     Path("out.json").write_text("as it was")
     said = mistake(status, "match", "ref", "query", "--json", "out.json", "--plot", "out.png")
     assert said == f"smal: {line}\n"
@@ -177,3 +179,21 @@ def test_every_method_of_the_table_finds_its_way(
     given = [(place, reference) for place, reference in enumerate(found) if reference is not None]
     assert given
     assert all(abs(place - reference) <= 2 for place, reference in given)
+
+
+def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The references lack a part; the last query is told to be there, where it is not."""
+    monkeypatch.setattr(match, "METHODS", METHODS)
+    for place in range(12):
+        Path(f"ref/{NAMES[place]}").unlink()
+    write_truth([(place, "", "") if place < 12 else (place, place - 13, place - 11) for place in range(13, FRAMES)])
+    write_truth(
+        [*[(place, "", "") for place in range(12)], *[(place, place - 12, place - 12) for place in range(13, FRAMES)]]
+    )
+    chosen = ("--tolerance", "1", "--precision", "0.9", "--truth", "truth.csv")
+    for online in ([], ["--online", "2"]):
+        written = matched(smal, *chosen, "--plot", "out.svg", *online)
+        assert Path("out.svg").read_text().count("calibration error") == 1
+        assert written["calibration_error"] < 0.2
+        assert written["known_from_unknown"] > 0.9
+        assert references_of(written)[20] in {7, 8, 9}

@@ -18,7 +18,9 @@ def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angl
     references, queries = (np.column_stack([rng.uniform(0, 4, (n, 2)), rng.uniform(-20, 20, n)]) for n in (30, 300))
     right = np.zeros((300, 30), dtype=bool)
     for j in range(30):
-        judged = judge_by_poses(Matches(np.full(300, j), np.ones(300)), references, queries, distance_m, angle_deg)
+        judged = judge_by_poses(
+            Matches(np.full(300, j), np.ones(300), np.zeros(300)), references, queries, distance_m, angle_deg
+        )
         right[:, j] = judged.right
         assert judged.judged.all()
     assert judged.findable.tolist() == right.any(axis=1).tolist()
@@ -31,10 +33,11 @@ def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angl
 
 
 def test_judging_takes_what_is_right_and_nothing_else() -> None:
-    """Right; wrong; not judged; nothing to find; no answer."""
-    truth = IntervalTruth(np.array([2, 2, -1, -1, 0]), np.array([4, 4, -1, -1, 9]), np.array([1, 1, 0, 1, 1], bool))
-    matches = Matches(np.array([4, 5, 3, 3, -1]), np.array([5.0, 4.0, 3.0, 2.0, 0.0]))
+    """Right; wrong; not judged; nothing to find; no answer; right at the second of two intervals."""
+    intervals = np.array([[0, 2, 4], [1, 2, 4], [4, 0, 9], [5, 1, 2], [5, 7, 8]]).T
+    truth = IntervalTruth(*intervals, np.array([1, 1, 0, 1, 1, 1], bool))
+    matches = Matches(np.array([4, 5, 3, 3, -1, 7]), np.array([5.0, 4.0, 3.0, 2.0, 0.0, 1.0]), np.zeros(6))
     judgement = truth.judge(matches)
-    assert judgement.right.tolist() == [True, False, False, False, False]
-    assert judgement.answered.tolist() == [True, True, True, True, False]
-    assert judgement.findable.tolist() == [True, True, False, False, True]
+    assert judgement.right.tolist() == [True, False, False, False, False, True]
+    assert judgement.answered.tolist() == [True, True, True, True, False, True]
+    assert judgement.findable.tolist() == [True, True, False, False, True, True]

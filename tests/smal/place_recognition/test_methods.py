@@ -12,8 +12,7 @@ from smal.paper.phase import matched_phase
 from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
-from tests.smal.place_recognition.ordered_problems import unit, walk
-from tests.smal.place_recognition.traverses import Road
+from tests.smal.place_recognition.traverses import Road, Walk, unit
 
 N, FIRST, LAST = 100, 20, 80
 
@@ -27,7 +26,7 @@ def raw_traverses(features: FeatureSettings, seed: int = 0) -> tuple[NDArray[np.
 
 
 def settings_of(method: Method) -> MatchSettings:
-    return MatchSettings(method.features, method.length, method.penalty)
+    return MatchSettings(method.features, method.length)
 
 
 @pytest.mark.parametrize("name", sorted(METHODS))
@@ -54,7 +53,7 @@ def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
     references, queries = raw_traverses(method.features)
     for known, asked in ((references[: length - 1], queries), (references, queries[: length - 1])):
         done: list[int] = []
-        chosen = MatchSettings(method.features, length, method.penalty)
+        chosen = MatchSettings(method.features, length)
         matches = method.match(known, asked, chosen, done.append)
         assert matches.matched.tolist() == [False] * len(asked)
         assert done[-1] == len(asked)
@@ -66,7 +65,7 @@ def test_one_photo_is_found(name: str) -> None:
     method = METHODS[name]
     references, queries = raw_traverses(method.features)
     for query in range(0, LAST - FIRST, 7):
-        chosen = MatchSettings(method.features, 1, method.penalty)
+        chosen = MatchSettings(method.features, 1)
         matches = method.match(references, queries[query : query + 1], chosen, ignore)
         assert abs(int(matches.reference[0]) - (FIRST + query)) <= 2
 
@@ -74,9 +73,9 @@ def test_one_photo_is_found(name: str) -> None:
 @pytest.mark.parametrize("length", [1, 4])
 def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     rng = np.random.default_rng(length)
-    references = walk(rng, 42, 32).astype(np.float32)  # two frames are in no whole sequence at l = 4
+    references = Walk(rng, 42, 32).at(np.arange(42.0), 0.0)  # two frames are in no whole sequence at l = 4
     queries = unit(references[5:25] + 0.1 * rng.normal(size=(20, 32))).astype(np.float32)
-    matches = match_as_in_the_paper(references, queries, length, LAMBDA_SCALE, ignore)
+    matches = match_as_in_the_paper(references, queries, length, ignore)
     penalty = LAMBDA_SCALE * math.sqrt(length)
     templates = references[: 42 // length * length].T
     for query in range(length - 1, 20):

@@ -26,3 +26,11 @@ def test_the_prior_counts_as_some_frames(count: int) -> None:
     frames = np.concatenate([queries, np.tile(REFERENCES.mean(axis=0), (PRIOR_FRAMES, 1))])
     expected = Centering.fit(frames, SETTINGS).apply(queries)
     np.testing.assert_allclose(centre_traverses(REFERENCES, queries, SETTINGS)[1], expected, atol=1e-4)
+
+
+def test_if_causal_no_query_knows_of_later_ones() -> None:
+    queries = RNG.normal(size=(30, SETTINGS.size)).astype(np.float32)
+    causal = centre_traverses(REFERENCES, queries, SETTINGS, causal=True)[1]
+    for seen in (1, 7, 30):
+        known = centre_traverses(REFERENCES, queries[:seen], SETTINGS)[1]
+        np.testing.assert_allclose(causal[seen - 1], known[-1], atol=1e-4)

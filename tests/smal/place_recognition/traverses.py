@@ -20,3 +20,26 @@ class Road:
     def at(self, positions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the features (n, size) at positions (n,), in reference frames from the start."""
         return np.asarray(np.cos(np.outer(positions, self._frequency) + self._phase), dtype=np.float32)
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: NDArray[np.float64] = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    return scaled
+
+
+class Walk:
+    """What is seen along a way of n frames: neighbours resemble each other, others do not."""
+
+    def __init__(self, rng: np.random.Generator, n: int, size: int = 96) -> None:
+        steps = rng.normal(size=(n + 8, size))
+        self._features = unit(np.array([steps[place : place + 8].sum(axis=0) for place in range(n)]))
+        self._rng = rng
+
+    def at(self, places: NDArray[np.floating], noise: float) -> NDArray[np.float32]:
+        """Return what is seen at places (q,) between the frames, with noise of that length."""
+        low = np.clip(np.floor(places).astype(int), 0, len(self._features) - 2)
+        share = (places - low)[:, np.newaxis]
+        seen = unit((1 - share) * self._features[low] + share * self._features[low + 1])
+        disturbed = unit(seen + noise * unit(self._rng.normal(size=seen.shape)))
+        return disturbed.astype(np.float32)

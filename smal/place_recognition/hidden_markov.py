@@ -1,0 +1,119 @@
+"""Where a traverse is among the references: a hidden Markov model of (reference, speed), and of "none shows it".
+
+A state advances by its speed at each query, forwards or backwards along the references. Speeds change slowly, jumps are
+rare, and what runs off the end of the references is nowhere among them. Frames between references are shared out.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+Array = NDArray[np.float32]
+
+#: References to one query, forwards; the same again backwards.
+SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5)
+#: Probabilities with each query: that the speed stays; that who is slow stops, and who stands does so still (stops that
+#: can be seen are left out beforehand, so that who seems to stand is rather nowhere); of a jump to anywhere; that no
+#: reference shows it any more, or one shows it again; and that none shows the first one.
+_KEPT: Final = 0.8
+_STOPS, _STANDS = 0.01, 0.5
+_JUMP: Final = 1e-4
+_LEAVES, _RETURNS = 0.01, 0.05
+_FIRST_NONE: Final = 0.05
+
+
+class Chain:
+    """The states of n references, a vector each: speeds by references, then "none". Messages are of float32."""
+
+    def __init__(self, references: int) -> None:
+        self._shape = 2 * len(SPEEDS), references
+        self._speeds = np.kron(np.eye(2), _changes()).astype(np.float32)
+        advances = [sign * speed for sign in (1, -1) for speed in SPEEDS]
+        moves = [_moved(references, advance) for advance in advances]
+        self._move = sparse.block_diag(moves, format="csr", dtype=np.float32)
+        self._unmove = self._move.T.tocsr()
+        self._stays = np.float32(1.0 - _JUMP - _LEAVES)
+        # What does not stay among the references has left them.
+        stays = self._speeds.T @ (self._unmove @ np.ones(self._move.shape[0], np.float32)).reshape(self._shape)
+        self._leaves = _LEAVES + self._stays * (1.0 - stays.ravel())
+
+    def first(self) -> Array:
+        """Return the belief before the first query."""
+        states = self._move.shape[0]
+        return np.append(np.full(states, (1.0 - _FIRST_NONE) / states), _FIRST_NONE).astype(np.float32)
+
+    def ahead(self, belief: Array) -> Array:
+        """Return the belief at the next query, before it is seen."""
+        places, none = belief[:-1], belief[-1]
+        spread = (_JUMP * places.sum() + _RETURNS * none) / places.size
+        moved = self._stays * (self._move @ (self._speeds @ places.reshape(self._shape)).ravel()) + spread
+        return np.append(moved, (1.0 - _RETURNS) * none + self._leaves @ places)
+
+    def back(self, message: Array) -> Array:
+        """Return what a message about the next query says about this one: the adjoint of `ahead`."""
+        places, none = message[:-1], message[-1]
+        mean = places.mean()
+        moved = (self._speeds.T @ (self._unmove @ places).reshape(self._shape)).ravel()
+        there = self._stays * moved + (_JUMP * mean + self._leaves * none)
+        return np.append(there, (1.0 - _RETURNS) * none + _RETURNS * mean)
+
+    def seen(self, belief: Array, ratios: Array) -> Array:
+        """Weigh a belief by what a query says, and scale it to a sum of 1."""
+        weighed = np.append((belief[:-1].reshape(self._shape) * ratios).ravel(), belief[-1])
+        return np.asarray(weighed / weighed.sum(), dtype=np.float32)
+
+    def at_references(self, belief: Array) -> tuple[Array, float]:
+        """Return the probabilities of the references (n,), and that none shows the query."""
+        belief = belief / belief.sum()
+        return belief[:-1].reshape(self._shape).sum(axis=0), float(belief[-1])
+
+
+def _changes() -> NDArray[np.float64]:
+    """Return the probabilities of each speed (a row) after each other one (a column)."""
+    count = len(SPEEDS)
+    changes = _KEPT * np.eye(count)
+    for speed in range(count):
+        for after in (speed - 1, speed + 1):
+            changes[min(max(after, 0), count - 1), speed] += (1.0 - _KEPT) / 2.0
+    changes[:2, 0] = _STANDS, 1.0 - _STANDS
+    changes[:2, 1] += (_STOPS - changes[0, 1]) * np.array([1.0, -1.0])
+    return changes
+
+
+def _moved(references: int, advance: float) -> sparse.dia_array:
+    """Return the matrix that moves a distribution over references; what lies beyond them is lost."""
+    whole = math.floor(advance)
+    shares = np.array([whole + 1 - advance, advance - whole])
+    return sparse.dia_array((np.repeat(shares, references).reshape(2, -1), (-whole, -whole - 1)), (references,) * 2)
+
+
+def smoothed(chain: Chain, z: Array, ratios: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Return the probabilities of the references (q, n) given all queries, and of none (q,): forward-backward.
+
+    Queries (q, n) say what the likelihood ratios of their rows are, here against elsewhere. Of the beliefs, which are
+    many times as large, only some are kept, and those between them are computed again.
+    """
+    block = math.isqrt(len(z) - 1) + 1
+    there, none = np.empty_like(z), np.empty(len(z), np.float32)
+
+    def forward(belief: Array, rows: Array) -> list[Array]:
+        """Return the beliefs at some queries, of the one before the first of them is seen."""
+        found = [chain.seen(belief, rows[0])]
+        for row in rows[1:]:
+            found.append(chain.seen(chain.ahead(found[-1]), row))
+        return found
+
+    before = [chain.first()]
+    for start in range(0, len(z) - block, block):
+        before.append(chain.ahead(forward(before[-1], ratios(z[start : start + block]))[-1]))
+    message = np.ones_like(before[0])
+    for number in reversed(range(len(before))):
+        start, rows = number * block, ratios(z[number * block : (number + 1) * block])
+        for place, belief in reversed(list(enumerate(forward(before[number], rows)))):
+            there[start + place], none[start + place] = chain.at_references(belief * message)
+            message = chain.back(chain.seen(message, rows[place]))
+    return there, none
