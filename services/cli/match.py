@@ -19,8 +19,6 @@ from services.experiments.matching.truth_file import read_truth
 from services.experiments.words import counted
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
-from smal.evaluation.reliability import Reliability, known_from_unknown
 from smal.features import FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
@@ -41,9 +39,7 @@ def match(
     tolerance: Annotated[int | None, Option(min=0, max=10**6, help="Frames off that are right as well.")] = None,
     online: Annotated[int | None, Option(min=0, metavar="LAG", help="Answer each query so many frames later.")] = None,
     tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
-    precision: Annotated[
-        float | None, Option(min=0.0, max=1.0, help="Leave out so many that this share is right.")
-    ] = None,
+    precision: Annotated[float | None, Option(min=0.0, max=1.0, help="Keep as many as are right so often.")] = None,
     reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
     query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERY_DIR.")] = None,
     truth: Annotated[Path | None, Option(metavar="CSV", help="What is right; see above.")] = None,
@@ -57,34 +53,30 @@ def match(
 
     The score of smal is the probability that the match is right, to --tolerance frames (by default as far as references
     look alike, with --truth half of what usually is right). So --precision .99 keeps as many matches as are right in 99
-    of 100 cases; and a query that most probably no reference shows has no match. Scores of the other methods order the
-    matches of one run, no more. Their first queries get no match, as long as no window of --length frames ends there.
+    of 100 cases, and leaves out places that no reference shows. Scores of the other methods order the matches of one
+    run, no more; their first queries have no match, as long as no window of --length frames ends there.
 
     What all images of a folder have in common, as its light, is taken away (but by paper and image), and smal looks at
     all queries before it answers: the more there are, the better it works. With --online LAG it answers a query by
     those up to LAG frames later: 0 as soon as it is seen.
 
-    Depth images have 16 bits, in millimetres; --reference-depth has one for each image of REFERENCE_DIR, in the same
-    order.
+    Depth images have 16 bits, in millimetres; --reference-depth has one for each of REFERENCE_DIR, in the same order.
 
     The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
     (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
-    shows has the row 7,, and one without a row is not judged. It adds the area under the precision-recall curve (AUC)
-    and the recall at 100 % precision, with --tau and --precision of what is left; how often a query that the references
-    show is told from one that they do not; and of smal how far scores are off the share that is right (expected
-    calibration error).
+    shows has the row 7,, and one without a row is not judged. It adds the area under the precision-recall curve (auc)
+    and the recall at 100 % precision, both with 95 % intervals and of what is left; how far probabilities are off the
+    share that is right (expected calibration error); and how often a known query is told from an unknown one.
 
-    The JSON has what was chosen; the folders' paths as "references" and "queries" and the names of their frames, read
-    or not; "matches", one for each query frame: {"query", "reference", "score", "unknown"}, reference null and score 0
-    where there is none, unknown the probability that no reference shows it; and with --truth "auc" and
-    "recall_at_100_precision", both with 95 % intervals, "calibration_error", "known_from_unknown", and how many queries
-    were "judged" and "to_find".
+    The JSON has all of this; the names of frames, read or not; and "matches", one for each query frame: {"query",
+    "reference", "score", "unknown"}, reference null and score 0 where there is none, unknown the probability that no
+    reference shows the query.
 
     Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png
     """
-    method, settings = choose(name, length, modalities, tolerance, online)
-    if precision is not None and not method.probable:
-        raise UsageError(f"--precision {precision:g}: the scores of the method {name} are no probabilities; use --tau")
+    probable = {"--tolerance": tolerance, "--online": online, "--precision": precision}
+    method = _method_of(name, length, modalities, probable)
+    settings = MatchSettings(modalities or method.features, length or method.length, tolerance, online)
     folders = [one for one in (reference_dir, query_dir, reference_depth, query_depth) if one is not None]
     _check_outputs(json_file, plot, [] if truth is None else [truth], folders)
     known, asked = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
@@ -99,7 +91,6 @@ def match(
     read_s = time.perf_counter()
     for one in (references, queries):
         one.say_skipped()
-    for one in (references, queries):
         if one.numbers.size < settings.length:
             few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
             raise JobError(f"{one.folder.path}: {few}; choose a shorter --length")
@@ -107,9 +98,11 @@ def match(
     matches = found if tau is None else found.above(tau)
     matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
-    quality = None if expected is None else _quality(matches, expected, settings.length, method)
+    quality = Quality.of(matches, expected, settings.length, probable=method.probable) if expected else None
     unsure = int(found.matched.sum() - matches.matched.sum())
-    result = Result(name, settings, tau, precision, references, queries, matches, unsure, quality, seconds)
+    chosen = {"method": name, "length": settings.length, "tolerance": settings.tolerance, "online": online}
+    chosen |= {"tau": tau, "precision": precision}
+    result = Result(chosen, settings, references, queries, matches, unsure, quality, seconds)
     written: list[Path] = []
     try:
         if json_file is not None:
@@ -124,13 +117,10 @@ def match(
             typer.echo(line)
 
 
-def choose(
-    name: str, length: int | None, modalities: FeatureSettings | None, tolerance: int | None, lag: int | None
-) -> tuple[Method, MatchSettings]:
-    """Take a method of the table, and its own settings where nothing is asked for.
-
-    Raises UsageError when there is no such method, or it does not work with that setting.
-    """
+def _method_of(
+    name: str, length: int | None, modalities: FeatureSettings | None, probable: dict[str, float | None]
+) -> Method:
+    """Take a method of the table; options that only those with probabilities know are given by their names."""
     if name not in METHODS:
         raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
     method = METHODS[name]
@@ -139,10 +129,10 @@ def choose(
         raise UsageError(f"--modalities {modalities.text}: the method {name} has its own features, {own}")
     if length not in (None, method.length) and not method.any_length:
         raise UsageError(f"--length {length}: the method {name} has no windows")
-    for option, value in (("--tolerance", tolerance), ("--online", lag)):
+    for option, value in probable.items():
         if value is not None and not method.probable:
-            raise UsageError(f"{option} {value}: the method {name} does not know of it")
-    return method, MatchSettings(modalities or method.features, length or method.length, tolerance, lag)
+            raise UsageError(f"{option} {value}: the scores of the method {name} are no probabilities")
+    return method
 
 
 def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
@@ -158,18 +148,13 @@ def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], 
 
 def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: ImageFolder) -> ImageFolder | None:
     """List a folder of depth images, if the features need them."""
-    if "depth" not in features.needs:
-        if path is not None:
-            raise UsageError(f"{option} {path}: no modality uses depth; ask for it with --modalities, as in hog,depth")
+    if path is None or "depth" not in features.needs:
+        if path is not None or "depth" in features.needs:
+            raise UsageError(f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it")
         return None
-    if path is None:
-        raise UsageError(f"{option}: missing; the modality depth needs --reference-depth and --query-depth")
     folder = list_folder(path, option)
-    if len(folder.frames) != len(colour.frames):
-        raise UsageError(
-            f"{option} {path}: has {len(folder.frames)} images, and {colour.path} has {len(colour.frames)}; "
-            "every image needs its depth"
-        )
+    if (count := len(folder.frames)) != len(colour.frames):
+        raise UsageError(f"{option} {path}: has {count} images, and {colour.path} has {len(colour.frames)}")
     return folder
 
 
@@ -186,29 +171,10 @@ def _match(method: Method, references: Traverse, queries: Traverse, settings: Ma
             raise JobError("matching {} and {} frames takes more memory than there is".format(*sizes)) from None
 
 
-def _quality(matches: Matches, truth: IntervalTruth, length: int, method: Method) -> Quality:
-    judgement = truth.judge(matches)
-    judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
-    intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
-    return Quality(
-        PrecisionRecall.of(judgement),
-        intervals,
-        judged,
-        to_find,
-        Reliability.of(judgement) if method.probable else None,
-        known_from_unknown(judgement, 1.0 - matches.unknown if method.probable else matches.score),
-    )
-
-
 def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
     from services.experiments.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
 
-    figure = draw_matches(
-        result.matches,
-        len(result.references.folder.frames),
-        truth,
-        result.quality,
-        title_of(result),
-    )
+    count = len(result.references.folder.frames)
+    figure = draw_matches(result.matches, count, truth, result.quality, title_of(result))
     with outputs.writing(plot, "--plot") as file:
         figure.savefig(file, dpi=150, format=plot.suffix[1:].lower())

@@ -24,11 +24,7 @@ _WRONG: Final = "#c62828"
 def draw_matches(
     matches: Matches, references: int, truth: IntervalTruth | None, quality: Quality | None, title: str
 ) -> Figure:
-    """Draw which reference, of so many, every query frame matches.
-
-    Given a truth, it is drawn below the matches, and those that are wrong are marked; given how good they are, the
-    curve is drawn beside them, and how reliable their scores are.
-    """
+    """Draw which reference, of so many, every query frame matches; below it the truth, beside it how good they are."""
     reliability = None if quality is None else quality.reliability
     panels = 1 + (quality is not None) + (reliability is not None)
     figure = Figure(figsize=(2 + 5 * panels, 6))

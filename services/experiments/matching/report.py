@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from schemas.codec import printable
 from services.experiments.matching.image_folder import Traverse
 from services.experiments.words import counted, described_by
 from services.kit.tables import table
-from smal.evaluation.precision_recall import Intervals, PrecisionRecall
-from smal.evaluation.reliability import Reliability
+from smal.evaluation.ground_truth import IntervalTruth
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
+from smal.evaluation.reliability import Reliability, known_from_unknown
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
@@ -25,31 +26,38 @@ _SHOWN: Final = 12
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good the matches are: the curve, its 95 % intervals, how many queries were judged, and were to be found.
-
-    Where scores are probabilities, how right they are; and where queries are judged that no reference shows, how often
-    a known one is told from an unknown one.
-    """
+    """How good matches are: the curve, how reliable probabilities are, and numbers and 95 % intervals by name."""
 
     curve: PrecisionRecall
-    intervals: Intervals
-    judged: int
-    to_find: int
     reliability: Reliability | None
-    known_from_unknown: float | None
+    figures: dict[str, float | tuple[float, float]]
+
+    @classmethod
+    def of(cls, matches: Matches, truth: IntervalTruth, length: int, *, probable: bool) -> Self:
+        """Hold the answers of a method with windows of this length against a truth."""
+        judgement, judged = truth.judge(matches), int(truth.judged.sum())
+        curve, reliability = PrecisionRecall.of(judgement), Reliability.of(judgement) if probable else None
+        intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
+        known = known_from_unknown(judgement, 1.0 - matches.unknown if probable else matches.score)
+        figures: dict[str, float | tuple[float, float]] = {
+            "judged": judged,
+            "to_find": int(truth.findable.sum()),
+            "auc": curve.auc,
+            "auc_95": intervals.auc,
+            "recall_at_100_precision": curve.recall_at_100_precision,
+            "recall_at_100_precision_95": intervals.recall_at_100_precision,
+        }
+        figures |= {} if reliability is None else {"calibration_error": reliability.error}
+        figures |= {} if known is None else {"known_from_unknown": known}
+        return cls(curve, reliability, figures)
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was asked for, and what came out: matches numbered as the folders are.
+    """What was chosen, and what came out: matches numbered as the folders are; ``unsure`` ones were left out."""
 
-    ``unsure`` matches were left out for ``tau`` and ``precision``; ``seconds`` is the time of each stage.
-    """
-
-    name: str
+    chosen: dict[str, object]
     settings: MatchSettings
-    tau: float | None
-    precision: float | None
     references: Traverse
     queries: Traverse
     matches: Matches
@@ -75,22 +83,17 @@ def as_json(result: Result) -> dict[str, object]:
     """Return the result as ``--json`` writes it."""
     found = result.matches
     rows = zip(found.reference.tolist(), found.score.tolist(), found.unknown.tolist(), strict=True)
-    references, queries, settings = result.references, result.queries, result.settings
+    references, queries, features = result.references, result.queries, result.settings.features
     written: dict[str, object] = {
-        "method": result.name,
-        "length": settings.length,
-        "tolerance": settings.tolerance,
-        "online": settings.lag,
-        "tau": result.tau,
-        "precision": result.precision,
+        **result.chosen,
         "references": str(references.folder.path),
         "queries": str(queries.folder.path),
         "matches": [
             {"query": query, "reference": None if reference == NONE else reference, "score": score, "unknown": unknown}
             for query, (reference, score, unknown) in enumerate(rows)
         ],
-        "modalities": list(settings.features.modalities),
-        "weights": list(settings.features.weights),
+        "modalities": list(features.modalities),
+        "weights": list(features.weights),
         "reference_names": _printable(references.folder.frames),
         "query_names": _printable(queries.folder.frames),
         "unreadable_references": _printable(references.unreadable),
@@ -98,42 +101,23 @@ def as_json(result: Result) -> dict[str, object]:
         "other_files": len(references.folder.others) + len(queries.folder.others),
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
     }
-    if (quality := result.quality) is not None:
-        written |= {
-            "auc": quality.curve.auc,
-            "auc_95": list(quality.intervals.auc),
-            "recall_at_100_precision": quality.curve.recall_at_100_precision,
-            "recall_at_100_precision_95": list(quality.intervals.recall_at_100_precision),
-            "calibration_error": None if quality.reliability is None else quality.reliability.error,
-            "known_from_unknown": quality.known_from_unknown,
-            "judged": quality.judged,
-            "to_find": quality.to_find,
-        }
-    return written
+    return written | ({} if result.quality is None else result.quality.figures)
 
 
 def as_text(result: Result, written: list[Path]) -> Iterator[str]:
     """Yield the lines that are printed; `written` are the files of results."""
-    matches, settings = result.matches, result.settings
+    matches = result.matches
     rows = {
-        "method": title_of(result),
-        "features": described_by(settings.features),
+        "chosen": title_of(result),
+        "features": described_by(result.settings.features),
         "references": _frames(result.references),
         "queries": _frames(result.queries),
         "matched": f"{matches.matched.sum()} of {matches.matched.size} query frames{_why_not_all(result)}",
         "seconds": ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.seconds.items()),
     }
-    if (quality := result.quality) is not None:
-        curve, intervals = quality.curve, quality.intervals
-        rows["judged"] = f"{quality.judged} query frames, {quality.to_find} of them to be found"
-        rows["AUC"] = _with_interval(curve.auc, intervals.auc)
-        rows["recall at 100 % precision"] = _with_interval(
-            curve.recall_at_100_precision, intervals.recall_at_100_precision
-        )
-        if quality.reliability is not None:
-            rows["calibration error"] = f"{quality.reliability.error:.3f}"
-        if quality.known_from_unknown is not None:
-            rows["known from unknown"] = f"{quality.known_from_unknown:.3f} of pairs"
+    for name, figure in ({} if result.quality is None else result.quality.figures).items():
+        parts = figure if isinstance(figure, tuple) else (figure,)
+        rows[name.replace("_", " ")] = " to ".join(str(round(part, 3)) for part in parts)
     if written:
         rows["written"] = ", ".join(map(str, written))
     width = max(map(len, rows)) + 2
@@ -145,25 +129,14 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
 
 def title_of(result: Result) -> str:
     """Return the method and what was chosen of it."""
-    chosen = {
-        "windows of {} frames": result.settings.length if result.settings.length > 1 else None,
-        "right within {} frames": result.settings.tolerance,
-        "{} frames later": result.settings.lag,
-        "scores above {:g}": result.tau,
-        "{:g} of them right": result.precision,
-    }
-    return ", ".join([result.name, *(text.format(value) for text, value in chosen.items() if value is not None)])
+    return ", ".join(f"{name} {value}" for name, value in result.chosen.items() if value is not None)
 
 
 def _why_not_all(result: Result) -> str:
     """Explain the frames without a match."""
-    unreadable, early, matched = len(result.queries.unreadable), result.settings.length - 1, result.matches.matched
-    reasons = {
-        "before the first window": early,
-        "unreadable": unreadable,
-        "like no reference": int((~matched).sum()) - unreadable - early - result.unsure,
-        "unsure": result.unsure,
-    }
+    reasons = {"unsure": result.unsure, "unreadable": len(result.queries.unreadable)}
+    reasons["before the first window"] = result.settings.length - 1
+    reasons["like no reference"] = int((~result.matches.matched).sum()) - sum(reasons.values())
     said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
     return f" ({said})" if said else ""
 
@@ -171,10 +144,6 @@ def _why_not_all(result: Result) -> str:
 def _frames(traverse: Traverse) -> str:
     unreadable = f" ({len(traverse.unreadable)} of them unreadable)" if traverse.unreadable else ""
     return f"{counted(len(traverse.folder.frames), 'frame')}{unreadable} in {traverse.folder.path}"
-
-
-def _with_interval(value: float, interval: tuple[float, float]) -> str:
-    return f"{value:.3f} (95 % interval {interval[0]:.3f} to {interval[1]:.3f})"
 
 
 def _some_matches(result: Result) -> Iterator[str]:
