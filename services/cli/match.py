@@ -100,8 +100,8 @@ def match(
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
     quality = Quality.of(matches, expected, settings.length, probable=method.probable) if expected else None
     unsure = int(found.matched.sum() - matches.matched.sum())
-    chosen = {"method": name, "length": settings.length, "tolerance": settings.tolerance, "online": online}
-    chosen |= {"tau": tau, "precision": precision}
+    chosen: dict[str, object] = {"method": name, "length": settings.length if method.any_length else None}
+    chosen |= {"tolerance": settings.tolerance, "online": online, "tau": tau, "precision": precision}
     result = Result(chosen, settings, references, queries, matches, unsure, quality, seconds)
     written: list[Path] = []
     try:

@@ -90,7 +90,7 @@ def _draw_curve(axes: Axes, curve: PrecisionRecall) -> None:
 def _draw_reliability(axes: Axes, reliability: Reliability) -> None:
     # The larger a point, the more answers it stands for; on the line scores are what they say.
     axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
-    sizes = 20.0 + 400.0 * reliability.count / max(int(reliability.count.sum()), 1)
-    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0])
+    sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
+    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3)
     axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="score", ylabel="share that is right", aspect="equal")
     axes.set_title(f"calibration error {reliability.error:.3f}")

@@ -173,7 +173,7 @@ def test_every_method_of_the_table_finds_its_way(
 ) -> None:
     monkeypatch.setattr(match, "METHODS", METHODS)
     written = matched(smal, "--method", name, "--truth", str(folders / "truth.csv"))
-    assert written["length"] == METHODS[name].length
+    assert written["length"] == (METHODS[name].length if METHODS[name].any_length else None)
     found = references_of(written)
     assert len(found) == FRAMES
     given = [(place, reference) for place, reference in enumerate(found) if reference is not None]
