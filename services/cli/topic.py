@@ -13,7 +13,7 @@ from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
 from services.cli import options
 from services.cli.grouping import STYLE, grouped
-from services.cli.listening.commands import bw, echo, hz, latency, say
+from services.cli.listening import echo, hz, say
 from services.kit.errors import UsageError
 from services.kit.tables import table
 from services.table import givers, graph, takers
@@ -81,7 +81,7 @@ def draw_graph() -> None:
     say(graph())
 
 
-for listening in (echo, hz, bw, latency):
+for listening in (echo, hz):
     app.command(listening.__name__)(grouped(listening))
 
 

@@ -1,0 +1,171 @@
+"""``smal topic echo`` and ``hz``: listening to what crosses the bus."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from array import array
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Final, cast
+
+import numpy as np
+import typer
+from typer import Argument, Option
+
+from schemas.codec import printable
+from schemas.topics import ROOT
+from services.cli import options
+from services.cli.samples import Sample
+from services.kit.bus import Bus
+from services.kit.inbox import Inbox
+from services.kit.tables import number, table
+
+#: Samples kept while the terminal is slower than the bus.
+QUEUE: Final = 64
+CONNECT_S: Final = 2.0
+#: Headings of the table for people, with the name of the figure and the factor to its unit.
+FIGURES: Final = {
+    "Hz": ("rate_hz", 1.0), "min ms": ("min_s", 1e3), "max ms": ("max_s", 1e3), "std dev ms": ("std_s", 1e3),
+    "kB/s": ("bytes_per_s", 1e-3), "mean kB": ("mean_bytes", 1e-3), "max kB": ("max_bytes", 1e-3),
+}  # fmt: skip
+Keys = Annotated[
+    str | None,
+    Argument(
+        help="Key expression, or a topic's name such as camera/jpeg. [default: all of the robot]", metavar="[KEYEXPR]"
+    ),
+]
+Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
+
+
+@dataclass
+class Arrivals:
+    """When each message of a key came, seconds, and how many bytes it had."""
+
+    times_s: array[float] = field(default_factory=lambda: array("d"))
+    sizes: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, size: int, now_s: float) -> None:
+        """Note a message."""
+        self.times_s.append(now_s)
+        self.sizes.append(size)
+
+    def figures(self, elapsed_s: float) -> dict[str, Any]:
+        """Return how many came, how regularly, from the first to the last, and how large; None for what is not told.
+
+        The bandwidth is over the whole time of listening, so that those of the keys add up.
+        """
+        gaps_s, sizes = np.diff(self.times_s), np.array(self.sizes)
+        spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
+        if gaps_s.size:
+            spread = {"min_s": float(gaps_s.min()), "max_s": float(gaps_s.max()), "std_s": float(gaps_s.std())}
+        return {
+            "messages": len(self.sizes),
+            "rate_hz": 1.0 / float(gaps_s.mean()) if gaps_s.any() else None,
+            **spread,
+            "bytes_per_s": float(sizes.sum()) / elapsed_s,
+            "mean_bytes": float(sizes.mean()),
+            "max_bytes": int(sizes.max()),
+        }
+
+
+def echo(
+    *,
+    keys: Keys = None,
+    count: Annotated[int | None, Option(min=1, help="End after this many messages.")] = None,
+    as_json: options.Json = False,
+    reach: options.Reach,
+) -> None:
+    """Print every message until Ctrl-C.
+
+    Each is one line, or with --json one JSON object; of binary data only the length is printed.
+
+    Example: smal topic echo 'command/*' --json --count 5
+    """
+    inbox = Inbox()
+    inbox.open("samples", QUEUE)
+    with _listening(reach) as bus:
+        bus.listen(
+            key_expression(keys, reach.robot),
+            lambda key, payload, encoding: inbox.put("samples", Sample(key, payload, encoding), len(payload)),
+        )
+        printed = 0
+        while printed != count:
+            item = inbox.take(None)
+            if item is not None:
+                sample = cast("Sample", item[1])
+                say(json.dumps(sample.record()) if as_json else sample.line())
+                printed += 1
+    if inbox.dropped["samples"]:
+        typer.echo(f"smal: {inbox.dropped['samples']} messages came faster than they were printed", err=True)
+
+
+def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = False, reach: options.Reach) -> None:
+    """Measure how often, how regularly and how large the messages of each key are.
+
+    The rate is that between the first message and the last, also where a robot drove only for a part of the time; the
+    bandwidth is that of the payloads over the whole time. Listening to images costs their bandwidth once more.
+
+    Example: smal topic hz camera/jpeg --seconds 10
+    """
+    expression = key_expression(keys, reach.robot)
+    heard: defaultdict[str, Arrivals] = defaultdict(Arrivals)
+    began_s = time.monotonic()
+    with _listening(reach) as bus:
+        # Noted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
+        bus.listen(expression, lambda key, payload, _: heard[key].add(len(payload), time.monotonic()))
+        began_s = time.monotonic()
+        wait(expression, seconds)
+    elapsed_s = time.monotonic() - began_s
+    found = {key: one.figures(elapsed_s) for key, one in sorted(heard.items())}
+    if not found:
+        typer.echo(f"smal: nothing was published on {expression}", err=True)
+    if as_json:
+        say(json.dumps(found, indent=2))
+    elif found:
+        say("\n".join(lines(found)))
+
+
+def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """Yield the figures of each key as a table for people."""
+    rows = [["key", "messages", *FIGURES]]
+    for key, one in found.items():
+        figures = (number(one[name], scale) for name, scale in FIGURES.values())
+        rows.append([printable(key), str(one["messages"]), *figures])
+    return table(rows)
+
+
+def key_expression(keys: str | None, robot: str) -> str:
+    """Return a key expression as it is, or that of a topic's short name, or of everything, for one robot."""
+    if keys is None:
+        return f"{ROOT}/{robot}/**"
+    return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
+
+
+@contextmanager
+def _listening(reach: options.Reach) -> Iterator[Bus]:
+    """Connect to the bus; Ctrl-C, and a reader that closed the pipe, end the listening and nothing else."""
+    with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
+        try:
+            yield bus
+        except KeyboardInterrupt:
+            pass
+        except BrokenPipeError:
+            # Python flushes standard output once more at exit; that must not fail again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def wait(what: str, seconds: float) -> None:
+    """Say what is listened to, and let the time pass."""
+    typer.echo(f"listening to {what} for {seconds:g} s", err=True)
+    time.sleep(seconds)
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a pipe."""
+    typer.echo(text)
+    sys.stdout.flush()

@@ -1,1 +1,0 @@
-"""What `smal topic` hears: messages, rates, bandwidth, and where the time goes."""
