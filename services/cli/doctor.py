@@ -50,7 +50,7 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
     for name, check in checks.items():
         try:
             results.append({"name": name, "ok": True, "text": check()})
-        except (JobError, BusError) as problem:
+        except JobError as problem:
             results.append({"name": name, "ok": False, "text": str(problem)})
         if not as_json:
             typer.echo(f"{'ok' if results[-1]['ok'] else 'problem':8} {name:10} {results[-1]['text']}")

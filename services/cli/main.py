@@ -124,12 +124,7 @@ def _told(error: BaseException) -> tuple[str, int]:
     from pydantic import ValidationError  # noqa: PLC0415
 
     from schemas.codec import describe  # noqa: PLC0415
-    from services.kit.bus import BusError, RpcError  # noqa: PLC0415
-    from services.kit.node import ServiceError  # noqa: PLC0415
 
-    match error:
-        case ValidationError():
-            return describe(error), _EXIT_USAGE
-        case ServiceError() | BusError() | RpcError():
-            return str(error), _EXIT_FAILED
+    if isinstance(error, ValidationError):
+        return describe(error), _EXIT_USAGE
     raise error

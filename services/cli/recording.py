@@ -16,12 +16,12 @@ from typer import Argument, Option
 from services.cli import outputs
 from services.cli.grouping import STYLE
 from services.cli.options import Json
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
 from services.kit.tables import number, table
 from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
 from services.recordings.dataset import find_recordings
-from services.recordings.repair import RepairError, repair, usual_name
+from services.recordings.repair import repair, usual_name
 from services.recordings.stream import RecordingError
 
 app = typer.Typer(
@@ -83,11 +83,8 @@ def mend(
     if out is not None and out.exists() and not replace:
         raise UsageError(f"--out {out}: is there already; give another name, or --replace")
     outputs.check_file(out, "--out")
-    try:
-        made = out or usual_name(recordings[0], replace=replace)
-        before, after = repair(recordings, made, replace=replace)
-    except (RecordingError, RepairError) as error:
-        raise JobError(str(error)) from None
+    made = out or usual_name(recordings[0], replace=replace)
+    before, after = repair(recordings, made, replace=replace)
     if after is None:
         typer.echo(f"{recordings[0]}: nothing is to be repaired")
         return

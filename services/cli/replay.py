@@ -17,10 +17,9 @@ from schemas.episode import Episode
 from schemas.topics import JPEG, Topic
 from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import UsageError
 from services.kit.node import Detail, Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
-from services.recordings.stream import RecordingError
 from services.robot.service import ROBOT, check_alone
 
 #: How long to wait for somebody who takes the images; what is told before would be lost.
@@ -50,10 +49,7 @@ def replay(
         if name not in REPLAYABLE:
             raise UsageError(f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}")
     wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
-    try:
-        tracks = tracks_of(recording)
-    except RecordingError as error:
-        raise JobError(str(error)) from None
+    tracks = tracks_of(recording)
     # Until this is over no robot of this id starts either: they ask as we do.
     check_alone(reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`")
     with interrupted_by_signals(), Node(ROBOT, reach.settings) as node:

@@ -7,10 +7,9 @@ from typing import Annotated
 from typer import Option
 
 from services.cli import options
-from services.kit.errors import UsageError
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
-from services.teleop.terminal import NoTerminalError, require_terminal
+from services.teleop.terminal import require_terminal
 
 
 def teleop(
@@ -25,8 +24,5 @@ def teleop(
 
     Example: smal teleop --seed 1
     """
-    try:
-        require_terminal()
-    except NoTerminalError as error:
-        raise UsageError(str(error)) from None
+    require_terminal()
     run(TeleopSettings(**reach.settings.model_dump(), seed=seed, goal=goal))

@@ -117,13 +117,10 @@ def _base(body: RobotBody, config: Path | None) -> str | None:
     if config is None:
         return None
     try:
-        from services.ros2.config import ConfigError, read_config  # noqa: PLC0415 - only this needs its packages
+        from services.ros2.config import read_config  # noqa: PLC0415 - only this needs its packages
     except ModuleNotFoundError as error:
         raise UsageError(f"--robot-body ros2 needs the package {error.name}: pip install -e '.[ros2]'") from None
-    try:
-        return read_config(config).name
-    except ConfigError as error:
-        raise UsageError(str(error)) from None
+    return read_config(config).name
 
 
 def _check_addresses(reach: options.Reach, services: tuple[str, ...], *, insecure: bool) -> str:

@@ -16,11 +16,10 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.grouping import STYLE
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import UsageError
 from services.kit.tables import table
-from services.simulator.scene.vulkan import UnavailableError
 from services.simulator.sensors.camera import CameraSettings
-from services.simulator.world import Pose, World, WorldError, load_world
+from services.simulator.world import Pose, World, load_world
 from services.simulator.world.loading import Wishes, import_map
 from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
@@ -81,10 +80,7 @@ def import_world(
     )
     if not osm_map.is_file():
         raise UsageError(f"{osm_map}: no such file")
-    try:
-        imported, text = import_map(osm_map, out, wishes)
-    except WorldError as error:
-        raise JobError(str(error)) from None
+    imported, text = import_map(osm_map, out, wishes)
     with outputs.writing(out, "--out") as file:
         file.write(text.encode())
     for line in table(list(_summary(imported, time.perf_counter() - began_s)), left=1):
@@ -162,11 +158,8 @@ def render(
     """
     size = camera or options.USUAL_CAMERA
     outputs.make_folder(out, "--out")
-    try:
-        world = load_world(name)
-        _draw(world, out, views, CameraSettings(size.width, size.height))
-    except (WorldError, UnavailableError) as error:
-        raise JobError(str(error)) from error
+    world = load_world(name)
+    _draw(world, out, views, CameraSettings(size.width, size.height))
     typer.echo(f"wrote the map, {views} views{' and aerial.png' if isinstance(world.place, Terrain) else ''} in {out}")
 
 

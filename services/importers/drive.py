@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.codec import printable
+from services.kit.errors import JobError
 
 Array = NDArray[np.float64]
 #: Most samples of a drive, or rows of a file: 28 hours at 100 Hz. They are kept in memory, 100 bytes or so each.
@@ -27,7 +28,7 @@ _FURTHEST_M: Final = 4e7
 _MOST_TURNED_RAD: Final = 2e8
 
 
-class ImportFailure(Exception):  # noqa: N818 - ImportError is Python's own
+class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
     """A source cannot be imported; the text names it and says why in one line."""
 
 

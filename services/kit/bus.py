@@ -21,6 +21,7 @@ from schemas.codec import describe, encode, encoding_of, printable
 from schemas.rpc import Failure
 from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
+from services.kit.errors import JobError
 from services.kit.replay import Budget, Replay
 from services.kit.wire import BusError, Refused, Take, flaw
 from services.kit.zenoh_session import Router, open_client
@@ -69,8 +70,8 @@ _logger = logging.getLogger("bus")
 R = TypeVar("R", bound=Strict)
 
 
-class RpcError(Exception):
-    """A call was refused by the service or not answered; the text says why in one line."""
+class RpcError(JobError):
+    """A call was refused by the service or not answered."""
 
 
 def _ignore(_why: str) -> None:

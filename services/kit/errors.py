@@ -1,4 +1,4 @@
-"""Errors that end a command: one line, and an exit status that scripts can rely on."""
+"""Errors that end a command or a service: one line, and an exit status that scripts can rely on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class UsageError(Exception):
 
 
 class JobError(Exception):
-    """The command was right, the job failed; exit status 1."""
+    """What was asked for cannot be done; the text says why in one line. Exit status 1."""
 
 
 def describe_os_error(error: OSError) -> str:

@@ -17,6 +17,7 @@ from prometheus_client.exposition import ThreadingWSGIServer
 from prometheus_client.registry import Collector
 
 from schemas.rpc import Status
+from services.kit.errors import JobError
 
 if TYPE_CHECKING:
     from wsgiref.types import StartResponse, WSGIEnvironment
@@ -43,10 +44,6 @@ _TIMES: Final = {
     "work": ("topic", "Handling one message, its answers published."),
     "decision": ("source", "From a frame's readiness to the acceptance of its command, at the actuator."),
 }
-
-
-class HttpError(Exception):
-    """The address cannot be listened on; the text says why in one line."""
 
 
 def ailment(status: Status) -> str | None:
@@ -164,7 +161,7 @@ def serve_http(address: str, ailment: Callable[[], str | None], metrics: Collect
     """Answer on threads of its own, so that a busy service answers as well, and a frozen one does not.
 
     The address is ``HOST:PORT``; without a host, every interface. ``ailment`` tells why the service is not healthy. The
-    server answers until its `shutdown`. Raises HttpError when the port is taken or the host is none of this machine's.
+    server answers until its `shutdown`. Raises JobError when the port is taken or the host is none of this machine's.
     """
     host, _, port = address.rpartition(":")
     tell = make_wsgi_app(metrics)
@@ -181,6 +178,6 @@ def serve_http(address: str, ailment: Callable[[], str | None], metrics: Collect
         server = make_server(host, int(port), answer, _Server, _Handler)
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no such port"
-        raise HttpError(f"cannot answer HTTP on {address}: {reason}") from None
+        raise JobError(f"cannot answer HTTP on {address}: {reason}") from None
     threading.Thread(target=server.serve_forever, name="http", daemon=True).start()
     return server

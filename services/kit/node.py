@@ -28,6 +28,7 @@ from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Refused
+from services.kit.errors import JobError
 from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import Inbox, Item
 from services.kit.settings import ServiceSettings
@@ -45,8 +46,8 @@ A = TypeVar("A")
 Detail = dict[str, str | int | float | bool | None]
 
 
-class ServiceError(Exception):
-    """A service cannot do what was asked; the text says why in one line."""
+class ServiceError(JobError):
+    """A service cannot do what was asked; whoever asked is told."""
 
 
 @dataclass
@@ -61,7 +62,7 @@ class Node:
 
     Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
     that calls ``spin``. An exception in a handler is logged and counted; the node goes on. Raises BusError when there
-    is no router within ``patience_s``, HttpError when ``settings.http`` cannot be listened on.
+    is no router within ``patience_s``, JobError when ``settings.http`` cannot be listened on.
     """
 
     def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:

@@ -10,9 +10,8 @@ from typing import Final, TypeVar
 from pydantic import ValidationError
 
 from schemas.codec import describe
-from services.kit.bus import BusError
-from services.kit.health import HttpError
-from services.kit.node import Node, ServiceError
+from services.kit.errors import JobError, UsageError
+from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 
 EXIT_FAILED: Final = 1
@@ -51,9 +50,9 @@ def run_node(name: str, settings: type[S], serve: Callable[[Node, S], None]) -> 
 
 
 def run_service(name: str, serve: Callable[[], None]) -> None:
-    """Run a service's main function; a failure to start is one line and exit status 1."""
+    """Run a service's main function; a failure to start is one line and an exit status."""
     try:
         serve()
-    except (ServiceError, BusError, HttpError) as error:
+    except (JobError, UsageError) as error:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
-        raise SystemExit(EXIT_FAILED) from None
+        raise SystemExit(EXIT_FAILED if isinstance(error, JobError) else EXIT_USAGE) from None

@@ -22,6 +22,7 @@ from typing import Final
 from schemas.base import Message
 from schemas.codec import misfit, printable
 from schemas.topics import TOPICS
+from services.kit.errors import JobError
 
 #: Largest request of a service, and largest reply, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
@@ -33,8 +34,8 @@ Take = Callable[[bytes, str, float | None], None]
 Refused = Callable[[str], None]
 
 
-class BusError(Exception):
-    """The bus cannot be used as asked; the text says why in one line."""
+class BusError(JobError):
+    """The bus cannot be used as asked."""
 
 
 def flaw(

@@ -20,7 +20,8 @@ from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
-from services.kit.bus import BusError, RpcError
+from services.kit.bus import RpcError
+from services.kit.errors import JobError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 from services.operator.report import Report
@@ -291,7 +292,7 @@ class Operator:
         def ask() -> None:
             try:
                 done = question() or (lambda: None)
-            except (ServiceError, RpcError, BusError) as error:
+            except JobError as error:
                 reason = str(error)
                 done = lambda: refused(reason)  # noqa: E731
             except Exception:  # whatever it is: else nothing could ever be asked again

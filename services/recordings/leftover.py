@@ -13,6 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
 from schemas.topics import EPISODE, topic_of
+from services.kit.errors import JobError
 from services.recordings.chunks import Index
 from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
 from services.recordings.sink import Sink, claim, finished, publish
@@ -23,8 +24,8 @@ from services.recordings.writer import GAPS_METADATA
 _UNSURE: Final = 16 * 2**20
 
 
-class LeftoverError(Exception):
-    """What was left cannot be sealed, and stays as it is; the text says why in one line."""
+class LeftoverError(JobError):
+    """What was left cannot be sealed, and stays as it is."""
 
 
 class Sealed(NamedTuple):

@@ -8,15 +8,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+from services.kit.errors import JobError
 from services.recordings.contents import Contents, verify
 from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, publish
 from services.recordings.stream import messages, open_recording
 from services.recordings.survey import surveyed
 from services.recordings.writer import EpisodeWriter
-
-
-class RepairError(Exception):
-    """A recording cannot be repaired; the text names it and says why in one line."""
 
 
 def usual_name(path: Path, *, replace: bool) -> Path:
@@ -30,7 +27,7 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     """Write the recording of all that is whole in others, which are of one episode, in their order, and stay.
 
     With ``replace``, a file that is there is replaced, and what was left behind is removed. Returns what was wrong with
-    each, and what still is: None where nothing was to be repaired, nor written. Raises RepairError or RecordingError
+    each, and what still is: None where nothing was to be repaired, nor written. Raises JobError
     when nothing can be made of them, one is still being recorded, or there is a file already; OSError when the new one
     cannot be written.
     """
@@ -40,10 +37,10 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     for one in before:
         if len(one.episodes) != 1:
             several = f"{len(one.episodes)} episodes; one can be repaired at a time"
-            raise RepairError(f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}")
+            raise JobError(f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}")
         first, other = before[0].episodes[0], one.episodes[0]
         if (first.robot, first.episode) != (other.robot, other.episode):
-            raise RepairError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
+            raise JobError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
     left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]
     with ExitStack() as held, tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
         for path in left:
@@ -51,7 +48,7 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
-            raise RepairError(f"{out}: is there already; give another name, or --replace")
+            raise JobError(f"{out}: is there already; give another name, or --replace")
         publish(made, out)
         for path in left if replace else ():
             path.unlink()
@@ -64,7 +61,7 @@ def _locked(path: Path) -> int:
     try:
         return claim(path)
     except BlockingIOError:
-        raise RepairError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
+        raise JobError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
 
 
 def _written(before: Sequence[Contents], out: Path) -> Path:
@@ -78,7 +75,7 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     finally:
         sealed = writer.seal()
     if sealed != out:
-        raise RepairError(f"{out.name}: cannot be written: {writer.problem}")
+        raise JobError(f"{out.name}: cannot be written: {writer.problem}")
     return sealed
 
 

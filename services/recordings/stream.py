@@ -16,6 +16,7 @@ from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
 from schemas.codec import describe
 from schemas.compressed_image import CompressedImage
 from schemas.topics import JPEG, Topic, topic_of
+from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.records import MAGIC, mapped
@@ -25,8 +26,8 @@ from services.recordings.sink import PARTIAL_SUFFIX, claim
 OBJECTS: Final = 2048
 
 
-class RecordingError(Exception):
-    """A file cannot be used as a recording; the text names it and says why in one line."""
+class RecordingError(JobError):
+    """A file cannot be used as a recording; the text names it."""
 
 
 def being_recorded(path: Path) -> bool:

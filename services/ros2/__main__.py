@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from services.kit.node import Node, ServiceError
+from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask, Task
 from services.ros2.body import Ros2Body, Ros2View
-from services.ros2.config import ConfigError, Ros2Settings, read_config
+from services.ros2.config import Ros2Settings, read_config
 from services.ros2.senses import Senses
 from services.ros2.session import Ros2Session
 
@@ -17,10 +17,7 @@ def serve() -> None:
     """Drive until stopped."""
     settings = read_settings(Ros2Settings, "ros2")
     configure_logging(settings.log_level)
-    try:
-        config = read_config(settings.ros2_config)
-    except ConfigError as error:
-        raise ServiceError(str(error)) from None
+    config = read_config(settings.ros2_config)
 
     def open_body(node: Node) -> tuple[Ros2Body, Paces[Ros2View]]:
         senses = Senses(config)

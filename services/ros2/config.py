@@ -11,6 +11,7 @@ from ruamel.yaml.error import YAMLError
 
 from schemas.codec import describe, printable
 from services.kit.bus import BusError, host_and_port
+from services.kit.errors import UsageError
 from services.kit.node import ServiceError
 from services.robot.loop import check_stopping
 from services.robot.service import RobotSettings
@@ -28,10 +29,6 @@ Silence = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 Angle = Annotated[float, Field(gt=0, lt=3.15)]
 #: A name; relative to the namespace unless it begins with a slash.
 Topic = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$")]
-
-
-class ConfigError(Exception):
-    """A configuration cannot be used; the text says why in one line."""
 
 
 class _Part(BaseModel):
@@ -145,13 +142,13 @@ def known_presets() -> list[str]:
 def read_config(path: Path) -> Ros2Config:
     """Read a configuration, a YAML file; with `preset: NAME` it says only what differs from that one.
 
-    Raises ConfigError where it cannot be used.
+    Raises UsageError where it cannot be used.
     """
     own = _read(path)
     preset = own.get("preset")
     if preset is not None:
         if preset not in known_presets():
-            raise ConfigError(f"{path}: preset: known are {', '.join(known_presets())}")
+            raise UsageError(f"{path}: preset: known are {', '.join(known_presets())}")
         own = _merged(_read(PRESETS / f"{preset}.yaml"), own)
     # YAML has lists, and a tuple is what does not change.
     if isinstance(own.get("stops"), list):
@@ -161,9 +158,9 @@ def read_config(path: Path) -> Ros2Config:
         # Here, and not only where it drives: then nothing is started for a base that must not be driven.
         check_stopping(config)
     except ValidationError as error:
-        raise ConfigError(f"{path}: {_explained(error)}") from None
+        raise UsageError(f"{path}: {_explained(error)}") from None
     except ServiceError as error:
-        raise ConfigError(f"{path}: {error}; services/ros2/README.md says what helps") from None
+        raise UsageError(f"{path}: {error}; services/ros2/README.md says what helps") from None
     return config
 
 
@@ -187,19 +184,19 @@ def _read(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             text = file.read(_LARGEST + 1)
         if len(text) > _LARGEST:
-            raise ConfigError(f"{path}: larger than {_LARGEST} bytes; this is no configuration")
+            raise UsageError(f"{path}: larger than {_LARGEST} bytes; this is no configuration")
         tree = YAML(typ="safe", pure=True).load(text.decode())
     except OSError as error:
-        raise ConfigError(
+        raise UsageError(
             f"{path}: {(error.strerror or str(error)).lower()}; presets: {', '.join(known_presets())}"
         ) from None
     except (YAMLError, ValueError, RecursionError) as error:
         reason = printable(" ".join(str(getattr(error, "problem", None) or error).split()))
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" in line {mark.line + 1}"
-        raise ConfigError(f"{path}: no YAML{where}: {reason}") from None
+        raise UsageError(f"{path}: no YAML{where}: {reason}") from None
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: expected settings such as `preset: turtlebot4`")
+        raise UsageError(f"{path}: expected settings such as `preset: turtlebot4`")
     return tree
 
 

@@ -9,15 +9,15 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from schemas.rpc import WorldName
+from services.kit.errors import JobError
 from services.kit.node import ServiceError
 from services.kit.root import WORLDS, OutsideError, RootSettings, below
 from services.robot.service import RobotSettings
 from services.simulator.opening import BaseKind, open_simulation
-from services.simulator.scene.vulkan import UnavailableError
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS, variation_named
-from services.simulator.world import WorldError, known_worlds
+from services.simulator.world import known_worlds
 
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
@@ -75,7 +75,7 @@ class Worlds:
         camera = CameraSettings(of.camera_width, of.camera_height, of.shadows)
         try:
             simulation = open_simulation(self._place(world), camera, base=of.base, shake=of.shake, variation=variation)
-        except (WorldError, UnavailableError) as error:
+        except JobError as error:
             # Where the files lie means nothing to who asks for a name.
             raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None
         self.here = world, variation

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-
-from services.kit.process import EXIT_USAGE, read_settings, run_service
+from services.kit.process import read_settings, run_service
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
-from services.teleop.terminal import NoTerminalError, require_terminal
+from services.teleop.terminal import require_terminal
 
 
 def serve() -> None:
     """Drive until the operator quits."""
     settings = read_settings(TeleopSettings, "teleop")
-    try:
-        require_terminal()
-    except NoTerminalError as error:
-        sys.stderr.write(f"teleop: {error}\n")
-        raise SystemExit(EXIT_USAGE) from None
+    require_terminal()
     run(settings)
 
 

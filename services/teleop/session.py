@@ -9,7 +9,7 @@ from typing import Final
 from schemas.base import ATOMS
 from schemas.codec import printable
 from schemas.rpc import Nothing, ResetRequest, Status
-from services.kit.bus import BusError, RpcError
+from services.kit.errors import JobError
 from services.kit.node import Node
 from services.operator.operator import ANSWER_S, POLL_S, RESET_S, Operator
 from services.teleop.config import TeleopSettings
@@ -136,7 +136,7 @@ class TeleopSession:
         """Tell how much room the recorder has; on a thread of its own, since what moves the robot must not wait."""
         try:
             told = self._node.bus.call("recorder", "status", Nothing(), Status, _DISK_ANSWER_S).detail.get("disk")
-        except (RpcError, BusError):
+        except JobError:
             told = None  # there is none
         if told not in (None, self._disk):
             self._terminal.say(f"RECORDING: {printable(str(told))}")

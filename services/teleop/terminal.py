@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
+from services.kit.errors import UsageError
 from services.teleop.keys import ASK_RELEASES, RELEASES_ANSWER, TELL_NO_RELEASES, TELL_RELEASES
 
 _ERASE_LINE: Final = "\r\x1b[K"
@@ -27,10 +28,6 @@ _LINES_KEPT: Final = 200
 _LAST_LINES_S: Final = 1.0
 #: How long it may take to say that it has understood; a second is a slow link.
 _ANSWER_S: Final = 1.0
-
-
-class NoTerminalError(Exception):
-    """Standard input is no terminal, so no key press can be read; the text says so in one line."""
 
 
 class Terminal:
@@ -129,16 +126,16 @@ class TerminalLog(logging.Handler):
 
 
 def require_terminal() -> None:
-    """Raise NoTerminalError unless a person can type into this process."""
+    """Raise UsageError unless a person can type into this process."""
     if not sys.stdin.isatty():
-        raise NoTerminalError("standard input is not a terminal; run this from one, not through a pipe or a script")
+        raise UsageError("standard input is not a terminal; run this from one, not through a pipe or a script")
 
 
 @contextmanager
 def open_terminal() -> Iterator[Terminal]:
     """Read keys without waiting for Enter and without showing them; restored however the context is left.
 
-    Raises NoTerminalError when standard input is not a terminal.
+    Raises UsageError when standard input is not a terminal.
     """
     require_terminal()
     before = termios.tcgetattr(sys.stdin)

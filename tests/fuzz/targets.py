@@ -34,11 +34,12 @@ from services.experiments.showing.ways import Ways
 from services.importers import run as importer
 from services.importers.drive import ImportFailure, Tally
 from services.importers.job import Format, Job
+from services.kit.errors import JobError
 from services.kit.root import below, name_below, open_below
 from services.recordings.encoding import decode_image
 from services.recordings.leftover import LeftoverError, seal_leftover
 from services.recordings.reader import read_recording
-from services.recordings.repair import RepairError, repair
+from services.recordings.repair import repair
 from services.recordings.stream import RecordingError
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map, load_world
 from services.simulator.world.place import WorldError
@@ -200,7 +201,7 @@ def _repair(data: bytes) -> bool:
     out = path.with_name("e-repaired.mcap")
     try:
         (before,), after = repair([path], out)
-    except (RecordingError, RepairError) as error:
+    except JobError as error:
         check_line(error)
         assert not out.exists()
         return False

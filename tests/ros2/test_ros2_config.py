@@ -8,8 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.kit.errors import UsageError
 from services.robot.loop import STAND_WITHIN_S
-from services.ros2.config import ConfigError, known_presets, read_config
+from services.ros2.config import known_presets, read_config
 from services.ros2.messages import Messages
 from services.ros2.senses import Senses
 from tests.command import run_smal
@@ -19,7 +20,7 @@ from tests.command import run_smal
 def test_a_preset_needs_only_what_nobody_else_knows(preset: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\n")
-    with pytest.raises(ConfigError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"):
+    with pytest.raises(UsageError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"):
         read_config(path)
     path.write_text(f"preset: {preset}\nwatchdog_s: 0.2\nnamespace: /robot1\ncamera: {{latency_s: 0.12}}\n")
     config = read_config(path)
@@ -66,7 +67,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
 def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(UsageError) as caught:
         read_config(path)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -78,7 +79,7 @@ def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Pat
 def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mine.yaml"
     path.write_bytes(data)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(UsageError) as caught:
         read_config(path)
     assert "\n" not in str(caught.value)
 

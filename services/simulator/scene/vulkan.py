@@ -9,14 +9,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from services.kit.errors import JobError
+
 DRIVER_FOLDERS: Final = tuple(
     Path(folder) / "vulkan" / "icd.d" for folder in ("/etc", "/usr/local/share", "/usr/share")
 )
 INSTALL: Final = "install Mesa 24.3 or newer: apt-get install mesa-vulkan-drivers (Debian 12: from bookworm-backports)"
 
 
-class UnavailableError(Exception):
-    """The machine cannot render, or has no SAPIEN; the message is one line that says what to install."""
+class UnavailableError(JobError):
+    """The machine cannot render, or has no SAPIEN; the text says what to install."""
 
 
 def cannot_render(error: RuntimeError) -> UnavailableError:

@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
 from shapely.geometry.base import BaseGeometry
 
+from services.kit.errors import JobError
 from services.simulator.robots import RobotModel
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ Bounds = tuple[float, float, float, float]
 STRICT: Final = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
-class WorldError(Exception):
+class WorldError(JobError):
     """A world cannot be used; the message is one line that names the file and the problem."""
 
 

@@ -17,7 +17,8 @@ from schemas import topics
 from schemas.command import Command
 from schemas.rpc import Status
 from services.kit.bus import Bus, Router
-from services.kit.health import MOST_CONNECTIONS, HttpError, ailment, serve_http
+from services.kit.errors import JobError
+from services.kit.health import MOST_CONNECTIONS, ailment, serve_http
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
@@ -169,7 +170,7 @@ def test_an_address_that_cannot_be_had_is_one_line() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(HttpError, match=rf"^cannot answer HTTP on {address}: Address already in use$"):
+        with pytest.raises(JobError, match=rf"^cannot answer HTTP on {address}: Address already in use$"):
             serve_http(address, str, CollectorRegistry())
-    with pytest.raises(HttpError, match=r"^cannot answer HTTP on 127\.0\.0\.1:99999: no such port$"):
+    with pytest.raises(JobError, match=r"^cannot answer HTTP on 127\.0\.0\.1:99999: no such port$"):
         serve_http("127.0.0.1:99999", str, CollectorRegistry())

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from services.kit.errors import JobError
 from services.recordings.contents import contents_of, verify
-from services.recordings.repair import RepairError, repair, usual_name
+from services.recordings.repair import repair, usual_name
 from services.recordings.sink import partial_of
 from services.recordings.stream import RecordingError
 from services.recordings.views import is_view
@@ -121,7 +122,7 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     other.write_bytes(b"another")
     status, _, why = smal("recording", "repair", partial, "--out", other)
     assert (status, why) == (2, f"smal: --out {other}: is there already; give another name, or --replace\n")
-    with pytest.raises(RepairError, match="is there already"):
+    with pytest.raises(JobError, match="is there already"):
         repair([partial], other)
     path = usual_name(partial, replace=False)
     assert path == tmp_path / "e-2.mcap"
@@ -142,7 +143,7 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
 
 def test_two_episodes_are_not_made_one(tmp_path: Path) -> None:
     two = [record(tmp_path, list(episode(name))) for name in ("e", "other")]
-    with pytest.raises(RepairError, match="is of episode other"):
+    with pytest.raises(JobError, match="is of episode other"):
         repair(two, tmp_path / "both.mcap")
 
 
@@ -152,7 +153,7 @@ def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> N
     writer.flush()
     living = partial_of(writer.path)
     assert contents_of(living).state == "being recorded"
-    with pytest.raises(RepairError, match="still being recorded"):
+    with pytest.raises(JobError, match="still being recorded"):
         repair([living], tmp_path / "out.mcap")
     writer.write(applied("e", 0))
     writer.seal()
@@ -161,6 +162,6 @@ def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> N
         with pytest.raises(RecordingError, match=why):
             repair([tmp_path / "bad.mcap"], tmp_path / "out.mcap")
     (tmp_path / "bad.mcap").write_bytes(writer.path.read_bytes()[:60])
-    with pytest.raises(RepairError, match="holds nothing of an episode to save"):
+    with pytest.raises(JobError, match="holds nothing of an episode to save"):
         repair([tmp_path / "bad.mcap"], tmp_path / "out.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "e.mcap"]
