@@ -83,10 +83,10 @@ _PAGE: Final = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
 <style>
 :root {{ color-scheme: light dark; --back: #fff; --text: #222; --muted: #5f5f5f; --line: #ddd; --soft: #eee;
-  --c2: #1a7f37; --c4: #8a6100; --bad: #c62828; }}
+  --note: #8a6100; }}
 @media (prefers-color-scheme: dark) {{
   :root {{ --back: #15181c; --text: #e6e8ea; --muted: #a3abb4; --line: #3b424a; --soft: #262b31;
-    --c2: #5fcf80; --c4: #e0b040; --bad: #ff8a80; }} }}
+    --note: #e0b040; }} }}
 body {{ font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--back);
   max-width: {width_rem}rem; margin: 2rem auto; padding: 0 1rem; }}
 h1 {{ font-size: 1.6rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.25rem; margin-top: 2.5rem; }}
@@ -98,14 +98,13 @@ h3 {{ font-size: 1.05rem; }}
 figure {{ margin: 0; min-width: 0; }} figure.own {{ margin-bottom: 1.5rem; }}
 .wide {{ width: 100%; border-radius: .3rem; }}
 .pair {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); gap: 1.5rem; }}
-.note {{ border-left: .3rem solid var(--c4); margin: 1rem 0; padding: .5rem 1rem;
+.note {{ border-left: .3rem solid var(--note); margin: 1rem 0; padding: .5rem 1rem;
   background: var(--soft); overflow-wrap: anywhere; }}
 figcaption {{ color: var(--muted); font-size: .85rem; }}
 .scroll {{ overflow-x: auto; }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }}
 th, td {{ text-align: right; padding: .2rem .7rem; }} th.text, td.text {{ text-align: left; }}
 td {{ border-bottom: 1px solid var(--soft); }} td:not(.text) {{ white-space: nowrap; }}
-.ahead {{ color: var(--c2); }} .behind {{ color: var(--bad); }} .open {{ color: var(--c4); }}
 </style></head><body><main>
 <h1>{title}</h1>
 {body}

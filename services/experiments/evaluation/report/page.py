@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -13,8 +13,7 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from services.experiments import html
-from services.experiments.evaluation.plan import DEFAULT_LENGTH, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
-from services.experiments.evaluation.report.comparisons import Comparison, compare_recognition, compare_searches
+from services.experiments.evaluation.plan import QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
 from services.experiments.evaluation.report.sections import objective_section, recognition_section, search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Results
@@ -24,7 +23,6 @@ from services.experiments.words import counted
 from services.kit.version import program_version
 
 _DPI: Final = 130
-_VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown"}
 
 
 def write_page(plan: Plan, results: Results) -> Path:
@@ -34,16 +32,11 @@ def write_page(plan: Plan, results: Results) -> Path:
     """
     planned, findings = units(plan), results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
-    compared: list[Comparison] = []
-    for each in found:
-        compared += compare_recognition(each.world.title, each.recognized[0])
-        compared += compare_searches(each.world.title, each.successes)
     numbers = {
         "plan": plan.name,
         "version": program_version(),
         "units": {"planned": len(planned), "done": len(findings)},
         "machine_seconds": round(_seconds(results), 1),
-        "comparisons": [vars(one) for one in compared],
         "worlds": {one.world.title: one.as_json() for one in found},
     }
     (results.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
@@ -56,7 +49,6 @@ def write_page(plan: Plan, results: Results) -> Path:
             f"<p><b>Not all is done:</b> {len(findings):,} of {len(planned):,} units. What is shown is whole, with all "
             "of its runs; the rest is left out until it is.</p>"
         )
-    body += _summary(compared)
     for each in found:
         body.append(f"<h2>{escape(each.world.title.capitalize())}</h2>")
         if each.recognized[0]:
@@ -101,23 +93,6 @@ def _introduction(plan: Plan, results: Results) -> Iterator[str]:
             "version": program_version(),
         }
     )
-
-
-def _summary(compared: Iterable[Comparison]) -> Iterator[str]:
-    yield "<h2>In words</h2>"
-    yield (
-        f"<p>In searches SMAL, in recognition Eq. 9 (l = {DEFAULT_LENGTH}), against each other method; “ahead” and "
-        "“behind” only where the 95 % interval of the difference of areas leaves out zero, or the exact sign test on "
-        "the same seeds has p below 0.05; with fewer than six searches it never has. Of so many comparisons one in "
-        "twenty would come out so by chance. All of it is computed from the results below.</p>"
-    )
-    rows = [
-        f'<tr><td class="text">{escape(one.world)}</td><td class="text">{escape(one.text)}</td>'
-        f'<td class="text {one.verdict}">{_VERDICT[one.verdict]}</td></tr>'
-        for one in compared
-    ]
-    head = '<tr><th class="text">world</th><th class="text">result</th><th class="text">ahead?</th></tr>'
-    yield f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
 
 
 def _method(plan: Plan, results: Results) -> Iterator[str]:

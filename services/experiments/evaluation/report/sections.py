@@ -60,8 +60,8 @@ def _criterion(world: WorldPlan) -> str:
 def _recognized(found: Sequence[Recognized]) -> str:
     rows = [
         [
-            one.recognizer.title, one.degradation, f"{one.curve.auc:.3f}", _interval(one.auc_95, ".3f"),
-            f"{one.curve.recall_at_100_precision:.3f}", _interval(one.recall_95, ".3f"),
+            one.recognizer.title, one.degradation, f"{one.curve.auc:.3f}", _interval(one.intervals.auc, ".3f"),
+            f"{one.curve.recall_at_100_precision:.3f}", _interval(one.intervals.recall_at_100_precision, ".3f"),
             f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}", f"{one.auc_from_start:.3f}",
         ]
         for one in found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from services.experiments.evaluation.plan import JUDGED_TICKS, Recognizer, Trial, WorldPlan
 from services.experiments.evaluation.units import Errand, Finding, Objective, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
+from smal.evaluation.precision_recall import Intervals, PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
 
 Findings = Mapping[Unit, Finding]
@@ -25,17 +25,15 @@ class Recognized:
     """How well one method recognizes in one world, by one criterion.
 
     The judgement is of all held-out drives from the frame on at which every method has a whole window;
-    ``auc_from_start`` is of all frames. ``areas`` are those of the bootstrap's draws, paired between methods.
+    ``auc_from_start`` is of all frames.
     """
 
     recognizer: Recognizer
     degradation: str
     judgement: Judgement
     curve: PrecisionRecall
-    auc_95: tuple[float, float]
+    intervals: Intervals
     auc_from_start: float
-    recall_95: tuple[float, float]
-    areas: NDArray[np.float64]
 
     def as_json(self, criterion: str) -> dict[str, Any]:
         """Return its numbers."""
@@ -47,10 +45,10 @@ class Recognized:
             "queries": int(self.judgement.score.size),
             "findable": int(self.judgement.findable.sum()),
             "auc": self.curve.auc,
-            "auc_95": list(self.auc_95),
+            "auc_95": list(self.intervals.auc),
             "auc_from_start": self.auc_from_start,
             "recall_at_100_precision": self.curve.recall_at_100_precision,
-            "recall_at_100_precision_95": list(self.recall_95),
+            "recall_at_100_precision_95": list(self.intervals.recall_at_100_precision),
             "recall": self.curve.recall.round(5).tolist(),
             "precision": self.curve.precision.round(5).tolist(),
         }
@@ -160,11 +158,6 @@ def recognized(
     whole = Judgement(score.astype(float), answered.astype(bool), right.astype(bool), everything, findable.astype(bool))
     late = tick >= world.first_judged_tick
     judgement = Judgement(*(getattr(whole, each.name)[late] for each in fields(whole)))
-    # The same blocks for all methods, to pair them.
     block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
-    draws = bootstrap(judgement, block)
-    intervals = intervals_of(draws)
-    return Recognized(
-        recognizer, degradation, judgement, PrecisionRecall.of(judgement), intervals.auc, PrecisionRecall.of(whole).auc,
-        intervals.recall_at_100_precision, draws[:, 0],
-    )  # fmt: skip
+    curve, intervals = PrecisionRecall.of(judgement), intervals_of(bootstrap(judgement, block))
+    return Recognized(recognizer, degradation, judgement, curve, intervals, PrecisionRecall.of(whole).auc)

@@ -8,7 +8,6 @@ import re
 import pytest
 
 from services.experiments.evaluation.plan import Trial
-from services.experiments.evaluation.report.comparisons import compare_recognition, compare_searches
 from services.experiments.evaluation.report.page import write_page
 from services.experiments.evaluation.report.summary import Success, WorldResults, results_of
 from services.experiments.evaluation.results import Results
@@ -40,7 +39,6 @@ def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(res
     assert "{" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL), "a text that was not filled in"
     for said in (
         "within 1 m and 25°", "within 0.5 m and 15°", "nearly everything", "35% of the frames occluded",
-        "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead",
         "<td>9 of 10</td>", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
     ):  # fmt: skip
         assert said in text, said
@@ -62,12 +60,7 @@ def test_areas(world: WorldResults) -> None:
     assert {one.judgement.score.size for one in found.values()} == {56}
     right = int(single.judgement.right.sum())
     assert (single.curve.auc, single.curve.recall_at_100_precision) == pytest.approx((right / 56, right / 56))
-    assert single.auc_95[0] < single.curve.auc < single.auc_95[1]
-    verdicts = {(one.text.split(":")[0], one.text.split(" of ")[2].split(",")[0]): one.verdict
-                for one in compare_recognition("yard", world.recognized[0])}  # fmt: skip
-    assert verdicts["recognition, occluded", "single image (l = 1)"] == "ahead"
-    # With a clear view nothing tells them apart.
-    assert verdicts["recognition, clean", "single image (l = 1)"] == "open"
+    assert single.intervals.auc[0] < single.curve.auc < single.intervals.auc[1]
 
 
 def test_counts_of_searches(world: WorldResults) -> None:
@@ -87,8 +80,3 @@ def test_counts_of_searches(world: WorldResults) -> None:
     assert ours.wrong_share == pytest.approx(0.02)
     carried = of("smal", kidnap_tick=50)
     assert (carried.right_soon, carried.spl) == ((6, 8), None)
-    said = {one.text: one.verdict for one in compare_searches("yard", world.successes)}
-    (against,) = [text for text in said if "occluded" in text]
-    assert said[against] == "ahead"
-    assert "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead (p = 0.0078)" in against
-    assert all(verdict == "open" for text, verdict in said.items() if "as taught" in text)
