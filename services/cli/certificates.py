@@ -115,7 +115,8 @@ def names_of_router(folder: Path) -> list[str]:
     if not path.exists():
         return []
     try:
-        found = _read_certificate(path).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
     except (OSError, ValueError, x509.ExtensionNotFound):
         raise UsageError(f"{path}: no certificate to take names from; delete it and give them with --host") from None
     return [str(name.value) for name in found.value]
@@ -193,15 +194,11 @@ def _of_roles(folder: Path, authorities: list[x509.Certificate]) -> Iterator[Fin
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
     key_path = path.with_suffix(KEY_SUFFIX)
     try:
-        certificate, key = _read_certificate(path), _read_key(key_path)
-        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-    except x509.ExtensionNotFound:
-        return False, "it does not say what it may be used for"
+        certificate, key = x509.load_pem_x509_certificate(path.read_bytes()), _read_key(key_path)
     except (OSError, ValueError) as error:
         return False, f"it or its key cannot be read: {_why(error)}"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    is_router = ExtendedKeyUsageOID.SERVER_AUTH in uses
-    open_to = _open_to_others(key_path)
+    open_to, is_router = _open_to_others(key_path), _is_router(certificate)
     faults = (
         (names != [role], f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"),
         (not any(_has_signed(one, certificate) for one in authorities), f"no authority in {CA_FILE} has signed it"),
@@ -210,10 +207,14 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         (is_router and role != ROUTER, "it lets its holder be a router"),
         (role == ROUTER and not is_router, "it does not let its holder be a router"),
     )
-    for wrong, text in faults:
-        if wrong:
-            return False, text
-    return _validity(certificate)
+    return next(((False, text) for wrong, text in faults if wrong), _validity(certificate))
+
+
+def _is_router(certificate: x509.Certificate) -> bool:
+    with suppress(x509.ExtensionNotFound):
+        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        return ExtendedKeyUsageOID.SERVER_AUTH in uses
+    return False
 
 
 def _open_to_others(secret: Path) -> str:
@@ -285,22 +286,12 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _read_certificate(path: Path) -> x509.Certificate:
-    """Read a certificate; ValueError says that it is none."""
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except ValueError:
-        raise ValueError("no certificate") from None
-
-
 def _read_key(path: Path) -> PrivateKeyTypes:
-    """Read a private key; ValueError says why it is none that can be used."""
+    """Read a private key; ValueError says that it is none, or encrypted."""
     try:
         return serialization.load_pem_private_key(path.read_bytes(), None)
-    except TypeError:
-        raise ValueError("it is encrypted; decrypt it for this command") from None
-    except (ValueError, UnsupportedAlgorithm):
-        raise ValueError("no private key") from None
+    except (TypeError, ValueError, UnsupportedAlgorithm):
+        raise ValueError("no private key, or an encrypted one") from None
 
 
 def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:

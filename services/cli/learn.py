@@ -16,10 +16,11 @@ from typer import Argument, Option
 from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.progress import Bars
+from services.experiments.showing.summary import shared_and_forks
 from services.experiments.words import described_by
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
-from services.recordings.dataset import Teacher, Teaching, find_recordings, states_shared_by_episodes
+from services.recordings.dataset import Teacher, Teaching, find_recordings
 from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
@@ -186,5 +187,5 @@ def _learn(
         "lambda2": lambda2,
         "tau": settings.tau,
         "gamma": settings.gamma,
-        **asdict(replace(report, shared_states=states_shared_by_episodes(model))),
+        **asdict(replace(report, shared_states=shared_and_forks(model)[0])),
     }

@@ -40,10 +40,9 @@ def show(
 ) -> None:
     """Say what a model is; with --out show it on a page.
 
-    OUT/index.html shows the taught ways with the places where they part and meet, and the cost to go to each goal; of
-    a model of the paper's scheme its states and the reward. A model keeps no images: with --recordings the page has
-    some of each drive, and where the belief was wide when recognition follows them once more. The page needs nothing
-    from a network.
+    OUT/index.html shows the taught ways with the places where they part and meet, and the cost to go to each goal. A
+    model keeps no images: with --recordings the page has some of each drive, and where the belief was wide when
+    recognition follows them once more. The page needs nothing from a network.
 
     Example: smal model show campus.smal --recordings drives --out shown
     """

@@ -10,22 +10,20 @@ import numpy as np
 import typer
 from typer import Option
 
-from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, ResetRequest, Start, Status
+from schemas.rpc import LoadReply, LoadRequest, Nothing, ResetRequest, Start, Status
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
 from services.cli.stack import Access, flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError
-from services.kit.model_service import identity_of
+from services.kit.model_service import identity_of, most_ticks
 from smal.evaluation.success import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
-#: Frames after which a run times out, at least; and how many times those of the longest taught drive.
-LEAST_TICKS, PATIENCE = 3000, 3
 #: The services that work with the model.
 CHAIN = ("recognition", "policy")
 
@@ -78,7 +76,7 @@ def run(
             purpose="run",
             driver="policy",
             mode="realtime" if realtime else "lockstep",
-            max_ticks=max_ticks or min(max(LEAST_TICKS, PATIENCE * loaded.longest), MAX_TICKS),
+            max_ticks=max_ticks or most_ticks(loaded.longest),
             start=start,
             kidnap_tick=kidnap,
             goal=use.goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),

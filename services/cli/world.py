@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from services.simulator.scene.surfaces import Vector
-
 app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE)
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
@@ -40,10 +38,6 @@ _AHEAD_M: Final = 1.0
 # The last view stands this far before the victim, in distances from which a robot has found it.
 _BEFORE_VICTIM: Final = 0.9
 _MOST_VIEWS: Final = 200
-# The view from the air: how long a route it shows at least and at most, and how far back and up it stands over that.
-_AERIAL_M: Final = (80.0, 500.0)
-_AERIAL_BACK: Final = 0.8
-_AERIAL_UP: Final = 0.6
 
 
 @app.command("import")
@@ -62,8 +56,7 @@ def import_world(
     become a terrain; what is broken is left out and counted. Start and victim are what the map's smal:role nodes say,
     else chosen by rule: the victim beside a wall near the middle, the start about 100 m of road away, where nothing
     of the victim is seen. X and Y are metres east and north of the map's middle, headings degrees from east,
-    anticlockwise. Without --around the part of --radius is about the task. The file is JSON; to move the victim by
-    hand, change its x and y there.
+    anticlockwise. The file is JSON; to move the victim by hand, change its x and y there.
 
     Example: smal world import map.osm --out town.json --seed 3
     """
@@ -76,7 +69,6 @@ def import_world(
         victim=_pose("--victim", victim, "X,Y or X,Y,HEADING_DEG", (2, 3)),
         seed=seed,
         around=_surroundings(around, radius),
-        radius_m=radius if around is None else None,
     )
     if not osm_map.is_file():
         raise UsageError(f"{osm_map}: no such file")
@@ -103,10 +95,10 @@ def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -
 
 
 def _surroundings(around: str | None, radius: float | None) -> Surroundings | None:
-    if around is None:
+    if around is None and radius is None:
         return None
-    if radius is None:
-        raise UsageError(f"--around {around}: needs --radius, in metres")
+    if around is None or radius is None:
+        raise UsageError("--around LAT,LON and --radius METRES go together")
     latitude, longitude = _numbers("--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,))
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
@@ -130,7 +122,7 @@ def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:
         ("trees", len(terrain.trees)),
         ("areas", len(terrain.areas)),
         ("barriers", len(terrain.barriers)),
-        ("skipped", terrain.skipped),
+        ("skipped", sum(source.skipped.values())),
         *((f"  {reason}", count) for reason, count in source.skipped.items()),
         ("left out", sum(source.left_out.values())),
         *((f"  {reason}", count) for reason, count in source.left_out.items()),
@@ -149,8 +141,6 @@ def render(
 ) -> None:
     """Draw a world: map.png from above with the planned route, and what the robot sees along that route.
 
-    Outdoors aerial.png shows what stands around the route, from the air.
-
     The views are named view-NN-DISTANCEm.png by how far along the route they are; the first is at the start, the last
     one faces the victim.
 
@@ -160,7 +150,7 @@ def render(
     outputs.make_folder(out, "--out")
     world = load_world(name)
     _draw(world, out, views, CameraSettings(size.width, size.height))
-    typer.echo(f"wrote the map, {views} views{' and aerial.png' if isinstance(world.place, Terrain) else ''} in {out}")
+    typer.echo(f"wrote the map and {views} views in {out}")
 
 
 def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
@@ -188,18 +178,6 @@ def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None
     eye = SceneCamera(world, settings)
     for number, (metres, pose) in enumerate(tqdm(places, desc="rendering", unit="picture", dynamic_ncols=True)):
         imsave(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
-    if isinstance(world.place, Terrain):
-        imsave(out / "aerial.png", eye.look(*aerial_view(world)))
-
-
-def aerial_view(world: World) -> tuple[Vector, Vector]:
-    """Return where to stand in the air and what to look at, (x, y, height) metres: the route, from the south."""
-    route = np.asarray(plan_route(world, (world.start.x, world.start.y)))
-    middle = (route.min(axis=0) + route.max(axis=0)) / 2
-    # The sky, which goes with the camera, hides what is far away.
-    away_m = float(np.clip(np.ptp(route, axis=0).max(), *_AERIAL_M))
-    eye = (float(middle[0]), float(middle[1]) - _AERIAL_BACK * away_m, _AERIAL_UP * away_m)
-    return eye, (float(middle[0]), float(middle[1]), 0.0)
 
 
 def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:

@@ -17,7 +17,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
 from schemas.codec import printable
-from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
+from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
 from services.console.browser_messages import LATE, Ask, Delete, Drive, End, Learn, Press, Run
 from services.console.jobs import Job, Jobs
 from services.console.learned import Learned
@@ -25,14 +25,13 @@ from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.live_content import LiveContent
 from services.console.newest_content import Board
 from services.console.who_drives import LEASE_S, LET_GO_S
+from services.kit.model_service import most_ticks
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
 
 #: Reading a model takes as long.
 LOAD_S: Final = 60.0
-#: Frames after which a run times out: three times those of the longest taught drive, at least these; as `smal run`.
-_PATIENCE, _MAX_TICKS = 3, 3000
 #: The services that work with the model.
 _CHAIN: Final = ("recognition", "policy")
 #: Lines of news that the page keeps.
@@ -214,7 +213,7 @@ class ConsoleService:
             mode="realtime",
             start=ask.start,
             goal=goal or self.library.leads_to(model),
-            max_ticks=min(max(_MAX_TICKS, _PATIENCE * model.longest), MAX_TICKS),
+            max_ticks=most_ticks(model.longest),
         )
 
         def prepare() -> None:

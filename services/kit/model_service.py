@@ -12,7 +12,7 @@ from pydantic import Field
 from schemas.base import Message
 from schemas.codec import printable
 from schemas.episode import GoalName
-from schemas.rpc import LoadReply, LoadRequest, Scheme
+from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import RootSettings, open_below
@@ -24,6 +24,8 @@ from smal.planning import chosen_goal
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
+#: Frames after which a run times out, at least; and how many times those of the longest taught drive.
+LEAST_TICKS, PATIENCE = 3000, 3
 _log = logging.getLogger("models")
 #: Of either scheme.
 AnyModel = Model | PaperModel
@@ -41,6 +43,11 @@ class ModelSettings(RootSettings):
     """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
     goal: GoalName | None = None
     """Where to go, in a model with several goals."""
+
+
+def most_ticks(longest: int) -> int:
+    """Return the frames after which a run times out, by those of the longest taught drive."""
+    return min(max(LEAST_TICKS, PATIENCE * longest), MAX_TICKS)
 
 
 def identity_of(model: AnyModel) -> str:

@@ -6,7 +6,6 @@ Only what the robot's camera saw, what its wheels counted and what its actuator 
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from services.kit.errors import UsageError
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import decode_image, stamped_jpeg
 from services.recordings.reader import read_recording
-from services.recordings.recorded import Piece, RecordedEpisode, episode_of, piece_name
+from services.recordings.recorded import Piece, RecordedEpisode, piece_name
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.sink import first_of
@@ -29,7 +28,6 @@ from services.recordings.stream import RecordingError
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
 from smal.movement import Atom
-from smal.paper.model import Model
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
@@ -188,15 +186,6 @@ def _complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
     computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
     episode.features.update(computed)
     return len(computed)
-
-
-def states_shared_by_episodes(model: Model) -> int:
-    """Count the states that occur in at least two episodes; two pieces of one episode share nothing yet."""
-    states: dict[str, set[int]] = {}
-    for name, stream in zip(model.names, model.state_streams, strict=True):
-        states.setdefault(episode_of(name), set()).update(stream.tolist())
-    counts = Counter(state for each in states.values() for state in each)
-    return sum(count >= 2 for count in counts.values())
 
 
 def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:

@@ -29,8 +29,6 @@ from services.simulator.world.route import route_length_m
 from smal.movement import Atom, placed, seen_from
 from smal.robot import Place
 
-#: Frames after which a search times out, at least, in `smal run`.
-MAX_TICKS: Final = 3000
 #: Frames from one kept picture of an example route to the next.
 PICTURE_TICKS: Final = 10
 

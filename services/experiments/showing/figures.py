@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 
 from services.experiments.drawing import BACK, COLOURS, DASHES, LINE, MUTED, TEXT, WIDTH_IN, legend, styled
 from services.experiments.drawing import figure as new_figure
-from services.experiments.showing.summary import StateGraph
 from services.experiments.showing.ways import Believed, Ways
-from smal.paper.model import Model as PaperModel
-from smal.paper.sequences import last_frames
 
 #: As many lines as there are colours are told apart, and named.
 MOST_NAMED: Final = len(COLOURS)
@@ -112,49 +109,4 @@ def draw_belief(ways: Ways, believed: Believed) -> Figure:
     spread.set(xlabel="time (s)", ylabel=f"spread ({ways.unit})")
     spread.set_ylim(bottom=0)
     legend(figure, [shares, spread])
-    return figure
-
-
-@styled
-def draw_states(model: PaperModel, graph: StateGraph) -> Figure:
-    """Draw the states in the order of the drives, a row for each that shows new ones, and what follows what."""
-    at: dict[int, tuple[float, float]] = {}
-    for row, stream in enumerate(model.state_streams):
-        for place, state in enumerate(dict.fromkeys(stream.tolist())):
-            at.setdefault(state, (float(place), -float(row)))
-    figure = new_figure(2.6)
-    axes = figure.add_subplot()
-    axes.set(xlabel="states after the start", yticks=[])
-    axes.margins(0.05, 0.25)
-    lines = [(at[state], at[then], (np.nan, np.nan)) for state, following in graph.following.items()
-             for then in following if state in at and then in at]  # fmt: skip
-    axes.plot(*np.array(lines).reshape(-1, 2).T, color=MUTED, lw=1.0, zorder=1)
-    shared, goals = set(graph.shared), set(model.transitions.goals.tolist())
-    kinds = (
-        ("state", "o", 4, COLOURS[0], at.keys() - shared), ("shared by drives", "o", 7, COLOURS[3], shared),
-        ("fork", _FORK, 8, TEXT, set(graph.forks)), ("goal", "*", 12, COLOURS[2], goals),
-    )  # fmt: skip
-    for height, (label, marker, size, colour, states) in enumerate(kinds, 2):
-        if states & at.keys():
-            places = np.array([at[state] for state in sorted(states & at.keys())])
-            _mark(axes, places, marker, size, label, color=colour, zorder=height)
-    for state in graph.forks:
-        _number(axes, state, np.array(at[state]))
-    legend(figure, [axes], 3)
-    return figure
-
-
-@styled
-def draw_reward(model: PaperModel, names: Sequence[str]) -> Figure:
-    """Draw the reward of the state of each frame, and below it what is to be had from there on."""
-    figure = new_figure(3.6)
-    panels = figure.subplots(2, 1, sharex=True)
-    for axes, values, said in zip(panels, (model.reward, model.value), ("reward R", "value V"), strict=True):
-        for drive, (stream, atoms) in enumerate(zip(model.state_streams, model.atoms, strict=True)):
-            frames = last_frames(len(atoms), model.sequence_length)
-            label = _named(names[drive], names)
-            axes.step(frames, values[stream], where="pre", lw=1.6, label=label, **_look(drive))
-        axes.set_ylabel(said)
-    panels[1].set_xlabel("frame of the drive")
-    legend(figure, panels)
     return figure

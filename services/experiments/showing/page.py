@@ -13,7 +13,6 @@ from schemas.codec import printable
 from services.experiments import html
 from services.experiments.showing.drives import TaughtDrives
 from services.experiments.showing.map_page import map_page
-from services.experiments.showing.paper_page import paper_page
 from services.experiments.showing.summary import facts, taught_drives
 from smal.demonstration import Demonstration
 from smal.model import Model
@@ -42,7 +41,7 @@ def write_page(
     found = {} if drives is None else drives.found
     body = [
         *_missing(drives),
-        *(map_page(model, found, advance) if isinstance(model, Model) else paper_page(model)),
+        *(map_page(model, found, advance) if isinstance(model, Model) else ()),
         *_seen(model, found),
         "<h2>The model</h2>",
         html.table(["of", "is"], facts(model, str(file), file.stat().st_size).items(), left=2),

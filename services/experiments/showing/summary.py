@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,34 +15,17 @@ from smal.paper.model import Model as PaperModel
 from smal.planning import cost_to_go
 
 
-@dataclass(frozen=True)
-class StateGraph:
-    """In which episodes each state was seen, and which other states came after it, ascending."""
-
-    episodes: Mapping[int, set[str]]
-    following: Mapping[int, list[int]]
-
-    @property
-    def shared(self) -> list[int]:
-        """States of at least two episodes."""
-        return [state for state, episodes in self.episodes.items() if len(episodes) > 1]
-
-    @property
-    def forks(self) -> list[int]:
-        """States that more than one other came after."""
-        return [state for state, following in self.following.items() if len(following) > 1]
-
-
-def state_graph(model: PaperModel) -> StateGraph:
-    """Read the graph of states off the drives."""
-    episodes: dict[int, set[str]] = {state: set() for state in range(model.states)}
-    following: dict[int, set[int]] = {state: set() for state in range(model.states)}
+def shared_and_forks(model: PaperModel) -> tuple[int, int]:
+    """Count the states that were seen in at least two episodes, and those that more than one other came after."""
+    episodes: list[set[str]] = [set() for _ in range(model.states)]
+    following: list[set[int]] = [set() for _ in range(model.states)]
     for name, stream in zip(model.names, model.state_streams, strict=True):
         for state in stream.tolist():
             episodes[state].add(episode_of(name))
         for state, then in pairwise(stream.tolist()):
             following[state] |= {then} - {state}
-    return StateGraph(episodes, {state: sorted(states) for state, states in following.items()})
+    shared, forks = (sum(len(some) > 1 for some in each) for each in (episodes, following))
+    return shared, forks
 
 
 class Taught(NamedTuple):
@@ -100,10 +82,10 @@ def _of_map(model: Model) -> dict[str, str]:
 
 
 def _of_paper(model: PaperModel) -> dict[str, str]:
-    graph, rewarded = state_graph(model), int((model.reward > 1e-6).sum())
+    (shared, forks), rewarded = shared_and_forks(model), int((model.reward > 1e-6).sum())
     return {
-        "states": f"{model.states} of {model.sequence_length} frames, {len(graph.shared)} shared by drives, "
-        f"{len(graph.forks)} forks, {model.transitions.goals.size} goal states",
+        "states": f"{model.states} of {model.sequence_length} frames, {shared} shared by drives, "
+        f"{forks} forks, {model.transitions.goals.size} goal states",
         "actions": f"{len(model.actions)} of {model.actions.shape[1]} atoms",
         "reward": f"in {rewarded} of {model.states} states, the largest {float(model.reward.max(initial=0.0)):.3g}; "
         f"discount {model.gamma:g}",

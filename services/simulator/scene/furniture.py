@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from services.simulator.scene.meshes import TEXTURE_M, Mesh, ball, block, cased, flat, front, quads, tube
+from services.simulator.scene.meshes import TEXTURE_M, Mesh, block, cased, flat, front, quads, tube
 from services.simulator.scene.surfaces import Finish, Piece
 from services.simulator.world import furniture as sizes
 from services.simulator.world.furniture import Box, Furniture, FurnitureKind
@@ -177,24 +177,6 @@ def _sofa(piece: Furniture) -> list[Piece]:
     return made + _blocks(Finish("fabric", (red, green, blue)), cushions)
 
 
-def _chair(piece: Furniture) -> list[Piece]:
-    """Return a swivel chair: five feet with castors, a gas spring, a round-edged seat and a back."""
-    radius, height = piece.width_m / 2, piece.height_m
-    cloth, black = Finish("fabric", piece.colour or (62, 68, 78)), Finish("black_plastic")
-    seat = 0.52 * height
-    made: list[Piece] = [(black, tube((0, 0, 0.07), (0, 0, seat - 0.05), (0.028, 0.028), 10))]
-    for foot in range(5):
-        turn = 2 * np.pi * foot / 5 + 0.3
-        end = (0.88 * radius * np.cos(turn), 0.88 * radius * np.sin(turn))
-        made.append((black, tube((0, 0, 0.11), (*end, 0.075), (0.026, 0.016), 8)))
-        made.append((Finish("dark_plastic"), ball((*end, 0.03), (0.025, 0.025, 0.03), 6)))
-    wide = 0.78 * radius
-    made.append((cloth, ball((0.03, 0.0, seat - 0.01), (wide, wide, 0.055), 10)))
-    made.append((black, tube((-0.75 * wide, 0, seat), (-0.92 * wide, 0, 0.78 * height), (0.02, 0.016), 8)))
-    made.append((cloth, ball((-0.9 * wide, 0.0, 0.79 * height), (0.045, 0.8 * wide, 0.2 * height), 10)))
-    return made
-
-
 def _plant(piece: Furniture) -> list[Piece]:
     """Return a potted plant: long leaves about a few stems, fuller above."""
     rng = np.random.default_rng(round(1000 * piece.height_m))
@@ -236,6 +218,6 @@ def _leaf(tip: NDArray[np.float64], pot: float, rng: np.random.Generator) -> lis
 
 
 _MAKERS: Final[dict[FurnitureKind, Callable[[Furniture], list[Piece]]]] = {
-    "cabinet": _cabinet, "chair": _chair, "crate": _crate, "desk": _desk, "partition": _partition, "plant": _plant,
+    "cabinet": _cabinet, "crate": _crate, "desk": _desk, "partition": _partition, "plant": _plant,
     "shelf": _shelf, "sofa": _sofa, "table": _table,
 }  # fmt: skip

@@ -108,18 +108,6 @@ class SceneCamera:
         self._seen_from = None
         return _colour(self._above)
 
-    def look(self, eye: Vector, at: Vector) -> NDArray[np.uint8]:
-        """Return what the camera would see off its mast, from one place to another, (height, width, 3) uint8 RGB.
-
-        Places are x, y and height in metres, not one above the other; the horizon is level.
-        """
-        ahead = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
-        left = np.cross((0.0, 0.0, 1.0), ahead)
-        left /= np.linalg.norm(left)
-        self._take(self._framed([ahead, left, np.cross(ahead, left)], eye))
-        self._seen_from = None
-        return _colour(self._camera)
-
     def _labels(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
         """Return what each rendered pixel shows: `NOTHING`, `SKY`, `STILL`, `VICTIM` or `ROBOT`."""
         self._look_from(pose, tilt)

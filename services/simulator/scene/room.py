@@ -40,7 +40,6 @@ _RIM: Final[dict[FittingKind, Finish]] = {
 _PIXELS_PER_M: Final = 256
 _SHADE_PIXELS_PER_M: Final = 48
 _LARGEST_PX: Final = 4096
-_PLANK_M: Final = (0.14, 1.2)
 _SHEET_M: Final = 2.0
 #: Depth of the shade beside what stands on the floor, and how far it reaches; the same under and around what is above.
 _CONTACT: Final = (0.5, 0.07)
@@ -146,7 +145,7 @@ def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.u
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
     sizes = zip(shape, (room.north_south_m, room.east_west_m), strict=True)
     down, across = ((np.arange(count) + 0.5) / count * size_m for count, size_m in sizes)
-    colour, tone = _PATTERNS[room.floor](down[:, None], across[None, :], np.random.default_rng(_SEED))
+    colour, tone = _lino(down[:, None], across[None, :], np.random.default_rng(_SEED))
     plain = coloured(colour, tone)
     if not shadows:
         return plain
@@ -207,18 +206,6 @@ def _pixels(metres: float) -> int:
     return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
 
 
-def _planks(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
-    """Paint planks from west to east, each of its own tone, with thin dark joints."""
-    width_m, length_m = _PLANK_M
-    row = np.floor(down / width_m).astype(int)
-    shifted = across + rng.uniform(0.0, length_m, row.max() + 1)[row]
-    column = np.floor(shifted / length_m).astype(int)
-    tone = 1.0 + 0.075 * rng.standard_normal((row.max() + 1, column.max() + 1))[row, column]
-    joint = (down % width_m < 0.004) | (shifted % length_m < 0.005)
-    grain = 0.035 * _sheet(rng, joint.shape, (1.5, 60.0)) + 0.03 * _sheet(rng, joint.shape, (8.0, 120.0))
-    return (176, 138, 98), tone * np.where(joint, 0.62, 1.0) * (1.0 + grain)
-
-
 def _lino(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
     """Paint marbled linoleum in sheets 2 m wide with welded seams, scuffed here and there."""
     sheet = np.floor(across / _SHEET_M).astype(int)
@@ -229,17 +216,7 @@ def _lino(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, 
     return (150, 156, 156), tone * seam * (1.0 + marble)
 
 
-def _carpet(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
-    """Paint carpet tiles of half a metre, laid crosswise."""
-    straight = (np.floor(down / 0.5) + np.floor(across / 0.5)).astype(int) % 2 == 0
-    pile = np.where(straight, _sheet(rng, straight.shape, (1.2, 4.0)), _sheet(rng, straight.shape, (4.0, 1.2)))
-    return (98, 104, 118), 1.0 + 0.05 * np.where(straight, 1.0, -1.0) + 0.10 * pile
-
-
 def _sheet(rng: np.random.Generator, shape: tuple[int, ...], grain_px: float | tuple[float, float]) -> Metres:
     """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
     rows, columns = (min(count, 1024) for count in shape)
     return np.tile(noise(rng, (rows, columns), grain_px), (shape[0] // rows, shape[1] // columns))
-
-
-_PATTERNS: Final = {"planks": _planks, "lino": _lino, "carpet": _carpet}

@@ -14,9 +14,9 @@ from shapely import Polygon, affinity
 
 from services.simulator.world.place import STRICT, Rgb, Solid
 
-FurnitureKind = Literal["cabinet", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
+FurnitureKind = Literal["cabinet", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
 #: Kinds whose footprint is a circle, `width_m` across.
-ROUND: Final[frozenset[FurnitureKind]] = frozenset({"chair", "plant"})
+ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
 HIDING_M: Final = 0.6
 #: Thickness of a table's or desk's board, of a table's legs and of a desk's panels, and how deep the drawers are.

@@ -18,7 +18,7 @@ from shapely.errors import GEOSException
 
 from schemas.codec import describe, printable
 from services.simulator.world.osm import Extract, Surroundings, read_osm
-from services.simulator.world.place import Bounds, Pose, World, WorldError
+from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.room import RoomFile
 from services.simulator.world.route import lane_graph, obstacles_of, plan_route
 from services.simulator.world.survey import terrain_from
@@ -36,8 +36,6 @@ _FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
 )
 # A route leaves out points that are this close to it.
 _ON_ROUTE_M: Final = 0.03
-# Beyond start and victim, so that there is something to see behind them.
-_MARGIN_M: Final = 20.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,6 @@ class Wishes:
     victim: Pose | None = None  # By hand, in the metres of the world; None for what the map says, else by rule.
     seed: int = 0  # Another one gives another task by rule.
     around: Surroundings | None = None  # The part of the map to take; None for all of it.
-    radius_m: float | None = None  # So much of it on each side of the middle between start and victim; None for all.
 
 
 def known_worlds() -> list[str]:
@@ -77,10 +74,6 @@ def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
         victim = wishes.victim or _role(extract, "victim")
         world = World(terrain, *choose_roles(terrain, start, victim, wishes.seed))
         _check_task(world)
-        if wishes.radius_m is not None:
-            part = extract._replace(bounds=_about_the_task(world, wishes.radius_m))
-            world = replace(world, place=terrain_from(part, path.stem, path.name))
-            _check_task(world)
     return world
 
 
@@ -91,16 +84,6 @@ def import_map(osm_map: Path, out: Path, wishes: Wishes) -> tuple[World, str]:
     """
     text = terrain_text(_connected(world_of_map(osm_map, wishes)))
     return world_of_text(text.encode(), out), text
-
-
-def _about_the_task(world: World, radius_m: float) -> Bounds:
-    start, victim = world.start, world.victim
-    least_m = max(abs(start.x - victim.x), abs(start.y - victim.y)) / 2 + _MARGIN_M
-    if radius_m < least_m:
-        needs = f"does not hold start and victim, which need {math.ceil(least_m)} m"
-        raise WorldError(f"a radius of {radius_m:.0f} m {needs}")
-    x, y = (start.x + victim.x) / 2, (start.y + victim.y) / 2
-    return x - radius_m, y - radius_m, x + radius_m, y + radius_m
 
 
 def _connected(world: World) -> World:

@@ -21,7 +21,7 @@ _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "pa
 _ROAD: Final[dict[RoadKind, str]] = {"street": "#ffffff", "path": "#f3e9d8"}
 _BARRIER: Final[dict[BarrierKind, str]] = {"hedge": "#7ba05b", "wall": "#8a8278", "fence": "#b0a493"}
 _FURNITURE: Final[dict[FurnitureKind, str]] = {
-    "cabinet": "#a9adb0", "chair": "#6b6f75", "crate": "#c39a66", "desk": "#d9c6a5", "partition": "#6f8799",
+    "cabinet": "#a9adb0", "crate": "#c39a66", "desk": "#d9c6a5", "partition": "#6f8799",
     "plant": "#7ba05b", "shelf": "#9a7652", "sofa": "#9c4f43", "table": "#d9c6a5",
 }  # fmt: skip
 _FITTING: Final[dict[FittingKind, str]] = {

@@ -26,7 +26,6 @@ from services.simulator.world.furniture import HIDING_M, ROUND, Colour, Degrees,
 from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError
 from services.simulator.world.route import obstacles_of, plan_route
 
-FloorKind = Literal["planks", "lino", "carpet"]
 FittingKind = Literal["door", "poster", "whiteboard", "window"]
 Wall = Literal["south", "east", "north", "west"]
 _SCALE: Final = Scale(
@@ -87,7 +86,7 @@ class Room:
     east_west_m: Annotated[float, Field(ge=1.5, le=50)]  # From the west to the east wall.
     north_south_m: Annotated[float, Field(ge=1.5, le=50)]  # From the south to the north wall.
     walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8  # From the floor to the ceiling.
-    floor: FloorKind = "lino"
+    floor: Literal["lino"] = "lino"
     wall_colour: Colour = (230, 226, 216)
     furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]
     fittings: Annotated[tuple[Fitting, ...], Field(max_length=200)] = ()

@@ -210,11 +210,6 @@ class Terrain:
     shake: ClassVar[float] = 0.0
     overhead: ClassVar[OverheadMount | None] = None
 
-    @property
-    def skipped(self) -> int:
-        """Number of elements of the map that could not be used (broken, empty or without position)."""
-        return 0 if self.source is None else sum(self.source.skipped.values())
-
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Buildings, the posts of canopies, trunks, barriers, water, and the edge of the world."""

@@ -21,7 +21,7 @@ _TREE_MOVES_M: Final = 3.0
 _FURNITURE_MOVES_M: Final = 0.3
 _FURNITURE_TURNS_DEG: Final = 20.0
 #: What people push about; cabinets and partitions stay.
-_MOVABLE: Final[frozenset[FurnitureKind]] = frozenset({"chair", "crate", "plant", "table"})
+_MOVABLE: Final[frozenset[FurnitureKind]] = frozenset({"crate", "plant", "table"})
 _TRIES: Final = 20
 
 

@@ -132,17 +132,6 @@ def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
     assert all(float(row[1].rstrip("%")) > 80 for row in belief)
 
 
-def test_the_page_of_the_paper_shows_the_states_and_the_reward(
-    paper_model: PaperModel, taught: Path, tmp_path: Path, smal: Smal
-) -> None:
-    page, err = shown(smal, tmp_path, taught / "paper.smal", "--recordings", taught / "drives")
-    assert "missing" not in err
-    states, text = paper_model.states, " ".join(page.texts)
-    assert photos(page) == 2 * 5
-    assert f"It gave {(paper_model.reward > 1e-6).sum()} of {states} states a reward" in text
-    assert "Cost to go" not in text
-
-
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 @pytest.mark.parametrize("recordings", [True, False])
 def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(

@@ -84,7 +84,6 @@ def test_what_is_broken_is_left_out_and_counted_by_reason(
     break_it(made)
     terrain: Any = load_world(made.write(tmp_path / "map.osm")).place
     assert terrain.source.skipped == {f"building: {reason}": 1}
-    assert terrain.skipped == 1
     assert len(terrain.buildings) == 6
 
 

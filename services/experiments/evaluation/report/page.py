@@ -17,9 +17,9 @@ from services.experiments.evaluation.plan import QUERY_SEED, RUN_SEED, TEACHING_
 from services.experiments.evaluation.report.sections import objective_section, recognition_section, search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.search import MAX_TICKS
 from services.experiments.evaluation.units import Learn, Query, Searches, Teach, code_fingerprint, units
 from services.experiments.words import counted
+from services.kit.model_service import LEAST_TICKS
 from services.kit.version import program_version
 
 _DPI: Final = 130
@@ -103,7 +103,7 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         f"Seeds: teaching {TEACHING_SEED} and following, held-out drives {QUERY_SEED} and following, searches "
         f"{RUN_SEED} and following (of another purpose, so that starts differ from those of teaching). A search ends "
         f"with the victim found, a collision, the robot's word that it has arrived, or after {plan.patience:g} times "
-        f"the frames of the longest taught drive (in smal run at least {MAX_TICKS}): a robot that is slow fails as one "
+        f"the frames of the longest taught drive (in smal run at least {LEAST_TICKS}): a slow robot fails as one "
         f"that is lost does. Teaching is never degraded. SPL is success weighted by path length (Anderson et al. "
         f"2018); aside is the distance from the taught ways, by the truth; wrong and sure are frames at which the "
         f"robot believes to be further from the truth than the first criterion allows, and not to be lost. "
