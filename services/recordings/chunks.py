@@ -1,29 +1,24 @@
 """A recording as it grows: chunk after chunk, each with a second of messages, and at its end the index for viewers.
 
-The writer of the ``mcap`` package holds 3 kB for every chunk, this one a tenth of that; and what a killed recorder left
-gets the same end.
+The writer of the ``mcap`` package holds 3 kB for every chunk, this one a tenth of that.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import Final
 
 from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
 
-from services.recordings.records import HEAD, MAGIC
+from services.recordings.records import MAGIC
 from services.recordings.sink import Sink
 
 #: A chunk is complete when it spans so much: what viewers load at least, and what a kill or one wrong byte costs.
 _CHUNK_NS: Final = 1_000_000_000
 #: And when it has so many bytes, where images are large: this process holds them until then.
 _CHUNK_BYTES: Final = 4 * 2**20
-#: Bytes of an index of messages: before its entries, and of each.
-_INDEX_HEAD: Final = HEAD.size + 6
-_INDEX_ENTRY: Final = 16
 
 
 def _raw(*records: mcap.McapRecord) -> bytes:
@@ -33,76 +28,10 @@ def _raw(*records: mcap.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-@dataclass
-class Index:
-    """What the end of a file says of it: all schemas and channels, where the metadata are, and the chunks."""
-
-    schemas: dict[int, mcap.Schema] = field(default_factory=dict)
-    channels: dict[int, mcap.Channel] = field(default_factory=dict)
-    metadata: list[mcap.MetadataIndex] = field(default_factory=list)
-    #: Messages by channel.
-    counts: Counter[int] = field(default_factory=Counter)
-    first_ns: int = 2**63
-    last_ns: int = 0
-    chunks: int = 0
-    #: As bytes, a tenth of what the records themselves would take.
-    _chunk_indexes: bytearray = field(default_factory=bytearray)
-
-    def add_metadata(self, name: str, at: int, size: int) -> None:
-        """Add a record of names and values."""
-        self.metadata.append(mcap.MetadataIndex(offset=at, length=size, name=name))
-
-    @staticmethod
-    def indexes_end(at: int, counts: dict[int, int]) -> int:
-        """Return where the indexes of so many messages by channel end, which begin there."""
-        return at + sum(_INDEX_HEAD + count * _INDEX_ENTRY for count in counts.values())
-
-    def add_chunk(self, chunk: mcap.Chunk, at: int, size: int, counts: dict[int, int]) -> None:
-        """Add a chunk that is not packed, which begins there and has so many bytes.
-
-        Behind it an index of each channel's messages stands, in the order of ``counts``, which says how many.
-        """
-        offsets, end = {}, at + size
-        for channel, count in counts.items():
-            offsets[channel] = end
-            end = self.indexes_end(end, {channel: count})
-        entry = mcap.ChunkIndex(
-            chunk_length=size,
-            chunk_start_offset=at,
-            compression="",
-            compressed_size=len(chunk.data),
-            message_end_time=chunk.message_end_time,
-            message_index_length=end - at - size,
-            message_index_offsets=offsets,
-            message_start_time=chunk.message_start_time,
-            uncompressed_size=len(chunk.data),
-        )
-        self._chunk_indexes += _raw(entry)
-        self.counts.update(counts)
-        self.first_ns = min(self.first_ns, chunk.message_start_time)
-        self.last_ns = max(self.last_ns, chunk.message_end_time)
-        self.chunks += 1
-
-    def end(self, at: int, checksum: int) -> bytes:
-        """Return all that follows the data, which end there, of which this is the checksum; 0 if it is not known."""
-        statistics = mcap.Statistics(
-            attachment_count=0,
-            channel_count=len(self.channels),
-            channel_message_counts=dict(self.counts),
-            chunk_count=self.chunks,
-            message_count=self.counts.total(),
-            message_end_time=self.last_ns,
-            message_start_time=min(self.first_ns, self.last_ns),
-            metadata_count=len(self.metadata),
-            schema_count=len(self.schemas),
-        )
-        data_end = _raw(mcap.DataEnd(checksum))
-        summary = _raw(*self.schemas.values(), *self.channels.values(), statistics, *self.metadata)
-        summary += self._chunk_indexes
-        footer = mcap.Footer(summary_start=at + len(data_end), summary_offset_start=0, summary_crc=0)
-        # The checksum is of everything before itself.
-        footer.summary_crc = zlib.crc32(_raw(footer)[:-4], zlib.crc32(summary))
-        return data_end + summary + _raw(footer) + MAGIC
+def bare_end() -> bytes:
+    """Return the end of a file without an index, which every reader reads from its beginning."""
+    footer = mcap.Footer(summary_start=0, summary_offset_start=0, summary_crc=0)
+    return _raw(mcap.DataEnd(0), footer) + MAGIC
 
 
 class ChunkedFile:
@@ -110,8 +39,16 @@ class ChunkedFile:
 
     def __init__(self, sink: Sink, library: str) -> None:
         self._sink = sink
-        self._index = Index()
         self._checksum = 0
+        self._schemas: dict[int, mcap.Schema] = {}
+        self._channels: dict[int, mcap.Channel] = {}
+        self._metadata: list[mcap.MetadataIndex] = []
+        #: Messages by channel, and when the first and the last of all were.
+        self._counts: Counter[int] = Counter()
+        self._began_ns, self._ended_ns = 2**63, 0
+        self._chunks = 0
+        #: As bytes, a tenth of what the records themselves would take.
+        self._chunk_indexes = bytearray()
         self._put(MAGIC + _raw(mcap.Header("", library)))
         self._clear()
 
@@ -124,20 +61,20 @@ class ChunkedFile:
         """Write a record of names and values."""
         self.flush()
         record = _raw(mcap.Metadata(name=name, metadata=values))
-        self._index.add_metadata(name, self._sink.tell(), len(record))
+        self._metadata.append(mcap.MetadataIndex(offset=self._sink.tell(), length=len(record), name=name))
         self._put(record)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a schema; return its number."""
-        number = len(self._index.schemas) + 1
-        self._index.schemas[number] = schema = mcap.Schema(id=number, name=name, encoding=encoding, data=data)
+        number = len(self._schemas) + 1
+        self._schemas[number] = schema = mcap.Schema(id=number, name=name, encoding=encoding, data=data)
         self._content += _raw(schema)
         return number
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> int:
         """Add a channel; return its number."""
-        number = len(self._index.channels) + 1
-        self._index.channels[number] = channel = mcap.Channel(number, topic, encoding, metadata, schema)
+        number = len(self._channels) + 1
+        self._channels[number] = channel = mcap.Channel(number, topic, encoding, metadata, schema)
         self._content += _raw(channel)
         return number
 
@@ -154,27 +91,65 @@ class ChunkedFile:
         return self._last_ns - self._first_ns >= _CHUNK_NS or len(self._content) >= _CHUNK_BYTES
 
     def flush(self) -> None:
-        """Write what waits, as a chunk."""
+        """Write what waits, as a chunk, and behind it an index of each channel's messages."""
         if not self._entries:
             return
-        chunk = mcap.Chunk(
-            compression="",
-            data=bytes(self._content),
-            message_end_time=self._last_ns,
-            message_start_time=self._first_ns,
-            uncompressed_crc=zlib.crc32(self._content),
-            uncompressed_size=len(self._content),
+        at, size = self._sink.tell(), len(self._content)
+        self._put(
+            _raw(
+                mcap.Chunk(
+                    compression="",
+                    data=bytes(self._content),
+                    message_end_time=self._last_ns,
+                    message_start_time=self._first_ns,
+                    uncompressed_crc=zlib.crc32(self._content),
+                    uncompressed_size=size,
+                )
+            )
         )
-        at, record = self._sink.tell(), _raw(chunk)
-        self._put(record + _raw(*self._entries.values()))
-        counts = {channel: len(entry.records) for channel, entry in self._entries.items()}
-        self._index.add_chunk(chunk, at, len(record), counts)
+        end, offsets = self._sink.tell(), {}
+        for channel, entry in self._entries.items():
+            offsets[channel] = self._sink.tell()
+            self._put(_raw(entry))
+            self._counts[channel] += len(entry.records)
+        self._chunk_indexes += _raw(
+            mcap.ChunkIndex(
+                chunk_length=end - at,
+                chunk_start_offset=at,
+                compression="",
+                compressed_size=size,
+                message_end_time=self._last_ns,
+                message_index_length=self._sink.tell() - end,
+                message_index_offsets=offsets,
+                message_start_time=self._first_ns,
+                uncompressed_size=size,
+            )
+        )
+        self._began_ns, self._ended_ns = min(self._began_ns, self._first_ns), max(self._ended_ns, self._last_ns)
+        self._chunks += 1
         self._clear()
 
     def finish(self) -> None:
         """Write what waits and the end of the file, and wait until all of it is on the disk."""
         self.flush()
-        self._sink.write(self._index.end(self._sink.tell(), self._checksum))
+        statistics = mcap.Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=self._chunks,
+            message_count=self._counts.total(),
+            message_end_time=self._ended_ns,
+            message_start_time=min(self._began_ns, self._ended_ns),
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+        data_end = _raw(mcap.DataEnd(self._checksum))
+        summary = _raw(*self._schemas.values(), *self._channels.values(), statistics, *self._metadata)
+        summary += self._chunk_indexes
+        footer = mcap.Footer(summary_start=self._sink.tell() + len(data_end), summary_offset_start=0, summary_crc=0)
+        # The checksum is of everything before itself.
+        footer.summary_crc = zlib.crc32(_raw(footer)[:-4], zlib.crc32(summary))
+        self._sink.write(data_end + summary + _raw(footer) + MAGIC)
         self._sink.sync()
 
     def _put(self, data: bytes) -> None:

@@ -1,20 +1,21 @@
-"""What a recorder left that was killed, or whose disk was full, is sealed where it stands: nothing is copied."""
+"""What a recorder left that was killed, or whose disk was full, is sealed where it stands: nothing is copied.
+
+It has no index then, which readers do without.
+"""
 
 from __future__ import annotations
 
 import os
-from collections import Counter
-from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple, cast
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Message, Metadata
 
 from schemas.topics import EPISODE, topic_of
 from services.kit.errors import JobError
-from services.recordings.chunks import Index
+from services.recordings.chunks import bare_end
 from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
 from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
@@ -48,17 +49,16 @@ def seal_leftover(partial: Path) -> Sealed:
     descriptor = claim(partial)
     try:
         found = _Look(mapped(partial))
-        if not found.index.chunks:
+        if not found.chunks:
             partial.unlink()
         sink = Sink(descriptor, found.size)
     except BaseException:
         os.close(descriptor)
         raise
     try:
-        if not found.index.chunks:
+        if not found.chunks:
             return Sealed(None, found.episode, ended=False)
-        # The checksum of all of it would take to read all of it.
-        sink.write(found.index.end(found.size, checksum=0))
+        sink.write(bare_end())
         sink.sync()
         path = finished(partial)
         publish(partial, path)
@@ -68,12 +68,12 @@ def seal_leftover(partial: Path) -> Sealed:
 
 
 class _Look:
-    """Takes record after record: of all that is whole it has the index, and the size."""
+    """Takes record after record: where all that is whole ends, and what it tells of its episode."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
         self._events: set[int] = set()
-        self.index = Index()
+        self.chunks = 0
         self.size = len(MAGIC)
         self.episode = ""
         self.ended = False
@@ -99,45 +99,27 @@ class _Look:
         while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(self._data):
             body = self._data[head.begin : head.end]
             match head.opcode:
-                case Opcode.HEADER:
-                    self.size = head.end
+                case Opcode.HEADER | Opcode.MESSAGE_INDEX:
+                    pass
                 case Opcode.METADATA:
                     record = cast("Metadata", record_of(Opcode.METADATA, body))
-                    self.index.add_metadata(record.name, self.size, head.end - self.size)
-                    self.size = head.end
                     self.episode = record.metadata.get("episode", self.episode)
                     # It is the first thing that is written when an episode is over.
                     self.ended |= record.name == GAPS_METADATA
                 case Opcode.CHUNK:
-                    self._take_chunk(chunk_of(body), head.end)
+                    self._take_chunk(chunk_of(body), checked=head.end > len(self._data) - _UNSURE)
                 case other:
                     return other == Opcode.DATA_END
+            self.size = head.end
         return self.size == len(self._data)
 
-    def _take_chunk(self, chunk: Chunk, end: int) -> None:
-        """Take a chunk and the indexes of its messages; raises McapError where these are not whole."""
+    def _take_chunk(self, chunk: Chunk, *, checked: bool) -> None:
+        """Look into a chunk; raises one of ``UNREADABLE`` where it is not whole."""
         if chunk.compression:
             raise McapError("a chunk that is none of a recorder's")
-        counts = self._counted_inside(chunk, checked=end > len(self._data) - _UNSURE)
-        behind = self.index.indexes_end(end, counts)
-        opcodes = [head.opcode for head in islice(heads(self._data[:behind], end), len(counts) + 1)]
-        if behind > len(self._data) or opcodes != [Opcode.MESSAGE_INDEX] * len(counts):
-            raise McapError("a chunk without its indexes")
-        self.index.add_chunk(chunk, self.size, end - self.size, counts)
-        self.size = behind
-
-    def _counted_inside(self, chunk: Chunk, *, checked: bool) -> Counter[int]:
-        """Take note of what is in a chunk; return its messages by channel, in the order in which they begin."""
-        counts = Counter[int]()
         for record in inside(chunk, Bounds(len(self._data)), checked=checked):
-            if isinstance(record, Schema):
-                self.index.schemas[record.id] = record
-            elif isinstance(record, Channel):
-                self.index.channels[record.id] = record
-                if topic_of(record.topic) is EPISODE:
-                    self._events.add(record.id)
-            elif isinstance(record, Message):
-                counts[record.channel_id] += 1
-                told = record.channel_id in self._events
-                self.ended |= told and b'"event":"ended"' in bytes(record.data)
-        return counts
+            if isinstance(record, Channel) and topic_of(record.topic) is EPISODE:
+                self._events.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in self._events:
+                self.ended |= b'"event":"ended"' in bytes(record.data)
+        self.chunks += 1
