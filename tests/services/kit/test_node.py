@@ -27,7 +27,6 @@ from services.kit import process as service_process
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.kit.throttle import Throttle
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
 
@@ -114,27 +113,6 @@ def test_a_malformed_message_is_logged_once_counted_and_dropped(
     assert len(lines) == 1, "a broken sender must not fill the log"
     assert lines[0].startswith("dropped a bad message on command/teleop (1 so far): ")
     assert reason in lines[0]
-
-
-def test_a_handler_that_fails_is_counted_and_the_node_lives(
-    node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
-) -> None:
-    handled: list[int] = []
-
-    def fragile(received: Command) -> None:
-        if received.tick == 1:
-            raise ZeroDivisionError("a bug")
-        handled.append(received.tick)
-
-    node.subscribe(TELEOP, fragile)
-    for tick in (1, 2):
-        send_raw(node, TELEOP, encode(command(tick)), encoding_of(Command))
-    run_node(node)
-    eventually(lambda: handled)
-    assert handled == [2]
-    assert status(client).failed == 1
-    assert "handling command/teleop failed" in caplog.text
-    assert "a bug" in caplog.text
 
 
 def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(node: Node, run_node: RunNode, client: Bus) -> None:
@@ -268,17 +246,6 @@ def test_a_node_ends_although_what_works_apart_hangs(
     node.close()
     release.set()
     assert caplog.messages == ["the thread 'sample, hang' did not end within 0.05 s"]
-
-
-def test_throttle_lets_one_line_a_second_through() -> None:
-    now_s = 0.0
-    throttle = Throttle(lambda: now_s)
-    due = []
-    for step in range(31):
-        now_s = step * 0.125
-        if throttle.due():
-            due.append(now_s)
-    assert due == [0.0, 1.0, 2.0, 3.0]
 
 
 # -- processes --------------------------------------------------------------------------------------------------------

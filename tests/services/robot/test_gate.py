@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import threading
-from collections.abc import Callable
-from itertools import pairwise
 
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from schemas.base import SOURCES, Atom, Source
+from schemas.base import SOURCES, Source
 from schemas.command import Command, StopCause
-from schemas.heartbeat import Heartbeat
-from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+from tests.services.robot.gating import beat, command
 
 STAND = Applied("stop", 0.0, None, "silence")
 THEIRS = "only the operator (at desk) may do that"
-
-
-def command(
-    tick: int,
-    *,
-    sequence: int = 0,
-    source: Source = "policy",
-    atom: Atom = "forward",
-    episode: str = "e",
-    speed: float = 1.0,
-    session: str = "",
-) -> Command:
-    header = {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": 0}
-    whole = Command(**header, source=source, session=session, sequence=sequence, atom=atom)
-    # The schema would refuse what the gate has to refuse by itself.
-    return whole.model_copy(update={"speed": speed})
-
-
-def beat(session: str, sequence: int, answers: int | None, *, present: bool = True) -> Heartbeat:
-    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
-    return Heartbeat(**header, session=session, name="desk", sequence=sequence, answers=answers, present=present)
 
 
 def hear(gate: CommandGate, session: str, sequence: int, now_s: float, *, present: bool = True) -> None:
@@ -131,15 +104,6 @@ def test_nothing_moves_before_the_first_episode(episode: str) -> None:
         assert gate.offer(command(0, source=source, episode=episode), 10.0) == "wrong episode"
     assert gate.applied(10.0) == STAND
     assert gate.emergency_stop == 0
-
-
-def test_out_of_order_and_repeated_commands_are_refused(gate: CommandGate) -> None:
-    gate.captured(1, 10.1)
-    assert gate.offer(command(1), 10.1) is None
-    assert gate.offer(command(0, atom="left"), 10.1) == "out of order"
-    assert gate.offer(command(1, atom="left"), 10.1) == "out of order"
-    assert gate.offer(command(1, sequence=1, atom="left"), 10.1) is None
-    assert gate.applied(10.1).atom == "left"
 
 
 @pytest.mark.parametrize("driver", ["policy", "expert"])
@@ -255,18 +219,6 @@ def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandG
     assert gate.applied(10.1).source == "policy"
 
 
-@pytest.mark.parametrize("other", ["operator_lost", "fault"])
-def test_a_latched_emergency_stop_is_not_hidden_by_another_stop(gate: CommandGate, other: StopCause) -> None:
-    gate.stop(other)
-    gate.stop()
-    assert gate.stop_cause == "emergency_stop"
-    gate.stop(other)
-    assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 4)
-    assert gate.arm(4, "") is None
-    gate.stop(other)
-    assert gate.stop_cause == other
-
-
 def test_of_two_stops_the_graver_cause_is_told_in_whatever_order_they_come() -> None:
     """Who only misses the operator would arm a robot whose body has failed, without a look at it."""
     for graver, other in (("fault", "operator_lost"), ("operator_lost", "not_armed"), ("emergency_stop", "fault")):
@@ -304,21 +256,6 @@ def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
 
 
-def test_an_operator_who_falls_silent_is_missed(gate: CommandGate) -> None:
-    hear(gate, "o", 0, 10.0)
-    assert gate.operator == "o"
-    gate.watch(10.25)
-    assert gate.emergency_stop == 0
-    hear(gate, "o", 1, 10.25)
-    gate.watch(10.5)
-    assert gate.operator == "o"
-    gate.watch(10.5001)
-    assert gate.operator is None
-    assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
-    gate.watch(20.0)
-    assert gate.emergency_stop == 2, "once"
-
-
 @pytest.mark.parametrize("sequence", [0, 1])
 def test_a_sign_of_life_that_comes_twice_or_late_is_none(gate: CommandGate, sequence: int) -> None:
     hear(gate, "o", 1, 10.0)
@@ -347,16 +284,6 @@ def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(gate: Comman
     assert gate.operator == "o"
 
 
-def test_one_who_was_lost_and_is_heard_again_is_the_operator_again(gate: CommandGate) -> None:
-    hear(gate, "o", 3, 10.0)
-    gate.watch(10.0 + 2 * OPERATOR_S)
-    assert gate.operator is None
-    hear(gate, "o", 3, 11.0)
-    assert gate.operator is None
-    hear(gate, "o", 4, 11.0)
-    assert gate.operator == "o"
-
-
 def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate) -> None:
     pulse = gate.pulse(10.0)
     gate.hear(beat("o", 0, pulse), 10.2)
@@ -374,25 +301,6 @@ def test_an_answer_that_took_too_long_is_no_sign_of_life(gate: CommandGate, hear
     assert (gate.operator == "o") == there
     gate.watch(heard_s)
     assert gate.emergency_stop == 0, "nobody was there whom it could miss"
-
-
-def test_by_a_link_that_grows_slow_an_operator_is_lost_however_steadily_they_answer(gate: CommandGate) -> None:
-    """An answer comes every 0.06 s, and each is of an ever older moment: whoever gave it may be dead by now."""
-    sent_s = [10.0 + 0.05 * k for k in range(300)]
-    pulses, answers = sent_s.copy(), [(at + min(3.0, 0.01 * k), k) for k, at in enumerate(sent_s)]
-    numbers, there_s = [], 0.0
-    while answers:
-        if pulses and pulses[0] <= answers[0][0]:
-            now_s = pulses.pop(0)
-            numbers.append(gate.pulse(now_s))
-        else:
-            now_s, k = answers.pop(0)
-            gate.hear(beat("o", k, numbers[k]), now_s)
-        gate.watch(now_s)
-        if gate.operator is not None:
-            there_s = now_s
-    assert sent_s[20] < there_s <= sent_s[25] + OPERATOR_S, "the 26th answer took 0.26 s"
-    assert gate.stop_cause == "operator_lost"
 
 
 @pytest.mark.parametrize("off", [-1, 1, 7, None])
@@ -474,188 +382,3 @@ def test_how_old_the_command_is_that_moves_the_robot_is_told(gate: CommandGate) 
     gate.offer(command(0), 10.05)
     assert gate.applied(10.1).age_s == pytest.approx(0.1)
     assert gate.applied(10.2).age_s == pytest.approx(0.2)
-
-
-SESSIONS = st.sampled_from(["", "o", "p"])
-
-
-class GateMachine(RuleBasedStateMachine):
-    """Against a model that keeps everything that was said for ever, and picks by definition."""
-
-    @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans())
-    def start(self, driver: Source, attended: bool) -> None:
-        self.attended = attended
-        self.now = 0.0
-        self.restart()
-        self.next_episode(driver)
-
-    @rule()
-    def restart(self) -> None:
-        """Kill the process and start it again."""
-        self.gate = CommandGate(attended=self.attended)
-        self.stop = self.gate.emergency_stop
-        self.emergency = False
-        self.operator: str | None = None
-        self.answered_s = -math.inf
-        self.pulses = [(7, -math.inf)]
-        self.beats = getattr(self, "beats", 0)
-        self.last_beat = ("none", -1)
-        self.forget("none", "policy")
-
-    def forget(self, episode: str, driver: Source) -> None:
-        self.episode, self.driver = episode, driver
-        self.taken_over = False
-        self.tick = 0
-        self.captured: dict[int, float] = {}
-        self.accepted: list[tuple[Command, float]] = []
-        self.leased: dict[str, tuple[str, float]] = {}
-        self.expired = 0
-
-    @rule(step=st.sampled_from([0.01, 0.1, 0.2, 0.3, 2.0]))
-    def wait(self, step: float) -> None:
-        self.now += step
-        self.gate.watch(self.now)
-        if self.operator is not None and self.now - self.answered_s > OPERATOR_S:
-            self.operator = None
-            self.latched("operator_lost")
-
-    def latched(self, cause: StopCause) -> None:
-        assert self.gate.emergency_stop not in (0, self.stop), "every stop has a number of its own"
-        self.emergency = cause == "emergency_stop" or (self.stop != 0 and self.emergency)
-        assert self.gate.stop_cause == ("emergency_stop" if self.emergency else cause)
-        self.stop = self.gate.emergency_stop
-
-    @rule()
-    def frame(self) -> None:
-        self.tick += 1
-        self.captured[self.tick] = self.now
-        self.gate.captured(self.tick, self.now)
-
-    @rule()
-    def pulse(self) -> None:
-        self.pulses.append((self.gate.pulse(self.now), self.now))
-
-    @rule(
-        session=SESSIONS,
-        present=st.sampled_from([True, True, True, False]),
-        again=st.booleans(),
-        back=st.sampled_from([0, 0, 1, 2, 9]),
-    )
-    def hear(self, session: str, present: bool, again: bool, back: int) -> None:
-        self.beats += not again
-        number, sent_s = self.pulses[max(-1 - back, -len(self.pulses))]
-        self.gate.hear(beat(session, self.beats, number, present=present), self.now)
-        if self.now - sent_s > OPERATOR_S:
-            return  # it tells of long ago
-        if self.last_beat == (session, self.beats) or self.operator not in (None, session):
-            return  # it was heard before, or somebody else is there
-        left = self.operator is not None and not present
-        known_s = self.answered_s if self.last_beat[0] == session else -math.inf
-        self.operator, self.answered_s = session if present else None, max(known_s, sent_s)
-        self.last_beat = session, self.beats
-        if left and self.attended:
-            self.latched("operator_lost")
-
-    @rule(cause=st.sampled_from(["emergency_stop", "fault"]))
-    def latch(self, cause: StopCause) -> None:
-        self.gate.stop(cause)
-        self.latched(cause)
-
-    @rule(session=SESSIONS, off=st.sampled_from([0, 0, 0, 1, -1]))
-    def arm(self, session: str, off: int) -> None:
-        may = self.operator == session or (self.operator is None and not self.attended)
-        done = self.gate.arm((self.stop or 7) + off, session) is None
-        assert done == (may and self.stop != 0 and off == 0)
-        if done:
-            self.stop = 0
-            self.taken_over = self.episode != "none"
-            self.expired = len(self.accepted)
-
-    @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]), session=SESSIONS)
-    def resume(self, back: int, episode: str, session: str) -> None:
-        tick = max(0, self.tick - back)
-        mine = [c.tick for c, _ in self.accepted if c.source == "teleop"][-1:]
-        resumed = self.gate.resume(episode, tick, session) is None
-        assert resumed == (
-            episode == self.episode and max(mine, default=0) <= tick and self.operator in (None, session)
-        )
-        if resumed:
-            self.taken_over = False
-            self.expired = len(self.accepted)
-
-    @rule(driver=st.sampled_from(SOURCES[1:]))
-    def next_episode(self, driver: Source) -> None:
-        self.gate.begin("e", driver)
-        self.forget("e", driver)
-        self.captured = {0: self.now}
-        self.gate.captured(0, self.now)
-
-    @rule(
-        source=st.sampled_from(SOURCES),
-        session=SESSIONS,
-        back=st.integers(-1, 6),
-        sequence=st.integers(0, 2),
-        atom=st.sampled_from(["forward", "left", "stop"]),
-        episode=st.sampled_from(["e", "e", "e", "old"]),
-    )
-    def offer(self, source: Source, session: str, back: int, sequence: int, atom: Atom, episode: str) -> None:
-        offered = command(
-            max(0, self.tick - back), sequence=sequence, source=source, atom=atom, episode=episode, session=session
-        )
-        refusal = self.gate.offer(offered, self.now)
-        if source == "emergency_stop":
-            assert refusal is None
-            self.latched("emergency_stop")
-            return
-        holder, held_s = self.leased.get(source, (session, 0.0))
-        last = [c for c, _ in self.accepted if c.source == source and c.session == session == holder][-1:]
-        may = (
-            offered.episode == self.episode
-            and source in ("teleop", self.driver)
-            and (source != "teleop" or self.operator in (None, session))
-            and (holder == session or self.now - held_s > LEASE_S)
-            and all((c.tick, c.sequence) < (offered.tick, sequence) for c in last)
-            and self.now - self.captured.get(offered.tick, -math.inf) <= MAX_AGE_S
-        )
-        assert (refusal is None) == may, refusal
-        if may:
-            self.leased[source] = (session, self.now)
-            self.accepted.append((offered, self.now))
-            self.taken_over |= source != self.driver
-
-    @invariant()
-    def only_the_last_accepted_fresh_command_of_whoever_drives_moves_the_robot(self) -> None:
-        if not hasattr(self, "gate"):
-            return
-        applied = self.gate.applied(self.now)
-        who = "teleop" if self.taken_over else self.driver
-        theirs = [c for c, _ in self.accepted[self.expired :] if c.source == who][-1:]
-        fresh = [c for c in theirs if self.now - self.captured[c.tick] <= MAX_AGE_S]
-        assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
-        assert self.gate.emergency_stop == self.stop
-        if self.stop:
-            assert (applied.atom, applied.speed, applied.reason) == ("stop", 0.0, "emergency_stop")
-        elif not fresh:
-            assert applied == Applied("stop", 0.0, None, "taken_over" if self.taken_over else "silence")
-        else:
-            assert applied == Applied(fresh[0].atom, fresh[0].speed, who, "command", fresh[0].tick)
-        if applied.atom != "stop":
-            assert not self.attended or self.operator is not None
-
-    @invariant()
-    def commands_of_one_process_are_in_order(self) -> None:
-        if not hasattr(self, "gate"):
-            return
-        for (one, _), (other, _) in pairwise([pair for pair in self.accepted if pair[0].source == self.driver]):
-            assert one.session != other.session or (one.tick, one.sequence) < (other.tick, other.sequence)
-
-    @invariant()
-    def a_frame_is_answered_when_the_newest_command_of_the_driver_is_for_it(self) -> None:
-        if not hasattr(self, "gate"):
-            return
-        mine = [c.tick for c, _ in self.accepted if c.source == self.driver]
-        assert self.gate.answered(self.tick) == (mine[-1:] == [self.tick])
-
-
-GateMachine.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
-TestGateMachine: Callable[[], object] = GateMachine.TestCase
