@@ -1,9 +1,8 @@
 """A working set of template frames for Eq. 7, grown until the duality gap of the full problem is small.
 
 1. Solve Eq. 7 on the working set alone (`newton`), which gives a point Theta of the dual problem as well.
-2. Bound the polars of all template sequences at Theta (`duality_gap`): first of the likely ones, then of all.
-3. Stop if the gap is within the tolerance; otherwise add the frames of the sequences whose polar exceeds 1, and drop
-   those without weight.
+2. Bound the polars of all template sequences at Theta (`duality_gap`).
+3. Stop if the gap is within the tolerance; otherwise add the frames of the sequences whose polar exceeds 1.
 
 One product of all templates with Theta in float32, with a bound on what rounding does to it, rules nearly all
 sequences out; the others are multiplied in float64. So no bound is too low.
@@ -21,13 +20,13 @@ from smal.paper.objective import l21_norm, s1_norm
 Array = NDArray[np.float64]
 Columns = NDArray[np.intp]
 
-# Sequences to start with, and those that are looked at before all others.
-_FIRST, _LIKELY = 4, 48
+# Sequences to start with.
+_FIRST = 4
 _MAX_ROUNDS = 200
-# Alternating projections: to see which sequences are lacking, and to bound polars.
+# Alternating projections to bound polars: while sequences are being sorted out, and to certify.
 _QUICK, _THOROUGH = 8, 100
-# A row whose smoothed subgradient is shorter has no weight; one is worth a weight if the dual point holds it so far.
-_ALIVE, _TIGHT = 0.8, 0.7
+# A row is worth a weight if the dual point holds it so far.
+_TIGHT = 0.7
 # Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
 _LOOSE = 1e-2
 # The objective and its quotient with the bound take fewer operations, beside the terms of their sums.
@@ -76,17 +75,10 @@ class WorkingSet:
         #: ||x_r||, rounded up.
         self._lengths: Array = np.sqrt(squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow)
 
-        likely = np.argsort(-np.add.reduceat(alike, np.arange(0, n, length)), kind="stable")[:_LIKELY]
-        self._likely, self._set = np.sort(likely), self._frames(np.sort(likely[:_FIRST]))
-        nothing = np.zeros(0, dtype=np.intp)
-        # Frames that came back after they had been dropped: they stay, or the search might go round in circles.
-        self._dropped, self._kept = nothing, nothing
+        likely = np.argsort(-np.add.reduceat(alike, np.arange(0, n, length)), kind="stable")
+        self._set, nothing = self._frames(np.sort(likely[:_FIRST])), np.zeros(0, dtype=np.intp)
         #: The last working set, and W, U and V on it, to start from.
         self._before, self._start, self._epsilon = nothing, np.zeros((3, 0, q)), FIRST_EPSILON
-        #: Frames that were ever in the working set, and their inner products, in float64.
-        self._known, self._known_rows = nothing, np.zeros((0, m))
-        self._gram, self._correlations = np.zeros((0, 0)), np.zeros((0, q))
-
         self.columns, self.weights, self.residuals = nothing, np.zeros((0, q)), self._norms
         self.objective, self.lower_bound, self.steps = float(self._norms.sum()), 0.0, 0
 
@@ -100,14 +92,12 @@ class WorkingSet:
 
         Rounding may keep it from getting there; then it ends early.
         """
-        finest, everywhere = 0.3 * self._tolerance, False
+        finest = 0.3 * self._tolerance
         tolerance = max(_LOOSE, finest)
         for _ in range(_MAX_ROUNDS):
             self._solve(tolerance)
-            lacking = self._certify() if everywhere else self._probe(1.0 + tolerance)
-            if not (everywhere or lacking.size) and tolerance <= finest:
-                everywhere, lacking = True, self._certify()
-            if everywhere and self.gap <= self._tolerance:
+            lacking = self._certify(tolerance)
+            if self.gap <= self._tolerance:
                 return
             if not lacking.size:
                 # Nothing is missing: the restricted solution itself must become sharper, or has reached its limit.
@@ -130,8 +120,9 @@ class WorkingSet:
 
     def _solve(self, tolerance: float) -> None:
         """Solve Eq. 7 on the working set, lengths scaled to 1."""
-        places = self._places(self._set)
-        gram, correlations = self._gram[np.ix_(places, places)], self._correlations[places]
+        #: The frames of the working set (p, m), in float64.
+        self._frames_of_set = self._rows[self._set].astype(np.float64)
+        gram, correlations = self._frames_of_set @ self._frames_of_set.T, self._frames_of_set @ self._query.T
         template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
         query_scale = float(self._norms.max())
         self._weight_scale = query_scale / template_scale
@@ -155,39 +146,16 @@ class WorkingSet:
         self.steps += steps
         self._worst = 1.0
         #: The dual point, a row a query frame (q, m).
-        self._theta: Array = (alpha / query_scale)[:, None] * self._query - self._combined(B / template_scale)
+        self._theta: Array = (alpha / query_scale)[:, None] * self._query
+        self._theta -= (B / template_scale).T @ self._frames_of_set
 
-    def _places(self, columns: Columns) -> Columns:
-        """Where template frames are among the known ones; those that are not become so."""
-        new = np.setdiff1d(columns, self._known)
-        if new.size:
-            fresh = self._rows[new].astype(np.float64)
-            across = self._known_rows @ fresh.T
-            self._gram = np.block([[self._gram, across], [across.T, fresh @ fresh.T]])
-            self._correlations = np.concatenate([self._correlations, fresh @ self._query.T])
-            self._known_rows, self._known = np.concatenate([self._known_rows, fresh]), np.append(self._known, new)
-        order = np.argsort(self._known)
-        found: Columns = order[np.searchsorted(self._known, columns, sorter=order)]
-        return found
-
-    def _combined(self, weights: Array) -> Array:
-        """Sum of the frames of the working set with weights (p, q), as rows (q, m)."""
-        every = np.zeros((self._known.size, weights.shape[1]))
-        every[self._places(self._set)] = weights
-        combined: Array = every.T @ self._known_rows
-        return combined
-
-    def _probe(self, enough: float) -> Columns:
-        """Look at the likely sequences only; return the frames that are lacking."""
-        values = self._rows[self._frames(self._likely)] @ self._theta.astype(np.float32).T
-        return self._examine(self._likely, values.astype(np.float64), _QUICK, enough)[1]
-
-    def _certify(self) -> Columns:
+    def _certify(self, tolerance: float) -> Columns:
         """Bound all polars, and with them the optimum from below; return the frames that are lacking."""
         n, m = self._rows.shape
         size = float(np.linalg.norm(self._theta))
         # A polar may exceed 1 by so much without needing attention.
-        enough = 1.0 + 0.25 * self._tolerance
+        loose = tolerance > 0.3 * self._tolerance
+        enough = 1.0 + (tolerance if loose else 0.25 * self._tolerance)
         every = np.arange(-(-n // self._length))
         values = self._rows @ self._theta.astype(np.float32).T
         polars = quick_bounds(self._as_blocks(every, values), *self._lambdas)
@@ -195,7 +163,7 @@ class WorkingSet:
         # The sequences that the dual point was made for lie on the edge of the dual set: only exact products tell.
         doubtful = np.union1d(np.flatnonzero(polars > enough), self._set // self._length)
         exact = self._rows[self._frames(doubtful)].astype(np.float64) @ self._theta.T
-        sharp, lacking = self._examine(doubtful, exact, _THOROUGH, enough)
+        sharp, lacking = self._examine(doubtful, exact, _QUICK if loose else _THOROUGH, enough)
         polars[doubtful] = sharp + self._error(doubtful, self._rounding * size)
         self._evaluate(float(polars.max()))
         return lacking
@@ -232,9 +200,9 @@ class WorkingSet:
         """Find the objective and the lower bound; the best ones may be of different rounds."""
         weights = self._cleaned() * self._weight_scale
         # From inner products, 1e-8 of a query frame would be noise.
-        norms = np.linalg.norm(self._query - self._combined(weights), axis=1)
+        norms = np.linalg.norm(self._query - weights.T @ self._frames_of_set, axis=1)
         reach = self._norms + self._lengths[self._set] @ np.abs(weights)
-        residuals = norms * (1.0 + self._rounding) + rounding(self._known.size + 2) * reach
+        residuals = norms * (1.0 + self._rounding) + rounding(self._set.size + 2) * reach
         penalty = self._lambdas[0] * l21_norm(weights) + self._lambdas[1] * s1_norm(weights, self._length, self._set)
         objective = float(residuals.sum()) + penalty
         columns = np.linalg.norm(self._theta, axis=1)
@@ -258,11 +226,7 @@ class WorkingSet:
         return weights
 
     def _grow(self, lacking: Columns) -> None:
-        """Add frames, drop those without weight, and smooth as much as the violations ask for."""
-        alive = np.linalg.norm(self._inner.U, axis=1) >= _ALIVE
-        self._kept = np.union1d(self._kept, np.intersect1d(lacking, self._dropped))
-        stay = self._set[alive | np.isin(self._set, self._kept)]
-        self._dropped = np.union1d(self._dropped, np.setdiff1d(self._set, stay))
+        """Add frames, and smooth as much as the violations ask for."""
         excess = (1.0 - 1.0 / self._worst) * self._problem.objective(self._inner.W)
         self._epsilon = min(max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON)
-        self._set = np.union1d(stay, lacking)
+        self._set = np.union1d(self._set, lacking)

@@ -58,6 +58,6 @@ def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(monkeypatch
 
     monkeypatch.setattr(working_set, "minimize", too_long)
     X, Y = matching_problem(0, blocks=5, length=5)
-    solution = solve(X, Y, 5, 10.0, 10.0)
+    solution = solve(X, Y, 5, 10.0, 10.0, tolerance=1e-7)
     assert not solution.weights.any()
-    assert 0.0 <= solution.duality_gap <= 1e-9
+    assert 0.0 <= solution.duality_gap <= 1e-7
