@@ -27,7 +27,7 @@ def match_as_in_the_paper(
     The reference is the frame of the best sequence (Eq. 9) at which W places the query (`matched_phase`), and the score
     its weight per frame. Features that do not fit or are not finite raise ValueError.
     """
-    check_features(references, queries, length)
+    check_features(references, queries)
     total, whole = len(queries), len(references) // length * length
     matches, templates, penalty = Matches.none(total), references[:whole].T, LAMBDA_SCALE * math.sqrt(length)
     for query in range(length - 1, total if whole else 0):

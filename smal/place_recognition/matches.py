@@ -67,10 +67,8 @@ class Matches:
         return found
 
 
-def check_features(references: NDArray[np.float32], queries: NDArray[np.float32], length: int = 1) -> None:
-    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers, and windows of no frame."""
-    if length < 1:
-        raise ValueError(f"a window needs a length of at least 1, got {length}")
+def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
+    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
     if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
         raise ValueError(f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}")
     for name, features in (("references", references), ("queries", queries)):

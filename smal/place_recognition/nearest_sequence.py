@@ -24,7 +24,7 @@ def match_nearest_sequence(
     queries, nor for any where n < l. The score is the mean cosine of the window, in [-1, 1]. Of equal sequences the
     earliest is taken. Features that do not fit or are not finite raise ValueError.
     """
-    check_features(references, queries, length)
+    check_features(references, queries)
     matches = Matches.none(len(queries))
     means = sums_along(queries @ references.T, range(length)) / np.float32(length)
     if means.size:

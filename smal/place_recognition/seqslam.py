@@ -47,7 +47,7 @@ def match_seqslam(
     Where all of the trajectories end within the window, S2 = 0: what references without any contrast have. Features
     that do not fit or are not finite raise ValueError.
     """
-    check_features(references, queries, length)
+    check_features(references, queries)
     (total, count), matches = (len(queries), len(references)), Matches.none(len(queries))
     lines = [line for line in trajectories(length) if line[-1] < count]
     if min(total, count) >= length and lines:

@@ -196,3 +196,10 @@ def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, mo
         assert references_of(written)[20] in {None, 11, 12, 13}
         assert written["precision"] == 0.9
     assert Path("out.svg").stat().st_size > 1000
+
+
+def test_without_a_file_some_matches_are_printed(folders: Path, smal: Smal) -> None:
+    status, out, _ = smal("match", "ref", "query", "--tau", "0.999")
+    assert status == 0
+    assert "12 of 24 query frames; --json FILE writes every match" in out
+    assert out.count("img") >= 12
