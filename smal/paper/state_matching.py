@@ -3,7 +3,7 @@
 Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
 template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that
 matter, and stops when the relative duality gap of the *full* problem is within the tolerance. Algorithm 2 as published
-is in `smal.paper.algorithm2`.
+is in `tests/benchmarks/recognition`.
 """
 
 from dataclasses import dataclass

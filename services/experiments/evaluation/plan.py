@@ -99,8 +99,8 @@ class WorldPlan:
     """What is done in one world."""
 
     world: str
-    criteria: tuple[Criterion, ...]
-    """Of right recognition, and of a right belief; the first one is that of the figures."""
+    criterion: Criterion
+    """Of right recognition, and of a right belief."""
     drives: int = 1
     queries: int = 0
     """That recognition is learned from, and held-out ones whose frames are to be recognized, every `JUDGED_TICKS`."""
@@ -110,8 +110,6 @@ class WorldPlan:
     trials: tuple[Trial, ...] = ()
     errands: bool = False
     """Whether those are done too, which only the world ``terrace`` has."""
-    template_frames: int = 1000
-    """At most so many for Algorithm 2, whose time grows with their cube."""
 
     @property
     def title(self) -> str:
@@ -171,18 +169,17 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
     return tuple(dict.fromkeys([*each, *_conditions(runs), *paper]))
 
 
-_INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
-_OUTDOOR: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
+_INDOOR: Final = Criterion(0.35, 25.0)
+_OUTDOOR: Final = Criterion(3.0, 25.0)
 FULL: Final = Plan(
     "full",
     (
         *(
             WorldPlan(
-                world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
+                world, criterion, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
                 recognized=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 5, 20)),
-                template_frames=2000,
             )
-            for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
+            for world, criterion in (("indoor", _INDOOR), ("campus", _OUTDOOR))
         ),
         # A street of houses that look the same, and streets to choose from.
         WorldPlan("terrace", _OUTDOOR, errands=True, trials=_usual(RUNS)),
@@ -213,4 +210,4 @@ def in_world(world: str, aside_m: float) -> Plan:
     A belief is right within twice the distance at which searches begin beside the way.
     """
     criterion = Criterion(2.0 * aside_m, 25.0)
-    return Plan(f"in {Path(world).stem}", (WorldPlan(world, (criterion,), trials=_conditions(RUNS)),))
+    return Plan(f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),))

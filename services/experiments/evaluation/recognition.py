@@ -125,22 +125,22 @@ class NearestImitation:
 
 
 def judged(
-    matches: Matches, demonstrated: NDArray[np.float64], true: NDArray[np.float64], criteria: Sequence[Criterion]
+    matches: Matches, demonstrated: NDArray[np.float64], true: NDArray[np.float64], criterion: Criterion
 ) -> dict[str, Any]:
     """Hold every `JUDGED_TICKS`-th answer against the truth, poses (n, 3) and (f, 3), in numbers that JSON knows.
 
     Returns
     -------
     dict
-        For every query its ``tick``, ``score`` and ``answered``; for every criterion ``right`` and ``findable``.
+        For every query its ``tick``, ``score``, ``answered``, ``right`` and ``findable``.
     """
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
     asked, there = matches.of(ticks), true[ticks]
-    judgements = [judge_by_poses(asked, demonstrated, there, one.distance_m, one.angle_deg) for one in criteria]
+    judgement = judge_by_poses(asked, demonstrated, there, criterion.distance_m, criterion.angle_deg)
     return {
         "tick": ticks.tolist(),
         "score": [float(f"{score:.6g}") for score in asked.score.tolist()],
         "answered": asked.matched.astype(int).tolist(),
-        "right": [one.right.astype(int).tolist() for one in judgements],
-        "findable": [one.findable.astype(int).tolist() for one in judgements],
+        "right": judgement.right.astype(int).tolist(),
+        "findable": judgement.findable.astype(int).tolist(),
     }

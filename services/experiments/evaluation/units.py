@@ -18,9 +18,7 @@ from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
 from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
 from services.experiments.evaluation.errands import TASKS, run_errand
-from services.experiments.evaluation.objective import objectives
 from services.experiments.evaluation.plan import (
-    DEFAULT_LENGTH,
     QUERY_SEED,
     RUN_SEED,
     RUNS,
@@ -196,7 +194,7 @@ class Recognize(Unit):
 
     recognizer: Recognizer
     degradation: str
-    criteria: tuple[Criterion, ...]
+    criterion: Criterion
 
     def do(self, folder: Path) -> Finding:
         """Judge the answers of each drive."""
@@ -211,21 +209,8 @@ class Recognize(Unit):
                 drives = [centering.apply(one.demonstration.features) for one in taught]
                 matches = recognize_nearest(drives, centering.apply(views), self.recognizer.length)
             demonstrated = np.concatenate([one.poses for one in taught])
-            found.append(judged(matches, demonstrated, held["poses"], self.criteria))
+            found.append(judged(matches, demonstrated, held["poses"], self.criterion))
         return {"queries": found}
-
-
-@dataclass(frozen=True)
-class Objective(Unit):
-    """Compare solvers of Eq. 7 on a window of a held-out drive, with at most so many template frames."""
-
-    templates: int
-
-    def do(self, folder: Path) -> Finding:
-        """See `objectives`."""
-        (query,) = self.needed(Query)
-        views = load_arrays(query.file(folder))["clean"]
-        return objectives(_paper_model(*self.needed(Learn), folder), views, self.templates)
 
 
 @dataclass(frozen=True)
@@ -319,17 +304,14 @@ def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
     for trial in world.trials:
         length = {"smal": 0, "paper": trial.length}.get(trial.controller)
         model = () if length is None else learned(trial.drives, length)
-        yield Searches(site, (*teaching(trial.drives), *model), trial, plan.patience, world.criteria[0])
-    # The objective's view is a clear one.
-    degradations = tuple(dict.fromkeys(("clean", *world.recognized)))
-    queries = tuple(Query(site, (), degradations, QUERY_SEED + k) for k in range(world.queries))
+        yield Searches(site, (*teaching(trial.drives), *model), trial, plan.patience, world.criterion)
+    queries = tuple(Query(site, (), world.recognized, QUERY_SEED + k) for k in range(world.queries))
     if queries:
         for recognizer in world.recognizers:
             model = learned(world.drives, recognizer.length) if recognizer.eq9 else ()
             needs = (*teaching(world.drives), *queries, *model)
             for name in world.recognized:
-                yield Recognize(site, needs, recognizer, name, world.criteria)
-        yield Objective(site, (*learned(world.drives, DEFAULT_LENGTH), queries[0]), world.template_frames)
+                yield Recognize(site, needs, recognizer, name, world.criterion)
     if world.errands:
         for errand in TASKS:
             yield Errand(site, (), errand, RUNS)

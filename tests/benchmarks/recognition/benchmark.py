@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from services.experiments.evaluation.objective import convergence
-from services.experiments.evaluation.report.figures import objective_figure
 from services.kit.errors import JobError
-from smal.paper.algorithm2 import algorithm2
 from smal.paper.objective import objective
 from smal.paper.state_matching import solve
+from tests.benchmarks.recognition.algorithm2 import algorithm2
+from tests.benchmarks.recognition.convergence import convergence, objective_figure
 from tests.benchmarks.reporting import Parser, Record, say, table
 
 TOLERANCE: Final = 1e-4

@@ -21,7 +21,7 @@ TINY = Plan(
     "quick",
     (
         WorldPlan(
-            "yard", (Criterion(3.0, 25.0),), queries=1, lengths=(1,), recognized=("occluded",), template_frames=50,
+            "yard", Criterion(3.0, 25.0), queries=1, lengths=(1,), recognized=("occluded",),
             trials=(Trial("teach-and-repeat", 1, 1), Trial("nearest-1", 1, 1)),
         ),
     ),
@@ -87,7 +87,7 @@ def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, s
 
 def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, smal: Smal) -> None:
     """No world of that name: the worker says so, and the command ends."""
-    nowhere = Plan("quick", (WorldPlan("nowhere", (Criterion(1.0, 25.0),), trials=(Trial("smal", 1, 1),)),))
+    nowhere = Plan("quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),))
     plans_before = plans.PLANS["quick"]
     plans.PLANS["quick"] = nowhere
     try:

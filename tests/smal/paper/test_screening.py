@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal import Solution, solve
-from smal.paper.algorithm2 import algorithm2
+from tests.benchmarks.recognition.algorithm2 import algorithm2
 from tests.smal.paper.matching import Problem, check, check_bounds
 from tests.smal.worlds import matching_problem, unit
 

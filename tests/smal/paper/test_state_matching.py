@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from smal import solve
-from smal.paper.algorithm2 import algorithm2
+from tests.benchmarks.recognition.algorithm2 import algorithm2
 from tests.smal.paper.matching import (
     STRUCTURES,
     Problem,

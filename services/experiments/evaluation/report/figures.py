@@ -13,20 +13,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, TEXT, look_at, styled
+from services.experiments.drawing import COLOURS, TEXT, look_at, styled
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH
 from services.experiments.evaluation.report.summary import Recognized, Success
-from services.experiments.evaluation.units import Finding
 from services.kit.jpeg import decode_jpeg
 from services.robot.clock import TICK_S
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 
-OURS, SINGLE = COLOURS[:2]
 #: Of who searches and who recognizes, beside ours and the single image.
 _PEERS: Final = {
-    "smal": OURS, "paper": SINGLE, "teach-and-repeat": "#e09f3e", "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
+    "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "nearest-1": "#8d99ae",
+    "nearest-5": "#5c677d",
 }  # fmt: skip
 #: Camera images beside an example route.
 VIEWS: Final = 6
@@ -77,33 +76,6 @@ def _error_bars(
     low, high = np.array(intervals).T
     around = np.maximum([y - low, high - y], 0.0)
     axes.errorbar(x, y, around, lw=2, capsize=4, elinewidth=1.2, **style)  # type: ignore[arg-type]
-
-
-@styled
-def objective_figure(found: Mapping[str, Finding]) -> Figure:
-    """Draw Eq. 7 over the iterations of Algorithm 2 and of this project's solver; the gap to the optimum below."""
-    drawn = Figure(figsize=(5.4 * len(found), 7.0))
-    panels = drawn.subplots(2, len(found), squeeze=False, sharex="col")
-    for column, (world, one) in enumerate(found.items()):
-        upper, lower = panels[:, column]
-        theirs, bound = np.array(one["algorithm2"]), one["lower_bound"]
-        ours = [point for point in one["ours"] if point["iterations"] > 0]
-        steps, values, gaps = ([point[name] for point in ours] for name in ("iterations", "objective", "duality_gap"))
-        after = np.arange(1, theirs.size + 1)
-        upper.plot(after, theirs, ".-", color=SINGLE, label="Algorithm 2 as published")
-        upper.plot(steps, values, "o-", color=OURS, label="this project's solver")
-        upper.axhline(bound, color=MUTED, ls="--", lw=1.0, label="proven lower bound")
-        upper.set(ylabel="objective (Eq. 7)")
-        upper.set_title(f"{world}: {one['templates']:,} template frames, l = {one['length']}")
-        lower.axvspan(9, 12, color=MUTED, alpha=0.15, lw=0.0, label="the paper: 9 and 12 iterations")
-        lower.semilogy(after, np.maximum((theirs - bound) / theirs, 1e-9), ".-", color=SINGLE)
-        lower.semilogy(steps, np.maximum(gaps, 1e-9), "o-", color=OURS)
-        lower.axhline(1e-4, color=MUTED, ls=":", lw=1.2)
-        lower.axvline(20, color=MUTED, ls=":", lw=1.2, label="the paper: below 1e-4 within 20")
-        lower.set(xlabel="iterations", ylabel="relative gap to the optimum", xlim=(0, None))
-        for axes in (upper, lower):
-            axes.legend()
-    return drawn
 
 
 @styled

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from services.experiments import html
 from services.experiments.evaluation.plan import QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
-from services.experiments.evaluation.report.sections import objective_section, recognition_section, search_section
+from services.experiments.evaluation.report.sections import recognition_section, search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import Learn, Query, Searches, Teach, code_fingerprint, units
@@ -51,12 +51,12 @@ def write_page(plan: Plan, results: Results) -> Path:
         )
     for each in found:
         body.append(f"<h2>{escape(each.world.title.capitalize())}</h2>")
-        if each.recognized[0]:
+        if each.recognized:
             body += recognition_section(each, put)
         if each.successes:
             here = [one for one in findings if one.site.world == each.world.world and findings[one].get("file")]
             body += search_section(each, [one.file(results.work) for one in here if isinstance(one, Searches)], put)
-    body += [*objective_section(found, put), *_method(plan, results)]
+    body += _method(plan, results)
     path = results.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")
     return path
@@ -106,7 +106,7 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         f"the frames of the longest taught drive (in smal run at least {LEAST_TICKS}): a slow robot fails as one "
         f"that is lost does. Teaching is never degraded. SPL is success weighted by path length (Anderson et al. "
         f"2018); aside is the distance from the taught ways, by the truth; wrong and sure are frames at which the "
-        f"robot believes to be further from the truth than the first criterion allows, and not to be lost. "
+        f"robot believes to be further from the truth than the criterion allows, and not to be lost. "
         f"Features: colour and HOG, the default. Same seeds give the same results on one machine.</p>"
     )
     rows = []

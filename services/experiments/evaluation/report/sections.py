@@ -1,4 +1,4 @@
-"""What the report says of each world, as HTML: recognition, searches, errands, an example; and of the objective."""
+"""What the report says of each world, as HTML: recognition, searches, errands, an example."""
 
 from __future__ import annotations
 
@@ -24,34 +24,29 @@ Put = Callable[[str, Figure, str], str]
 
 def recognition_section(found: WorldResults, put: Put) -> Iterator[str]:
     """Write it, piece by piece."""
-    world, judged = found.world, found.recognized[0]
-    name = world.title
+    name = found.world.title
     scene = "the indoor search" if name == "indoor" else "the urban search"
-    yield f"<h3>Recognizing where the robot is</h3>{_criterion(world)}"
+    yield f"<h3>Recognizing where the robot is</h3>{_criterion(found.world)}"
     yield put(
         f"precision-recall-{name}",
-        figures.precision_recall(judged, f"State recognition, {name}"),
+        figures.precision_recall(found.recognized, f"State recognition, {name}"),
         "Precision over recall as the score's threshold falls, as in the paper's figures of precision-recall curves of "
         f"{scene} and of its parameter analysis. Closer to the top right is better.",
     )
-    for criterion, each in zip(world.criteria, found.recognized, strict=True):
-        yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_recognized(each)}"
+    yield _recognized(found.recognized)
 
 
 def _criterion(world: WorldPlan) -> str:
-    first = world.criteria[0]
-    others = " and ".join(escape(one.meaning) for one in world.criteria[1:])
     views = "; ".join(f"<b>{name}</b>: {escape(DEGRADATIONS[name].meaning)}" for name in world.recognized)
     return (
         "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
-        f"the robot to be at was taken {escape(first.meaning)} of the robot's true pose"
-        f"{f' (beside it, stricter: {others})' if others else ''}. For Eq. 9 that is the frame of the "
-        "best sequence at which W places the robot. The score is the weight of that sequence, for each frame; for the "
-        "nearest frames the mean cosine. Recall counts all frames that have a right answer among the demonstrations. "
+        f"the robot to be at was taken {escape(world.criterion.meaning)} of the robot's true pose. For Eq. 9 that "
+        "is the frame of the best sequence at which W places the robot. The score is the weight of that sequence, for "
+        "each frame; for the nearest frames the mean cosine. Recall counts all frames that have a right answer among "
+        "the demonstrations. "
         f"Queries are one in {JUDGED_TICKS} frames of {counted(world.queries, 'held-out drive')}, the same for "
         f"all methods: those from frame {world.first_judged_tick} of a drive on, from which every method has a whole "
-        "window. The last column is the area with the frames before, which cost a method of l frames its first l - 1 "
-        "answers. Bars and intervals are of a block bootstrap over the held-out frames. Recall at 100 % precision is "
+        "window. Bars and intervals are of a block bootstrap over the held-out frames. Recall at 100 % precision is "
         "decided by the surest wrong answer alone, which a third of the draws lack: its interval covers less than "
         f"95 %. Views: {views}.</p>"
     )
@@ -62,12 +57,11 @@ def _recognized(found: Sequence[Recognized]) -> str:
         [
             one.recognizer.title, one.degradation, f"{one.curve.auc:.3f}", _interval(one.intervals.auc, ".3f"),
             f"{one.curve.recall_at_100_precision:.3f}", _interval(one.intervals.recall_at_100_precision, ".3f"),
-            f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}", f"{one.auc_from_start:.3f}",
+            f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}",
         ]
         for one in found
     ]  # fmt: skip
-    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "frames with a right answer",
-            "area from the start"]  # fmt: skip
+    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "frames with a right answer"]
     return html.table(head, rows, left=2)
 
 
@@ -136,34 +130,6 @@ def _errands(found: WorldResults) -> Iterator[str]:
     yield "<h3>Errands</h3>"
     yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
     yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
-
-
-def objective_section(found: Sequence[WorldResults], put: Put) -> Iterator[str]:
-    """Write it, piece by piece; nothing where nobody measured it."""
-    each = {one.world.title: one.objective for one in found if one.objective is not None}
-    if not each:
-        return
-    yield "<h2>Objective value over iterations</h2>"
-    yield put(
-        "objective",
-        figures.objective_figure(each),
-        "Eq. 7 on one held-out query, after every iteration of Algorithm 2 as published and of this project's solver "
-        "(one point for each tolerance, with its own duality gap), as in the paper's figures of the objective value. "
-        "Below: how far above the optimum, at most. The paper reports 9 and 12 iterations. An iteration of Algorithm 2 "
-        "solves dense systems of all template frames, one of ours a small one of those that have a weight.",
-    )
-    rows = []
-    for world, one in each.items():
-        bound = one["lower_bound"]
-        within = (k for k, value in enumerate(one["algorithm2"], 1) if (value - bound) / value <= 1e-3)
-        ours = (point["iterations"] for point in one["ours"] if point["duality_gap"] <= 1e-3)
-        rows.append([
-            world, f"{one['templates']:,}", f"{one['initial']:.4f}", f"{bound:.6f}", f"{one['algorithm2'][-1]:.6f}",
-            str(next(within, "never")), str(next(ours, "never")),
-        ])  # fmt: skip
-    head = ["world", "template frames", "at W = 0", "lower bound", "Algorithm 2, last", "its iterations to 1e-3",
-            "ours to 1e-3"]  # fmt: skip
-    yield html.table(head, rows, left=1)
 
 
 def _interval(ends: tuple[float, float], form: str) -> str:

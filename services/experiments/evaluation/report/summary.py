@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.experiments.evaluation.plan import JUDGED_TICKS, Recognizer, Trial, WorldPlan
-from services.experiments.evaluation.units import Errand, Finding, Objective, Recognize, Searches, Unit
+from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import Intervals, PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
@@ -22,18 +22,13 @@ SOON_S: Final = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Recognized:
-    """How well one method recognizes in one world, by one criterion.
-
-    The judgement is of all held-out drives from the frame on at which every method has a whole window;
-    ``auc_from_start`` is of all frames.
-    """
+    """How well one method recognizes in one world, from the frame on at which every method has a whole window."""
 
     recognizer: Recognizer
     degradation: str
     judgement: Judgement
     curve: PrecisionRecall
     intervals: Intervals
-    auc_from_start: float
 
     def as_json(self, criterion: str) -> dict[str, Any]:
         """Return its numbers."""
@@ -46,7 +41,6 @@ class Recognized:
             "findable": int(self.judgement.findable.sum()),
             "auc": self.curve.auc,
             "auc_95": list(self.intervals.auc),
-            "auc_from_start": self.auc_from_start,
             "recall_at_100_precision": self.curve.recall_at_100_precision,
             "recall_at_100_precision_95": list(self.intervals.recall_at_100_precision),
             "recall": self.curve.recall.round(5).tolist(),
@@ -110,22 +104,19 @@ class Success:
 
 @dataclass(frozen=True)
 class WorldResults:
-    """What the report shows of one world: who recognized, by each criterion; who searched; errands; the objective."""
+    """What the report shows of one world: who recognized; who searched; errands."""
 
     world: WorldPlan
-    recognized: list[list[Recognized]]
+    recognized: list[Recognized]
     successes: list[Success]
-    objective: Finding | None
     errands: Mapping[str, Finding]
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers of all figures."""
-        pairs = zip(self.world.criteria, self.recognized, strict=True)
         return {
-            "recognition": [one.as_json(criterion.meaning) for criterion, judged in pairs for one in judged],
+            "recognition": [one.as_json(self.world.criterion.meaning) for one in self.recognized],
             "searches": [one.as_json() for one in self.successes],
             "errands": self.errands,
-            "objective": self.objective,
         }
 
 
@@ -134,30 +125,23 @@ def results_of(world: WorldPlan, units: Iterable[Unit], findings: Findings) -> W
     here = [(unit, findings[unit]) for unit in units if unit in findings and unit.site.world == world.world]
     return WorldResults(
         world,
-        [list(_recognized(world, here, number)) for number in range(len(world.criteria))],
+        [
+            recognized(world, unit.recognizer, unit.degradation, found["queries"])
+            for unit, found in here
+            if isinstance(unit, Recognize)
+        ],
         [Success(unit.trial, found["searches"]) for unit, found in here if isinstance(unit, Searches)],
-        next((found for unit, found in here if isinstance(unit, Objective)), None),
         {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
     )
 
 
-def _recognized(world: WorldPlan, here: Iterable[tuple[Unit, Finding]], criterion: int) -> Iterator[Recognized]:
-    """Judge every method of a world under every degradation, by one of the criteria."""
-    for unit, found in here:
-        if isinstance(unit, Recognize):
-            yield recognized(world, unit.recognizer, unit.degradation, found["queries"], criterion)
-
-
-def recognized(
-    world: WorldPlan, recognizer: Recognizer, degradation: str, parts: Sequence[Finding], criterion: int
-) -> Recognized:
+def recognized(world: WorldPlan, recognizer: Recognizer, degradation: str, parts: Sequence[Finding]) -> Recognized:
     """Judge one method by what was found out of each held-out drive."""
-    tick, score, answered = (np.concatenate([part[name] for part in parts]) for name in ("tick", "score", "answered"))
-    right, findable = (np.concatenate([part[name][criterion] for part in parts]) for name in ("right", "findable"))
-    everything = np.ones(score.size, dtype=np.bool_)
-    whole = Judgement(score.astype(float), answered.astype(bool), right.astype(bool), everything, findable.astype(bool))
+    names = "tick", "score", "answered", "right", "findable"
+    tick, score, *flags = (np.concatenate([part[name] for part in parts]) for name in names)
     late = tick >= world.first_judged_tick
-    judgement = Judgement(*(getattr(whole, each.name)[late] for each in fields(whole)))
+    answered, right, findable = (each[late].astype(bool) for each in flags)
+    judgement = Judgement(score[late].astype(float), answered, right, np.ones_like(right), findable)
     block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
     curve, intervals = PrecisionRecall.of(judgement), intervals_of(bootstrap(judgement, block))
-    return Recognized(recognizer, degradation, judgement, curve, intervals, PrecisionRecall.of(whole).auc)
+    return Recognized(recognizer, degradation, judgement, curve, intervals)

@@ -14,7 +14,6 @@ from services.experiments.evaluation.units import (
     Errand,
     Finding,
     Learn,
-    Objective,
     Query,
     Recognize,
     Searches,
@@ -27,8 +26,8 @@ SMALL = Plan(
     "small",
     (
         WorldPlan(
-            "yard", (Criterion(1.0, 25.0), Criterion(0.5, 15.0)), drives=2, queries=1, lengths=(1, 5, 20),
-            recognized=("clean", "occluded"), template_frames=100, errands=True,
+            "yard", Criterion(1.0, 25.0), drives=2, queries=1, lengths=(1, 5, 20),
+            recognized=("clean", "occluded"), errands=True,
             trials=(
                 *(Trial(name, drives, 8) for drives in (1, 2) for name in CONTROLLERS),
                 *(Trial("paper", 2, 8, length, view) for length in (1, 20) for view in ("clean", "occluded")),
@@ -63,11 +62,6 @@ def finding(unit: Unit) -> Finding:
             right = "false_goal" if unit.errand == "nobody there" else "found"
             return {"right": right, "outcomes": [right] * 9 + ["timeout"], "driven_m": [120.0] * 10,
                     "taught_m": [190.0, 130.0]}  # fmt: skip
-        case Objective():
-            points = [(3, 2.0, 0.1), (6, 1.7, 1e-2), (9, 1.68, 1e-5)]
-            ours = [{"iterations": k, "objective": value, "duality_gap": gap} for k, value, gap in points]
-            return {"templates": 100, "length": 5, "ours": ours, "algorithm2": [3.0, 2.0, 1.7, 1.681],
-                    "lower_bound": 1.68, "initial": 5.0}  # fmt: skip
         case Recognize():
             return {"queries": [recognition(unit)]}
     raise TypeError(unit)
@@ -102,8 +96,8 @@ def recognition(unit: Recognize) -> Finding:
         "tick": ticks.tolist(),
         "score": score.tolist(),
         "answered": answered.astype(int).tolist(),
-        "right": [right.astype(int).tolist()] * 2,
-        "findable": [[1] * QUERIES] * 2,
+        "right": right.astype(int).tolist(),
+        "findable": [1] * QUERIES,
     }
 
 

@@ -33,9 +33,9 @@ def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
         return {unit.name for unit in units(one) if type(unit).__name__ == kind}
 
     (world,) = SMALL.worlds
-    otherwise = replace(SMALL, worlds=(replace(world, drives=4, criteria=(Criterion(2.0, 25.0),)),))
+    otherwise = replace(SMALL, worlds=(replace(world, drives=4, criterion=Criterion(2.0, 25.0)),))
     assert not names(SMALL, "Recognize") & names(otherwise, "Recognize")
-    for kind in ("Teach", "Learn", "Recognize", "Objective", "Searches"):
+    for kind in ("Teach", "Learn", "Recognize", "Searches"):
         assert not names(SMALL, kind) & names(replace(SMALL, camera=(128, 96)), kind)
     shorter = replace(SMALL, patience=1.5)
     assert not names(SMALL, "Searches") & names(shorter, "Searches")
