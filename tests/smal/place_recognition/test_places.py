@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 def drives() -> dict[str, Array]:
     """Return the places of some queries: at one speed, at changing ones, backwards, in laps, after a jump."""
-    found = {f"{speed:g}": np.arange(20, 220, speed) for speed in (0.5, 0.7, 1.0, 1.4, 2.0, 2.5)}
+    found = {f"{speed:g}": np.arange(20, 220, speed) for speed in (0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 2.5, 3.7)}
     places = 20 + np.cumsum(2.0 ** np.sin(np.arange(400) / 25))
     sudden = 20 + np.cumsum(np.repeat([0.5, 2.0, 1.0], [60, 40, 60]))
     return found | {
