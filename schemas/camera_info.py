@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,9 +10,11 @@ from schemas.base import Message
 
 
 class CameraInfo(Message):
-    """Calibration of the robot's camera, a pinhole: once an episode, with its first frame."""
+    """Calibration of the robot's camera: once an episode, with its first frame."""
 
     topic: ClassVar[str] = "camera/info"
+    version: ClassVar[int] = 2
+    reads: ClassVar[tuple[int, ...]] = (1,)
 
     width: Annotated[int, Field(ge=1, le=4096)]
     """Columns of the image that it is for; for another size it scales."""
@@ -24,3 +26,7 @@ class CameraInfo(Message):
     """Column of the optical axis, from the left edge of the image."""
     centre_y_px: Annotated[float, Field(ge=0.0, le=3072.0)]
     """Row of the optical axis, from the top edge of the image."""
+    lens: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+    """How the lens bends what it sees, by the names of ROS."""
+    distortion: Annotated[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...], Field(max_length=8)] = ()
+    """Coefficients of that model, in the order of ROS; those that are left out are 0."""

@@ -1,9 +1,9 @@
 """Teach a robot a way by driving it once; then it goes there by itself, from its camera and its wheels.
 
-Read in this order: `mapping` makes a `model` of drives (`demonstration`): the `visual_map` of `virtual_views`, with
-what `calibration` measures and the `stitches` between drives. `filter` follows the robot over the map: `particles` are
-where it may be, `likelihood` is what a view says of a place, `movement` what the wheels say. `planning` says what to
-do, and `robot` puts the two together.
+Read in this order: `mapping` makes a `model` of drives (`demonstration`): the `visual_map` of `virtual_views`, as a
+`camera` would see them, with what `calibration` measures and the `stitches` between drives. `filter` follows the robot
+over the map: `particles` are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels
+say. `planning` says what to do, and `robot` puts the two together.
 
 Beside it are `paper`, everything of Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA
 2017), with a `Robot` of its own; `place_recognition`, which matches two traverses; and `evaluation`.

@@ -14,15 +14,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import Camera
 from smal.demonstration import Image
 from smal.likelihood import Likelihood, gamma_of, standing_out
 from smal.movement import Atom, seen_from, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG, USUAL_FOCAL, Scene, focal_of
+from smal.virtual_views import TURNS_DEG, Scene
 
 Describe = Callable[[Image], NDArray[np.float32]]
 #: Turns from one view to another that a fit tries, degrees: those over which views overlap.
 _TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
+#: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.
+USUAL_CAMERAS = (
+    Camera.of_field(SETTINGS.usual_field_deg),
+    Camera.of_field(SETTINGS.usual_wide_field_deg, "equidistant"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +83,12 @@ class TaughtFrames:
             good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
             if good.size:
                 found.append(_Pair(frame, int(after[good[0]]), *steps[good[0]].tolist()))
-        return [found[k] for k in evenly(len(found), SETTINGS.pairs)]
+        return found
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence["_Pair"]) -> Scene:
         """Return the scene under which the first views of pairs predict the second ones best; the first if all do."""
-        seen = [(self.images[pair.frame], self.describe(self.images[pair.other]), pair[2:]) for pair in pairs]
+        some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
+        seen = [(self.images[pair.frame], self.describe(self.images[pair.other]), pair[2:]) for pair in some]
 
         def score(scene: Scene) -> float:
             return sum(float(y @ self.describe(scene.warp(image, *step))) for image, y, step in seen)
@@ -106,51 +113,51 @@ def evenly(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
 
 
-def fit_scene(frames: TaughtFrames, correlation_length: float, focal: float | None = None) -> Scene:
-    """Find the camera and the scene by which views of the drives predict each other best.
+def fit_camera(frames: TaughtFrames) -> Camera:
+    """Find the camera by how a turn moves what it sees: of turns, those with the least way; the usual one without any.
 
     Parameters
     ----------
     frames : TaughtFrames
+    """
+    turns = frames.pairs(lambda _, turn: turn > math.radians(9))
+    if not turns:
+        return USUAL_CAMERAS[0]
+    turns.sort(key=lambda pair: math.hypot(pair.ahead, pair.left))
+    least = turns[: max(SETTINGS.pairs, len(turns) // 10)]
+    cameras = [Camera.of_field(field) for field in SETTINGS.fields_deg]
+    cameras += [Camera.of_field(field, "equidistant") for field in SETTINGS.wide_fields_deg]
+    return frames.best([_far(one) for one in cameras], [pair._replace(ahead=0.0, left=0.0) for pair in least]).camera
+
+
+def fit_scene(frames: TaughtFrames, camera: Camera, correlation_length: float) -> Scene:
+    """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best.
+
+    Parameters
+    ----------
+    frames : TaughtFrames
+    camera : Camera
     correlation_length : float
         Way ahead over which views become unlike, in the unit of the poses.
-    focal : float, optional
-        Focal length over the image's width, where it is known.
     """
     length = correlation_length
-    scene = Scene(focal or USUAL_FOCAL, length / 3.0, length * 4.0)
-    if focal is None:
-        turns = frames.pairs(lambda way, turn: (way < 0.02 * length) & (turn > math.radians(9)))
-        if turns:
-            scene = frames.best([replace(scene, focal=focal_of(field)) for field in SETTINGS.fields_deg], turns)
+    scene = Scene(camera, length / 3.0, length * 4.0)
     steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(25)))
     if not steps:
         return scene
     heights = [length * share for share in SETTINGS.heights]
-    scene = frames.best(
-        [replace(scene, height=h, distance=h * far) for h in heights for far in SETTINGS.distances], steps
-    )
+    scene = frames.best([Scene(camera, h, h * far) for h in heights for far in SETTINGS.distances], steps)
     return frames.best([replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps)
 
 
-def focal_of_curves(frames: TaughtFrames) -> float:
-    """Find the focal length of a car's camera, over the image's width, by how far a curve moves what it sees.
-
-    A robot that turns on the spot tells it more exactly (`fit_scene`); this one goes ahead as well.
-    """
-    curves = frames.pairs(lambda _, turn: turn > math.radians(9))
-    turns = [pair._replace(ahead=0.0, left=0.0) for pair in curves]
-    return frames.best([_far(focal_of(field)) for field in SETTINGS.fields_deg], turns).focal if turns else USUAL_FOCAL
-
-
-def _far(focal: float) -> Scene:
+def _far(camera: Camera) -> Scene:
     """Return a scene in which only turns change the view."""
-    return Scene(focal, 1.0, 1e6)
+    return Scene(camera, 1.0, 1e6)
 
 
 def turn_of_views(
-    images: Sequence[Image], atoms: Sequence[NDArray[np.int8]], focal: float, describe: Describe
-) -> float | None:
+    images: Sequence[Image], atoms: Sequence[NDArray[np.int8]], cameras: Sequence[Camera], describe: Describe
+) -> tuple[Camera, float] | None:
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
     First over single atoms, then, more exactly, over as many as turn about 15 degrees. With a wrong focal length the
@@ -161,15 +168,15 @@ def turn_of_views(
     images : sequence of uint8 arrays (height, width, 3)
     atoms : sequence of int8 arrays
         Made after the images, of each drive.
-    focal : float
-        Focal length over the image's width.
+    cameras : sequence of Camera
+        One of which took the images.
     describe : callable
         Gives the centred features of an image.
 
     Returns
     -------
-    float or None
-        Radians; None where no drive turns.
+    (Camera, float) or None
+        The camera that fits best, and radians; None where no drive turns.
     """
     made = np.concatenate(atoms)
     # After the last frame of a drive comes another one's first.
@@ -177,31 +184,33 @@ def turn_of_views(
     sign = (made == Atom.LEFT).astype(int) - (made == Atom.RIGHT).astype(int)
     found = None
     for _ in range(2):
-        count = 1 if found is None else max(1, round(math.radians(15.0) / found))
+        count = 1 if found is None else max(1, round(math.radians(15.0) / found[1]))
         same = np.flatnonzero(np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count)
         if not same.size:
             break
         chosen = same[evenly(same.size, SETTINGS.pairs)].tolist()
-        seen = [(images[k], describe(images[k + count]), sign[k]) for k in chosen]
-        scores = [
-            sum(
-                float(y @ describe(_far(focal).warp(image, turn_rad=side * math.radians(turn))))
-                for image, y, side in seen
+        seen = [(images[k], describe(images[k + count]), int(sign[k])) for k in chosen]
+
+        def score(tried: tuple[Camera, float], seen: list[tuple[Image, NDArray[np.float32], int]] = seen) -> float:
+            camera, turn_deg = tried
+            warp = _far(camera).warp
+            return sum(
+                float(y @ describe(warp(image, turn_rad=side * math.radians(turn_deg)))) for image, y, side in seen
             )
-            for turn in _TURNS_DEG
-        ]
-        found = math.radians(_TURNS_DEG[int(np.argmax(scores))]) / count
+
+        camera, turn_deg = max(((camera, turn) for camera in cameras for turn in _TURNS_DEG), key=score)
+        found = camera, math.radians(turn_deg) / count
     return found
 
 
-def correlation_length(frames: TaughtFrames, focal: float) -> tuple[float, float]:
+def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, float]:
     """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones.
 
     Parameters
     ----------
     frames : TaughtFrames
-    focal : float
-        Focal length over the image's width; of a car alone it counts.
+    camera : Camera
+        Of a car alone it counts.
 
     Returns
     -------
@@ -213,7 +222,7 @@ def correlation_length(frames: TaughtFrames, focal: float) -> tuple[float, float
     ValueError
         No drive goes anywhere, or all images look the same.
     """
-    way, cosine = _turns_undone(frames, focal) if frames.car else (np.empty(0), np.empty(0))
+    way, cosine = _turns_undone(frames, camera) if frames.car else (np.empty(0), np.empty(0))
     distances: list[NDArray[Any]] = [way]
     cosines: list[NDArray[Any]] = [cosine]
     distant: list[NDArray[Any]] = []
@@ -291,7 +300,7 @@ def likelihood_of_views(
     return Likelihood.fit(np.array(here), apart, independent, gamma_of(float(np.mean(neighbours)), correlation))
 
 
-def _turns_undone(frames: TaughtFrames, focal: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _turns_undone(frames: TaughtFrames, camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compare frames in curves, the first as it would have been seen with the second's heading: distances, cosines."""
     found = []
     for some in frames.spread:
@@ -304,7 +313,7 @@ def _turns_undone(frames: TaughtFrames, focal: float) -> tuple[NDArray[np.float6
     turns = wrapped(frames.poses[second, 2] - frames.poses[first, 2])
 
     def cosine(one: int, other: int, turn_rad: float) -> float:
-        return float(frames.describe(_far(focal).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
+        return float(frames.describe(_far(camera).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
 
     with ThreadPoolExecutor() as pool:
         cosines = list(pool.map(cosine, first.tolist(), second.tolist(), turns.tolist()))

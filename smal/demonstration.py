@@ -1,6 +1,5 @@
 """What a person teaches by: a drive with the camera, the movements that were made, and the wheels."""
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from smal.camera import Camera
 
 #: RGB, uint8 (height, width, 3).
 Image = NDArray[np.uint8]
@@ -43,8 +44,8 @@ class Demonstration:
         Which drive it is a part of, where frames between parts were lost; its name if empty.
     goal : str
         Where it leads.
-    focal : float, optional
-        Focal length of the camera over the width of its image, above 0; estimated from the images if not given.
+    camera : Camera, optional
+        Estimated from the images if not given.
     ahead : float32 array (f,), optional
         How fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does; on
         the spot if not given.
@@ -64,7 +65,7 @@ class Demonstration:
     odometry: NDArray[np.float64] | None = None
     episode: str = ""
     goal: str = USUAL_GOAL
-    focal: float | None = None
+    camera: Camera | None = None
     ahead: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -79,10 +80,6 @@ class Demonstration:
         if re.fullmatch(GOAL_NAME, self.goal) is None:
             said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
             raise ValueError(f"demonstration {self.name}: {said}")
-        if self.focal is not None and not (math.isfinite(self.focal) and self.focal > 0.0):
-            raise ValueError(
-                f"demonstration {self.name}: the focal length must be finite and positive, got {self.focal}"
-            )
         if self.ahead is not None and not (self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()):
             raise ValueError(f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1")
         if self.odometry is not None and self.odometry.shape != (frames, 3):

@@ -237,7 +237,9 @@ class Filter:
         spread = np.array([aside, aside, spread_rad])
         poses = self._map.key_poses[keyframes] + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
         poses[:, 2] += turns
-        return Particles(self._map, keyframes, poses)
+        made = Particles(self._map, keyframes, poses)
+        made.pace = self._rng.standard_normal(len(poses))
+        return made
 
     def _scouts(self, seen: View) -> tuple[Particles, float]:
         """Draw particles by what one view says: half of them near the last sure pose, half from everywhere.
@@ -277,6 +279,7 @@ class Filter:
             np.concatenate([particles.poses for particles, _ in sets])[which],
         )
         together.followed = np.concatenate([particles.followed for particles, _ in sets])[which]
+        together.pace = np.concatenate([particles.pace for particles, _ in sets])[which]
         together.shares = np.sum([particles.shares * (share / total) for particles, share in sets], axis=0)
         return together
 

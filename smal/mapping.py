@@ -14,22 +14,24 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from smal.calibration import (
+    USUAL_CAMERAS,
     Describe,
     TaughtFrames,
     correlation_length,
     evenly,
+    fit_camera,
     fit_scene,
-    focal_of_curves,
     likelihood_of_views,
     turn_of_views,
 )
+from smal.camera import Camera
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
 from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
 from smal.settings import SETTINGS
 from smal.stitches import stitched
-from smal.virtual_views import TURNS_DEG, USUAL_FOCAL, Maps, Scene, remapped
+from smal.virtual_views import TURNS_DEG, Maps, Scene, remapped
 from smal.visual_map import VisualMap, unit
 
 Progress = Callable[[int, int], None]
@@ -39,12 +41,14 @@ class _Way(NamedTuple):
     """Where the drives went, one after the other: by the wheels, or by what atoms usually do.
 
     Poses are (f, 3), drives (f,) the number of each frame's; movements (5, 2) what each atom does between two frames.
+    The camera is the one that was told, or that by which turns were measured.
     """
 
     poses: NDArray[np.float64]
     drives: NDArray[np.int32]
     movements: NDArray[np.float64]
     odometry: bool
+    camera: Camera | None
 
 
 def learn(
@@ -84,16 +88,12 @@ def learn(
     def describe(image: Image) -> NDArray[np.float32]:
         return centering.apply(extract(image, features))
 
-    focal = _told_focal(taught)
-    way = _way(taught, images, focal, tick_s, describe)
+    way = _way(taught, images, tick_s, describe)
     frames = TaughtFrames(images, centred, way.poses, way.drives, describe, turns_ahead(way.movements))
-    if focal is None and not way.odometry:
-        focal = USUAL_FOCAL  # by which the turns were measured
-    if focal is None and frames.car:
-        focal = focal_of_curves(frames)
-    length, unrelated = correlation_length(frames, focal or USUAL_FOCAL)
+    camera = way.camera or fit_camera(frames)
+    length, unrelated = correlation_length(frames, camera)
     aside = SETTINGS.aside * length
-    scene = fit_scene(frames, length, focal)
+    scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
     views, basis = _make_views(images, keyframes, scene, aside, describe, progress)
     likelihood = likelihood_of_views(views, way.poses[keyframes], way.drives[keyframes], length)
@@ -111,7 +111,7 @@ def learn(
         movements=way.movements,
         tick_s=tick_s,
         odometry=way.odometry,
-        scene=np.array([scene.focal, scene.height, scene.distance]),
+        scene=np.array([camera.field_deg, scene.height, scene.distance]),
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
     )
@@ -122,7 +122,7 @@ def fit(
     drives: Sequence[tuple[Any, ...]],
     features: FeatureSettings | None = None,
     goals: Sequence[str] | None = None,
-    focal: float | None = None,
+    camera: Camera | None = None,
     tick_s: float = 0.1,
 ) -> Model:
     """Learn from images and what was done at each of them.
@@ -135,8 +135,8 @@ def fit(
     features : FeatureSettings, optional
     goals : sequence of str, optional
         Where each drive leads; all to one goal if not given.
-    focal : float, optional
-        Focal length of the camera over the width of its image; estimated from the images if not given.
+    camera : Camera, optional
+        Estimated from the images if not given.
     tick_s : float
         Time between two images.
 
@@ -147,14 +147,14 @@ def fit(
     >>> atom = robot.step(image)  # doctest: +SKIP
     """
     features = FeatureSettings() if features is None else features
-    return learn(demonstrations_of(drives, features, goals, focal), features, tick_s)
+    return learn(demonstrations_of(drives, features, goals, camera), features, tick_s)
 
 
 def demonstrations_of(
     drives: Sequence[tuple[Any, ...]],
     features: FeatureSettings,
     goals: Sequence[str] | None = None,
-    focal: float | None = None,
+    camera: Camera | None = None,
 ) -> list[Demonstration]:
     """Describe the images of drives; see `fit`."""
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
@@ -164,7 +164,7 @@ def demonstrations_of(
         way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
         made = np.asarray(atoms, dtype=np.int8)
         taught.append(
-            Demonstration(f"drive-{number}", described, made, images=images, odometry=way, goal=goal, focal=focal)
+            Demonstration(f"drive-{number}", described, made, images=images, odometry=way, goal=goal, camera=camera)
         )
     return taught
 
@@ -184,14 +184,8 @@ def _usable(
     return whole
 
 
-def _told_focal(taught: Sequence[Demonstration]) -> float | None:
-    told = [one.focal for one in taught if one.focal is not None]
-    return float(np.median(told)) if told else None
-
-
-def _way(
-    taught: Sequence[Demonstration], images: Sequence[Image], focal: float | None, tick_s: float, describe: Describe
-) -> _Way:
+def _way(taught: Sequence[Demonstration], images: Sequence[Image], tick_s: float, describe: Describe) -> _Way:
+    camera = next((one.camera for one in taught if one.camera is not None), None)
     atoms = [one.atoms for one in taught]
     wheels = [one.odometry for one in taught if one.odometry is not None]
     odometry = len(wheels) == len(taught)
@@ -199,21 +193,25 @@ def _way(
         ways = [np.asarray(one, dtype=np.float64) for one in wheels]
         movements = atom_movements(ways, atoms)
     else:
-        turn_rad = (
-            turn_of_views(images, atoms, focal or USUAL_FOCAL, describe)
-            or math.radians(SETTINGS.usual_turn_deg_s) * tick_s
-        )
+        cameras = USUAL_CAMERAS if camera is None else (camera,)
+        usual = cameras[0], math.radians(SETTINGS.usual_turn_deg_s) * tick_s
+        camera, turn_rad = turn_of_views(images, atoms, cameras, describe) or usual
         ahead = _ahead_in_turns(taught)
         movements = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
         ways = [dead_reckoning(one, movements) for one in atoms]
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
-    return _Way(np.concatenate(ways), drives, movements, odometry)
+    return _Way(np.concatenate(ways), drives, movements, odometry, camera)
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
-    """Return how fast the robot usually goes ahead in turning, as a share of its speed straight on."""
+    """Return how fast the robot usually goes ahead in turning, as a share of its speed straight on.
+
+    What is not told is none, but where nothing else would move the robot.
+    """
     told = [one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)] for one in taught if one.ahead is not None]
-    return float(np.median(np.concatenate(told))) if any(map(len, told)) else 0.0
+    if any(map(len, told)):
+        return float(np.median(np.concatenate(told)))
+    return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
 def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +48,7 @@ class Movement:
 STILL = Movement(0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class MotionNoise:
+class MotionNoise(NamedTuple):
     """How far the robot's movement differs from what it is said to be, standard deviations.
 
     Parameters
@@ -57,23 +56,16 @@ class MotionNoise:
     ahead, turn : float
         Of the way ahead after a correlation length, as a share of it; and of a turn after a radian. Both grow with the
         square root.
-    drift_rad : float
-        Of the heading, for every correlation length of way; it grows with the square root of the way.
-    jitter_rad : float
-        Of the heading at every new view, for what shakes.
+    pace : float
+        Of the logarithm of how much faster the robot is than said, which lasts for `SETTINGS.pace` correlation lengths.
     """
 
     ahead: float
     turn: float
-    drift_rad: float
-    jitter_rad: float
+    pace: float
 
 
-def _noise(ahead: float, turn: float, drift_deg: float, jitter_deg: float) -> MotionNoise:
-    return MotionNoise(ahead, turn, math.radians(drift_deg), math.radians(jitter_deg))
-
-
-BY_ODOMETRY, BY_ATOMS = _noise(*SETTINGS.wheels), _noise(*SETTINGS.atoms)
+BY_ODOMETRY, BY_ATOMS = MotionNoise(*SETTINGS.wheels), MotionNoise(*SETTINGS.atoms)
 
 
 def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:

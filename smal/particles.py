@@ -44,17 +44,25 @@ class Particles:
         self.keyframes, self.poses = keyframes, poses
         self.followed = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
+        #: By how many standard deviations the robot is faster than it is said to be.
+        self.pace = np.zeros(len(poses))
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
         self.shares = FIRST_SHARES
 
     def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> None:
         """Predict: move all by a movement with noise, and find their keyframes."""
-        ahead_noise, turn_noise, drift, jitter = rng.standard_normal((4, len(self.poses)))
-        # A diffusion: errors grow with the square root of the way, whatever the rate of frames and the speed.
-        way = math.sqrt(abs(movement.ahead) / self._map.correlation_length)
-        ahead = movement.ahead + noise.ahead * way * self._map.correlation_length * ahead_noise
-        turn = movement.turn_rad + noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
-        turn += noise.drift_rad * way * drift + noise.jitter_rad * math.sqrt(newness) * jitter
+        ahead_noise, turn_noise, heading_noise, pace_noise = rng.standard_normal((4, len(self.poses)))
+        length = self._map.correlation_length
+        lengths = abs(movement.ahead) / length
+        # Errors of each moment are a diffusion: they grow with the square root of the way, whatever the rate of frames
+        # and the speed. A wheel that is too large, or a driver in haste, stays so for a while.
+        kept = math.exp(-lengths / SETTINGS.pace)
+        self.pace = kept * self.pace + math.sqrt(1.0 - kept**2) * pace_noise
+        ahead = movement.ahead * np.exp(noise.pace * self.pace)
+        ahead += noise.ahead * math.sqrt(lengths) * length * ahead_noise
+        heading = math.hypot(SETTINGS.drift_deg * math.sqrt(lengths), SETTINGS.jitter_deg * math.sqrt(newness))
+        turn = movement.turn_rad + math.radians(heading) * heading_noise
+        turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
         middle = self.poses[:, 2] + turn / 2.0
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
         self.followed += abs(movement.ahead)
@@ -129,6 +137,7 @@ class Particles:
     def keep(self, which: NDArray[np.intp]) -> None:
         """Keep some particles, alike in weight."""
         self.keyframes, self.poses, self.followed = self.keyframes[which], self.poses[which], self.followed[which]
+        self.pace = self.pace[which]
         self.weights = np.full(which.size, 1.0 / which.size)
 
 

@@ -46,9 +46,12 @@ class Settings:
     most_pairs: int = 500
 
     # -- the camera and the scene (`smal.virtual_views`)
-    #: Fields of view that are tried: those of cameras on robots; and the one that is assumed where no drive turns.
+    #: Fields of view that are tried, of rectilinear and of equidistant lenses: those of cameras on robots; and those
+    #: that are assumed where nothing tells how far it sees.
     fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
+    wide_fields_deg: tuple[float, ...] = tuple(range(80, 205, 5))
     usual_field_deg: float = 70.0
+    usual_wide_field_deg: float = 140.0
     #: Heights of the camera that are tried, and distances of the scene over that height.
     heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
     distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
@@ -57,10 +60,16 @@ class Settings:
     #: How fast robots turn, where no drive turns and nothing else tells.
     usual_turn_deg_s: float = 45.0
 
-    # -- the wheels (`smal.movement.MotionNoise`): of the way, of a turn, degrees of heading a correlation length and at
-    # every new view, for what shakes. Wheels slip a little; of atoms only the usual movement is known.
-    wheels: tuple[float, float, float, float] = (0.05, 0.03, 1.5, 0.3)
-    atoms: tuple[float, float, float, float] = (0.1, 0.1, 5.0, 0.3)
+    # -- the wheels (`smal.movement.MotionNoise`)
+    #: Of the way, of a turn, and of the pace. Wheels slip a little, and those of two robots disagree by a twentieth. Of
+    #: atoms only the usual movement is known: people drive half as fast, or half as fast again.
+    wheels: tuple[float, float, float] = (0.05, 0.03, 0.05)
+    atoms: tuple[float, float, float] = (0.1, 0.1, 0.5)
+    #: Way over which a pace lasts.
+    pace: float = 10.0
+    #: Degrees of heading a correlation length, and at every new view: carpets, kerbs, and cameras that shake.
+    drift_deg: float = 1.5
+    jitter_deg: float = 1.0
 
     # -- the filter
     #: Probability, with each new view, that the wheels do not tell where the robot is: it was carried, or follows a

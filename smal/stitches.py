@@ -195,7 +195,9 @@ def _off(visual_map: VisualMap, one: _Stitch, other: _Stitch) -> tuple[float, fl
         turns += float(np.abs(wrapped(np.diff(steps[:, 2]))).sum())
     # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
     heading = math.sqrt(
-        noise.drift_rad**2 * way / length + (noise.turn * turns) ** 2 + math.radians(TURNS_DEG[1] - TURNS_DEG[0]) ** 2
+        math.radians(SETTINGS.drift_deg) ** 2 * way / length
+        + (noise.turn * turns) ** 2
+        + math.radians(TURNS_DEG[1] - TURNS_DEG[0]) ** 2
     )
-    distance = math.hypot(noise.ahead * way, heading * float(np.hypot(*by_one[:2])), length)
+    distance = math.hypot(noise.pace * way, heading * float(np.hypot(*by_one[:2])), length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)

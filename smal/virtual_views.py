@@ -1,10 +1,10 @@
 """Views from where nobody drove: a taught image as a camera a little aside, or turned, would have seen it.
 
 One drive shows every place from one pose. A robot that drifts sees it from others, and the paper needs a demonstration
-for each. We warp the taught image instead. A pure turn is a homography, exact whatever the scene is. For a step aside
+for each. We warp the taught image instead. A pure turn is exact whatever the scene is. For a step aside
 or ahead we need distances, and take the simplest scene that has any: flat ground under the camera, and everything above
-it at one distance. Focal length, height of the camera and that distance are those by which views that were taught
-predict other views of the same drive best (`smal.calibration.fit_scene`), so nobody has to measure them.
+it at one distance. The camera, its height and that distance are those by which views that were taught predict other
+views of the same drive best (`smal.calibration`), so nobody has to measure them.
 """
 
 import math
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import Camera
 from smal.demonstration import Image
 from smal.settings import SETTINGS
 
@@ -22,30 +23,20 @@ TURNS_DEG = np.array(SETTINGS.turns_deg)
 Maps = tuple[NDArray[Any], NDArray[Any]]
 
 
-def focal_of(field_deg: float) -> float:
-    """Return the focal length over the image's width of a field of view in degrees."""
-    return 0.5 / math.tan(math.radians(field_deg) / 2.0)
-
-
-#: Focal length that is assumed where no drive turns.
-USUAL_FOCAL = focal_of(SETTINGS.usual_field_deg)
-
-
 @dataclass(frozen=True)
 class Scene:
-    """A pinhole camera over flat ground, before a wall all round.
+    """A camera over flat ground, before a wall all round.
 
     Parameters
     ----------
-    focal : float
-        Focal length over the image's width, above 0; the optical axis meets the image in its middle, and is level.
+    camera : Camera
     height : float
         Of the camera above the ground, above 0.
     distance : float
         Of everything above the ground, above 0; in the same unit as the height.
     """
 
-    focal: float
+    camera: Camera
     height: float
     distance: float
 
@@ -72,20 +63,27 @@ class Scene:
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
         rows, columns = shape
-        focal = self.focal * columns
-        middle_u, middle_v = (columns - 1) / 2.0, (rows - 1) / 2.0
-        v, u = np.mgrid[0:rows, 0:columns].astype(np.float32)
+        focal = self.camera.focal * columns
+        middle_u, middle_v = (
+            middle + columns * off
+            for middle, off in zip(((columns - 1) / 2.0, (rows - 1) / 2.0), self.camera.centre, strict=True)
+        )
+        v, u = np.mgrid[0:rows, 0:columns]
         across, down = (u - middle_u) / focal, (v - middle_v) / focal
-        # The ray of each pixel, in axes of the camera that took the image: right, down, ahead.
-        right = math.cos(turn_rad) * across - math.sin(turn_rad)
-        deep = math.sin(turn_rad) * across + math.cos(turn_rad)
+        out = np.maximum(np.hypot(across, down), 1e-9)
+        angle = self.camera.angle(out)
+        # The ray of each pixel, of length 1, in axes of the camera that took the image: right, down, ahead.
+        x, y, z = np.sin(angle) * across / out, np.sin(angle) * down / out, np.cos(angle)
+        right = math.cos(turn_rad) * x - math.sin(turn_rad) * z
+        deep = math.sin(turn_rad) * x + math.cos(turn_rad) * z
         # How far along the ray the ground or the wall is, whichever comes first.
-        reach = 1.0 / np.maximum(down / self.height, np.hypot(right, deep) / self.distance)
-        # A point behind the image has no pixel; far outside it, the border is repeated.
-        z = np.maximum(reach * deep + ahead, 1e-3 * self.height)
-        x, y = reach * right - left, reach * down
+        reach = 1.0 / np.maximum(y / self.height, np.hypot(right, deep) / self.distance)
+        x, y, z = reach * right - left, reach * y, reach * deep + ahead
+        off = np.maximum(np.hypot(x, y), 1e-9)
+        # Far outside of the image its border is repeated.
+        radius = np.minimum(self.camera.radius(np.arctan2(off, z)), 100.0) * focal / off
         return cv2.convertMaps(
-            (focal * x / z + middle_u).astype(np.float32), (focal * y / z + middle_v).astype(np.float32), cv2.CV_16SC2
+            (radius * x + middle_u).astype(np.float32), (radius * y + middle_v).astype(np.float32), cv2.CV_16SC2
         )
 
 

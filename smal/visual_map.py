@@ -58,7 +58,7 @@ class VisualMap:
     odometry : bool
         Whether poses are of odometry, or the usual movements of atoms added up.
     scene : float64 array (3,)
-        `smal.virtual_views.Scene`, for people.
+        Field of view in degrees, height of the camera and distance of what it sees, for people.
     goals : tuple of str
         Where each drive leads.
     names : tuple of tuples of str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 import sys
@@ -77,7 +76,7 @@ def import_recordings(
             format=form, path=str(path), folder=str(folder), robot=robot, goal=goal,
             success=None if failed is None else not failed, reckon=not no_odometry,
             from_s=from_s, **{} if to_s is None else {"to_s": to_s},
-            focal=None if field_of_view is None else 0.5 / math.tan(math.radians(field_of_view) / 2.0),
+            field_of_view_deg=field_of_view,
             quantile=quantile, still=still, turning=turning, camera=camera, velocity=velocity, rate_hz=rate,
             speed=speed, turn_rate=turn_rate, episodes=tuple(episode or ()),
         )  # fmt: skip

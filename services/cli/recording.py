@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -148,7 +147,7 @@ def _lines(contents: Contents) -> Iterator[str]:
 
 
 def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
-    said, focal = episode.said, episode.focal_px
+    said = episode.said
     yield "episode", f"{episode.episode} of {episode.robot}"
     if said:
         judge = f" (says the {episode.judge})" if episode.judge else ""
@@ -159,8 +158,7 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
     way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
     yield "length", f"{episode.seconds:.1f} s, {episode.frames} frames{way}"
     if episode.width is not None:
-        degrees = None if focal is None else math.degrees(2 * math.atan(0.5 * episode.width / focal))
-        view = "" if degrees is None else f", {degrees:.0f} degrees across"
+        view = "" if episode.field_of_view_deg is None else f", {episode.field_of_view_deg:.0f} degrees across"
         yield "camera", f"{episode.width}x{episode.height}{view}"
     if episode.modalities:
         yield "features", " ".join(episode.modalities)

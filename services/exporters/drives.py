@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from schemas.topics import IMU
 from services.importers.drive import Tally
 from services.importers.job import Format
 from services.importers.ticks import TICK_S
+from services.kit.cameras import camera_of
 from services.kit.errors import JobError
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import stamped_jpeg
@@ -165,7 +165,7 @@ def say_view(drives: Iterable[Drive], tally: Tally) -> None:
     """Say how the cameras see, for a format that has no place for it."""
     for camera in (drive.episode.camera for drive in drives):
         if camera is not None:
-            angle = math.degrees(2.0 * math.atan(0.5 * camera.width / camera.focal_px))
+            angle = camera_of(camera).field_deg
             tally.say(f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}")
 
 

@@ -28,6 +28,8 @@ _ODOM, _BASE, _CAMERA = "odom", "base_link", "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000
 #: From a robot's axes (ahead, left, up) to a camera's (right, down, ahead).
 _OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+#: Of each lens, as ROS has it.
+_COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
 Fields = dict[str, Any]
 
 
@@ -98,9 +100,11 @@ def _moved(moment: Moment) -> Iterator[tuple[str, str, int, Fields]]:
 
 def _sees(camera: CameraInfo) -> Fields:
     focal, x, y = camera.focal_px, camera.centre_x_px, camera.centre_y_px
+    distortion = np.zeros(_COEFFICIENTS[camera.lens])
+    distortion[: len(camera.distortion)] = camera.distortion
     matrix = np.array([[focal, 0.0, x, 0.0], [0.0, focal, y, 0.0], [0.0, 0.0, 1.0, 0.0]])
     return {
-        "height": camera.height, "width": camera.width, "distortion_model": "plumb_bob", "d": np.zeros(5),
+        "height": camera.height, "width": camera.width, "distortion_model": camera.lens, "d": distortion,
         "k": matrix[:, :3].ravel(), "r": np.eye(3).ravel(), "p": matrix.ravel(),
     }  # fmt: skip
 

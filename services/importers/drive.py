@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.codec import printable
 from services.kit.errors import JobError
+from smal.camera import Camera
 
 Array = NDArray[np.float64]
 #: Most samples of a drive, or rows of a file: 28 hours at 100 Hz. They are kept in memory, 100 bytes or so each.
@@ -19,8 +20,6 @@ MOST_SAMPLES: Final = 10_000_000
 #: No wheeled robot is faster.
 FASTEST_M_S: Final = 50.0
 FASTEST_RAD_S: Final = 100.0
-#: Focal lengths over the width of the image, of fields of view from 170 to 5 degrees.
-LEAST_FOCAL, MOST_FOCAL = 0.04, 12.0
 #: A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
 LATEST_S: Final = 9e9
 #: Round the earth, whose grids some odometry begins in; and a turn every second for a year.
@@ -54,7 +53,7 @@ class Drive:
     #: (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None where the source does not say.
-    focal: float | None = None  # Focal length of the camera over the width of its image, where the source says it.
+    camera: Camera | None = None  # How it sees, where the source says it.
     metric: bool = True  # Whether velocities are metres and radians a second, so that a way can be reckoned from them.
 
     @classmethod

@@ -10,7 +10,6 @@ from pydantic import Field
 
 from schemas.base import RobotId, Strict
 from schemas.episode import GoalName
-from services.importers.drive import LEAST_FOCAL, MOST_FOCAL
 from services.importers.ticks import QUANTILE, STILL, TURNING
 from services.kit.errors import UsageError
 
@@ -27,7 +26,7 @@ class Job(Strict):
 
     Recordings of a robot on its way to a goal are written into a folder. Names of cameras, velocities and episodes are
     the source's own; speed and turn rate are what the number 1 of the source stands for, in metres and radians a
-    second; success and focal length go before what the source says.
+    second; success and field of view go before what the source says.
     """
 
     format: Format
@@ -39,7 +38,7 @@ class Job(Strict):
     reckon: bool = True
     from_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
     to_s: Annotated[float, Field(gt=0.0, le=1e9)] = 1e9
-    focal: Annotated[float, Field(ge=LEAST_FOCAL, le=MOST_FOCAL)] | None = None
+    field_of_view_deg: Annotated[float, Field(ge=5.0, le=170.0)] | None = None
     quantile: _Fraction = QUANTILE
     still: _Fraction = STILL
     turning: _Fraction = TURNING

@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from schemas.base import ATOMS, Message
-from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
@@ -21,8 +20,10 @@ from schemas.odometry import Odometry
 from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
 from services.importers.job import Job
 from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, atoms_of, odometry, ticks
+from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter
+from smal.camera import Camera
 from smal.movement import wrapped
 
 #: Of poses: a micrometre and a microradian.
@@ -67,6 +68,7 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     cause = header(begin[0][0])
     started = Episode.after(cause, event="started", **told)
     writer = EpisodeWriter.begin(Path(job.folder), started)
+    camera = drive.camera if job.field_of_view_deg is None else Camera.of_field(job.field_of_view_deg)
     made: Counter[str] = Counter()
     try:
         writer.write(started)
@@ -74,10 +76,8 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
             cause, atom = header(row), ATOMS[atoms[row]]
             width, height = jpeg_size(jpeg) or (0, 0)
             writer.write(CompressedImage.after(cause, width=width, height=height, data=jpeg))
-            focal = job.focal or drive.focal
-            if focal is not None and not made:
-                sees = {"focal_px": focal * width, "centre_x_px": width / 2, "centre_y_px": height / 2}
-                writer.write(CameraInfo.after(cause, width=width, height=height, **sees))
+            if camera is not None and not made:
+                writer.write(camera_info(cause, camera, width, height))
             if poses is not None and not np.isnan(poses[row, 0]):
                 where = dict(zip(_POSE, poses[row].round(_DIGITS).tolist(), strict=True))
                 writer.write(Odometry.after(cause, **where))

@@ -17,8 +17,6 @@ import numpy as np
 from schemas.codec import printable
 from services.importers.bag_files import Received, received
 from services.importers.drive import (
-    LEAST_FOCAL,
-    MOST_FOCAL,
     MOST_SAMPLES,
     Drive,
     Image,
@@ -29,7 +27,9 @@ from services.importers.drive import (
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import Job
+from services.kit.cameras import camera_of_ros
 from services.kit.raw_image import ENCODINGS, rgb_of
+from smal.camera import Camera
 
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
@@ -61,7 +61,7 @@ class _Found:
     images: dict[str, list[float]] = field(default_factory=dict)
     velocities: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
     tracks: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
-    focal: dict[str, float] = field(default_factory=dict)
+    cameras: dict[str, Camera] = field(default_factory=dict)
     topics: set[str] = field(default_factory=set)
 
     def take(self, message: Received) -> None:
@@ -80,12 +80,8 @@ class _Found:
             place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
             yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
             _keep(self.tracks, topic, (time_s, place.x, place.y, yaw))
-        elif kind == INFO and topic not in self.focal:
-            info = _decoded(message)
-            focal = float(info.k[0]) / max(info.width, 1)
-            if not LEAST_FOCAL <= focal <= MOST_FOCAL:
-                raise ValueError("no camera sees so")
-            self.focal[topic] = focal
+        elif kind == INFO and topic not in self.cameras:
+            self.cameras[topic] = camera_of_ros(_decoded(message))
 
     def _velocity(self, message: Received, twist: Any) -> None:  # noqa: ANN401 - as above
         _keep(self.velocities, message.topic, (message.time_s, float(twist.linear.x), float(twist.angular.z)))
@@ -117,11 +113,11 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
     rows = np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0)
     # The camera beside the images: /camera/camera_info of /camera/image.
-    beside = [topic for topic in found.focal if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
-    focal = found.focal[beside[0]] if len(beside) == 1 else None
+    beside = [topic for topic in found.cameras if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
+    camera = found.cameras[beside[0]] if len(beside) == 1 else None
     way = found.tracks[tracks[0]] if len(tracks) == 1 else []
     times_s, images = np.array(found.images[image]), partial(_images, inside, image)
-    return [Drive.of_rows(inside.path.stem, times_s, images, rows, way, tally, focal=focal)]
+    return [Drive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)]
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:

@@ -19,6 +19,7 @@ from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.topics import JPEG, TOPICS, Topic
+from services.kit.cameras import camera_of
 from services.recordings.ledger import Ledger
 from services.recordings.records import MemoryLimitError
 from services.recordings.sink import PARTIAL_SUFFIX
@@ -70,7 +71,7 @@ class EpisodeContents:
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
     width: int | None = None
     height: int | None = None
-    focal_px: float | None = None
+    field_of_view_deg: float | None = None
     modalities: tuple[str, ...] = ()
     odometry_m: float | None = None
     """Way by the wheels."""
@@ -215,7 +216,7 @@ class _Reading:
             case CompressedImage() if episode.width is None:
                 episode.width, episode.height = message.width, message.height
             case CameraInfo():
-                episode.width, episode.height, episode.focal_px = message.width, message.height, message.focal_px
+                episode.field_of_view_deg = camera_of(message).field_deg
             case Observation():
                 episode.modalities = message.modalities
             case Odometry():

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
+from services.kit.cameras import camera_of
 from services.kit.errors import UsageError
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import decode_image, stamped_jpeg
@@ -199,7 +200,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         odometry=piece.odometry,
         episode=episode.episode,
         goal=episode.goal,
-        focal=episode.focal,
+        camera=None if episode.camera is None else camera_of(episode.camera),
         ahead=piece.ahead,
     )
 

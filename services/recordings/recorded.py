@@ -67,11 +67,6 @@ class RecordedEpisode:
     """True poses, for plots; learning must not use them."""
 
     @property
-    def focal(self) -> float | None:
-        """Focal length of the camera over the width of its image; None if it was not recorded."""
-        return None if self.camera is None else self.camera.focal_px / self.camera.width
-
-    @property
     def frames(self) -> int:
         """How many frames were recorded."""
         return len(self.features.keys() | self.images.keys())

@@ -146,6 +146,8 @@ class Views:
         focal, x, y, stamp = info.focal_px, info.centre_x_px, info.centre_y_px, timestamp(info.stamp_ns)
         calibration = CameraCalibration(timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height)
         calibration.K.extend([focal, 0, x, 0, focal, y, 0, 0, 1])
+        calibration.distortion_model = info.lens
+        calibration.D.extend(info.distortion)
         calibration.R.extend([1, 0, 0, 0, 1, 0, 0, 0, 1])
         calibration.P.extend([focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0])
         yield View("calibration", calibration)

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
+from smal.camera import Camera
 
 
 class OdometryReading(NamedTuple):
@@ -103,8 +104,8 @@ class Body(Stops, Protocol[V_co]):
         """Nominal speed of ``forward`` and ``backward``, greater than 0."""
 
     @property
-    def focal_px(self) -> float | None:
-        """Focal length of the camera in pixels, if it is known."""
+    def camera(self) -> Camera | None:
+        """How the camera sees, if it is known."""
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""

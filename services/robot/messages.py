@@ -6,22 +6,12 @@ from collections.abc import Iterable
 from typing import Final
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
-from schemas.compressed_image import CompressedImage
 from schemas.imu import Imu, ImuSample
 from schemas.odometry import Odometry
 from services.robot.body import ImuReading, OdometryReading, Triple
 
 # Digits after the point: a micrometre and a microradian, far below every noise, and a third of the bytes in recordings.
 _DIGITS: Final = 6
-
-
-def camera_info(image: CompressedImage, focal_px: float) -> CameraInfo:
-    """Make the message of how the camera of an image sees."""
-    width, height = image.width, image.height
-    return CameraInfo.after(
-        image, width=width, height=height, focal_px=focal_px, centre_x_px=width / 2, centre_y_px=height / 2
-    )
 
 
 def rounded(reading: OdometryReading) -> OdometryReading:

@@ -18,6 +18,7 @@ from schemas.episode import EventName, Judge, Outcome
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
+from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError
 from services.robot.body import Body, View
@@ -26,7 +27,7 @@ from services.robot.clock import now_s
 from services.robot.episode import Episode
 from services.robot.gate import Applied, CommandGate
 from services.robot.loop import check_stopping
-from services.robot.messages import camera_info, imu_message, odometry_message
+from services.robot.messages import imu_message, odometry_message
 from services.robot.pace import Pace, Paces, RealTime, Running
 from services.robot.task import Task
 
@@ -261,8 +262,8 @@ class EpisodeRunner(Generic[V]):
         image = CompressedImage.after(header, width=width, height=height, data=view.jpeg)
         run.frame = (*view.more(header), image)
         run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {tick: self._clock()}
-        if tick == 0 and self.body.focal_px is not None:
-            yield camera_info(image, self.body.focal_px)
+        if tick == 0 and self.body.camera is not None:
+            yield camera_info(image, self.body.camera, width, height)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
         if view.imu is not None:

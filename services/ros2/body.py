@@ -18,6 +18,7 @@ from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, picture
 from services.ros2.wheels import Wheels, reading
+from smal.camera import Camera
 
 #: Readings of the inertial unit that lie nearer together are the same one; its messages have microseconds.
 _SAME_S: Final = 2e-6
@@ -78,9 +79,9 @@ class Ros2Body:
         self._asked: Atom = "stop"
 
     @property
-    def focal_px(self) -> float | None:
-        """As the camera has told it, for the last frame's size."""
-        return self._senses.focal_px(self._width)
+    def camera(self) -> Camera | None:
+        """As the camera has told it."""
+        return self._senses.camera
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement; stand where somebody who must be heard is silent. ServiceError if it is forbidden."""

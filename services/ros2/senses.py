@@ -16,6 +16,7 @@ import numpy as np
 from schemas.base import ATOMS, Atom
 from schemas.compressed_image import CompressedImage
 from schemas.imu import MAX_SAMPLES
+from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.raw_image import LARGEST_BYTES, rgb_of
 from services.kit.throttle import Throttle
@@ -27,6 +28,7 @@ from services.ros2.config import Ros2Config, Scan
 from services.ros2.messages import MessageError, Messages, RosMessage
 from services.ros2.scanner import ways
 from services.ros2.wheels import Track, Wheels
+from smal.camera import Camera
 
 #: Wheels that were read within this time of a frame are looked through for those of its moment.
 _KEPT: Final = 100
@@ -91,7 +93,7 @@ class Senses:
         self._heard_s: dict[str, float] = {}
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
-        self._focal: tuple[float, int] | None = None
+        self.camera: Camera | None = None
         self._forbidden: dict[str, tuple[Ban, ...]] = {}
         self._unseen: dict[Atom, str] = {}
         self._complaints = Throttle()
@@ -164,10 +166,10 @@ class Senses:
         self.frame = Frame(message, made_s - self._config.camera.latency_s)
 
     def _calibrate(self, message: RosMessage, _at_s: float) -> None:
-        focal_px, width = float(message.k[0]), int(message.width)
-        if not (math.isfinite(focal_px) and focal_px > 0 and width > 0):
-            raise MessageError("no focal length in it; the camera is not calibrated")
-        self._focal = focal_px, width
+        try:
+            self.camera = camera_of_ros(message)
+        except ValueError as error:
+            raise MessageError(str(error)) from None
 
     def _roll(self, message: RosMessage, made_s: float) -> None:
         pose = message.pose.pose
@@ -237,13 +239,6 @@ class Senses:
             if must and heard.clock is not None and not heard.clock.known:
                 return f"how the clock of {topic} stands is learned; that takes {LEARN_S:g} s"
         return None
-
-    def focal_px(self, width: int) -> float | None:
-        """Return the focal length in an image of so many columns, if the camera has told one that can be."""
-        if self._focal is None:
-            return None
-        focal_px = self._focal[0] * width / self._focal[1]
-        return focal_px if _LEAST_FOCAL_PX <= focal_px <= _MOST_FOCAL_PX else None
 
     def wheels_at(self, at_s: float) -> Wheels | None:
         """Return what the wheels said nearest to a moment."""

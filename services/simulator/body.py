@@ -13,10 +13,11 @@ from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
-from services.simulator.sensors.camera import SimulatedView
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.worlds import Worlds
+from smal.camera import Camera
 
 #: Silence after which the simulated base stands by itself, as those of real robots do.
 WATCHDOG_S: Final = 0.2
@@ -57,7 +58,7 @@ class SimulatedBody:
     def _enter(self, simulation: Simulation) -> None:
         """Be in its world from now on."""
         self.simulation, self.name = simulation, simulation.name
-        self.speed_m_s, self.focal_px = simulation.speed_m_s, simulation.focal_px
+        self.speed_m_s, self.camera = simulation.speed_m_s, Camera.of_field(FIELD_OF_VIEW_DEG)
         self.braking_s = simulation.braking_s
 
     def begin(self, request: ResetRequest) -> Beginning:

@@ -52,7 +52,6 @@ class Simulation:
             camera = SceneCamera(world, camera)
         self.world, self.name = world, world.name
         self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
-        self.focal_px = camera.focal_px
         self._seen = world, camera, variation
         self._base = base or KinematicBase(world.place)
         self.braking_s = self._base.braking_s

@@ -241,7 +241,7 @@ def see(options: SimpleNamespace, ros: Ros) -> None:
             show(header=header, format="rgb8; jpeg compressed bgr8", data=jpeg.ravel())
         truth["frames"] += 1
         if number % options.rate == 0:
-            tell(header=header, **size, k=[focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0])
+            tell(header=header, **size, d=[], k=[focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0])
 
 
 def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:

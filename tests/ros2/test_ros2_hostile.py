@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from schemas.base import ATOMS, Message
 from schemas.codec import encode
 from schemas.compressed_image import CompressedImage
+from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError
-from services.robot.messages import camera_info, imu_message, odometry_message
+from services.robot.messages import imu_message, odometry_message
 from services.ros2 import messages
 from tests.ros2.rig import ROS, Rig, header
 
@@ -85,8 +86,8 @@ def test_whatever_it_says_there_is_a_frame_that_can_be_sent_and_a_command_that_i
         assert view.captured_s <= rig.clock.now_s
         width, height = jpeg_size(view.jpeg) or (0, 0)
         image = CompressedImage.after(HEADER, width=width, height=height, data=view.jpeg)
-        if rig.body.focal_px is not None:
-            encode(camera_info(image, rig.body.focal_px))
+        if rig.body.camera is not None:
+            encode(camera_info(image, rig.body.camera, image.width, image.height))
         assert view.odometry is not None
         assert view.imu is not None
         encode(odometry_message(HEADER, view.odometry))

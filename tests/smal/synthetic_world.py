@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import Camera
 from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
@@ -34,7 +35,8 @@ WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))
 START = (2.5, 4.0, 0.0)
 
 #: What a fit should find, but for the distance, which no room has one of.
-SCENE = Scene(0.5 / math.tan(math.radians(FIELD_DEG) / 2.0), CAMERA_HEIGHT, 6.0)
+CAMERA = Camera.of_field(FIELD_DEG)
+SCENE = Scene(CAMERA, CAMERA_HEIGHT, 6.0)
 
 Image = NDArray[np.uint8]
 Pose = NDArray[np.float64]
@@ -74,14 +76,19 @@ class Room:
     def _walls(self) -> Image:
         return paint(np.random.default_rng([self.seed, 1]), 256, 2048, 64)
 
-    def look(self, pose: Sequence[float] | Pose, rows: int = ROWS, columns: int = COLUMNS) -> Image:
+    def look(
+        self, pose: Sequence[float] | Pose, rows: int = ROWS, columns: int = COLUMNS, camera: Camera = CAMERA
+    ) -> Image:
         """Render what a camera at x, y, heading sees: 20 texels a metre on the floor, 40 on the walls."""
         x, y, heading = pose
-        focal = 0.5 * columns / math.tan(math.radians(FIELD_DEG) / 2.0)
+        focal = camera.focal * columns
         v, u = np.mgrid[0:rows, 0:columns]
         down, right = (v - (rows - 1) / 2.0) / focal, (u - (columns - 1) / 2.0) / focal
-        ray_x = math.cos(heading) + math.sin(heading) * right
-        ray_y = math.sin(heading) - math.cos(heading) * right
+        out = np.hypot(right, down)
+        angle = camera.angle(out)
+        down, right, ahead = np.sin(angle) * down / out, np.sin(angle) * right / out, np.cos(angle)
+        ray_x = math.cos(heading) * ahead + math.sin(heading) * right
+        ray_y = math.sin(heading) * ahead - math.cos(heading) * right
         with np.errstate(divide="ignore"):
             to_floor = np.where(down > 0.0, CAMERA_HEIGHT / down, np.inf)
             to_x = (self.half - np.sign(ray_x) * (x - 6.0)) / np.abs(ray_x)
@@ -145,7 +152,7 @@ def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], 
     """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
     pose, movement = np.array(start), STILL
     for _ in range(frames):
-        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement)).atom
+        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).atom
         if planner.done:
             break
         turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)

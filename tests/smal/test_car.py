@@ -83,6 +83,10 @@ def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -
     assert Counter(made)[Atom.LEFT] > 0.9 * len(made)
 
 
-def test_who_only_turned_on_the_spot_is_refused() -> None:
+def test_who_turned_all_the_time_went_ahead_in_it_unless_the_wheels_say_that_they_did_not() -> None:
+    found, _ = taught(ROOM, lap(), odometry=False, scene=SCENE)
+    assert found.movements[Atom.LEFT, 0] == 1.0
+    one = lap()
+    spinning = Drive(one.poses * (0.0, 0.0, 1.0), one.atoms)
     with pytest.raises(ValueError, match="does not move"):
-        taught(ROOM, lap(), odometry=False, scene=SCENE)
+        taught(ROOM, spinning, scene=SCENE)

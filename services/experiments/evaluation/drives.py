@@ -17,10 +17,11 @@ from services.kit.jpeg import decode_jpeg
 from services.recordings.dataset import RecordedImages
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
-from services.simulator.sensors.camera import SimulatedView
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route
+from smal.camera import Camera
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
 from smal.files.container import replacing
@@ -77,12 +78,10 @@ def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via
         if atom is None:
             raise ValueError(f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim")
         pose = view.pose.x, view.pose.y, view.pose.heading
-        focal = simulation.focal_px / view.image.shape[1]
-        rows.append((extract(view.image, features), atom, rounded(view.odometry)[:3], pose, view.jpeg, focal))
-    described, atoms, odometry, poses, jpegs, focals = zip(*rows, strict=True)
+        rows.append((extract(view.image, features), atom, rounded(view.odometry)[:3], pose, view.jpeg))
+    described, atoms, odometry, poses, jpegs = zip(*rows, strict=True)
     return {
         "seed": np.array(seed),
-        "focal": np.array(focals[0]),
         "features": np.stack(described),
         "atoms": np.array(atoms, dtype=np.int8),
         "odometry": np.array(odometry),
@@ -98,7 +97,12 @@ def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
     images = RecordedImages(jpegs, name, decode_jpeg)
     made = Demonstration(
-        name, held["features"], held["atoms"], images=images, odometry=held["odometry"], focal=float(held["focal"])
+        name,
+        held["features"],
+        held["atoms"],
+        images=images,
+        odometry=held["odometry"],
+        camera=Camera.of_field(FIELD_OF_VIEW_DEG),
     )
     return Drive(made, held["poses"])
 

@@ -68,15 +68,14 @@ def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
 
 def _of_map(model: Model) -> dict[str, str]:
     taught = model.mapped
-    focal, height, _ = taught.scene.tolist()
-    across = math.degrees(2.0 * math.atan(0.5 / focal)) if focal > 0.0 else math.nan
+    across, height, _ = taught.scene.tolist()
     where = f", {height:.2f} m above the ground" if taught.odometry else ""
     return {
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
         "map": f"{len(taught.keyframes)} keyframes of {len(taught.goals)} drives, {taught.basis.shape[1]} components a "
         f"view, {taught.views.nbytes / 1e6:.1f} MB, {len(taught.stitched)} joints; a frame each {taught.tick_s:g} s",
         "odometry": "yes, in metres" if taught.odometry else "none: goes by what atoms usually do",
-        "camera": f"{across:.0f} degrees wide (focal length {focal:.2f} of its width){where}",
+        "camera": f"{across:.0f} degrees wide{where}",
         "drives": f"{len(taught.goals)}, {len(taught.poses)} frames",
     }
 

@@ -89,7 +89,14 @@ def _tick(
     return [
         CompressedImage.after(cause, width=width, height=height, data=data),
         CameraInfo.after(
-            cause, width=width, height=height, focal_px=FOCAL_PX * scale, centre_x_px=width / 2, centre_y_px=height / 2
+            cause,
+            width=width,
+            height=height,
+            focal_px=FOCAL_PX * scale,
+            centre_x_px=width / 2,
+            centre_y_px=height / 2,
+            lens="equidistant",
+            distortion=(0.01, -0.02, 0.0, 0.0),
         ),
         Odometry.after(cause, x_m=x, y_m=y, heading_rad=heading, speed_m_s=1.5, turn_rate_rad_s=0.25),
         Imu.after(cause, samples=tuple(samples)),

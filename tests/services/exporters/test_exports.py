@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from schemas.base import DIRECTIONS
 from services.exporters.drives import FORMATS, Nominal, read, write
 from services.importers.drive import Tally
+from services.kit.cameras import camera_of
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.recorded import RecordedEpisode
 from tests import corridor
 from tests.services.exporters.recorded_drive import (
-    FOCAL_PX,
     MADE,
     SPEED,
     START_NS,
@@ -87,7 +87,9 @@ def test_what_is_imported_again_is_the_same_drive(form: str, tmp_path: Path) -> 
     assert len(back.odometry) == len(back.images)
     check_way(back, without={9, 12} if form == "folder" else ())
     assert back.outcome == "found"
-    assert back.focal == (pytest.approx(FOCAL_PX / 64) if form == "rosbag2" else None)
+    assert was.camera is not None
+    kept = camera_of(was.camera) if form == "rosbag2" else None
+    assert (back.camera and camera_of(back.camera)) == kept
 
 
 def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) -> None:
@@ -99,7 +101,7 @@ def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) ->
     ]
     _, tally = exported(files, "lerobot", tmp_path / "set")
     assert "1 gaps are the end of an episode and the beginning of another" in tally.lines()
-    assert "the camera's field of view has no place in it; import it with --field-of-view 71.08" in tally.lines()
+    assert "the camera's field of view has no place in it; import it with --field-of-view 81.86" in tally.lines()
     back = brought_back(tmp_path / "set", "lerobot", tmp_path / "back")
     assert [episode.outcome for episode in back] == ["found", "aborted", "aborted", "found"]
     assert [len(episode.images) for episode in back] == [FRAMES, FRAMES, 10, FRAMES - 11]

@@ -80,7 +80,8 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
     episode = episode_of(report)
     check_drive(episode, blurred=3)
     assert (episode.outcome, episode.goal, episode.purpose, episode.robot) == ("found", "victim", "drive", "burger")
-    assert episode.focal == pytest.approx(45.0 / 64.0)
+    assert episode.camera is not None
+    assert (episode.camera.focal_px, episode.camera.lens) == (pytest.approx(45.0), "plumb_bob")
     assert report.odometry == "of the source"
     assert "images are those of /camera/image, velocities those of /cmd_vel" in tally.lines()
 

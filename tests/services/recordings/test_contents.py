@@ -42,7 +42,7 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     assert one.drove == {"teleop": 30}
     assert (one.frames, one.seconds) == (30, pytest.approx(2.914))
     assert (one.width, one.height) == (64, 48)
-    assert one.focal_px == pytest.approx(44.8)
+    assert one.field_of_view_deg == pytest.approx(71.08, abs=0.01)
     assert one.odometry_m == pytest.approx(4.1, abs=0.2)
     counts = {name: topic.messages for name, topic in one.topics.items()}
     assert counts == Counter(

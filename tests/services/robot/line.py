@@ -16,6 +16,7 @@ from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
 from services.robot.body import Beginning, ImuReading, OdometryReading
+from smal.camera import Camera
 
 SPEED_M_S = 2.0
 
@@ -59,7 +60,7 @@ class LineBody:
 
     name = "line"
     speed_m_s = SPEED_M_S
-    focal_px: float | None = 20.0
+    camera: Camera | None = Camera(0.6)
     watchdog_s = 0.2
     braking_s = 0.0
 

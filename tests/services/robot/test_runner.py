@@ -57,7 +57,7 @@ def test_ten_frames_a_second_whether_commanded_or_not() -> None:
 
 def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:
     body = LineBody(Clock())
-    body.senses, body.focal_px = False, None
+    body.senses, body.camera = False, None
     _, first = begin(body, mode="realtime")
     assert [type(m) for m in first] == [Episode, Pose, CompressedImage]
 

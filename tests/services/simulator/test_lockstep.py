@@ -15,6 +15,7 @@ from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
+from services.kit.cameras import camera_of
 from services.robot.clock import TICK_S
 from services.simulator.lockstep import GIVE_UP_S, RESEND_S
 from tests.services.robot.driving import answer, begin, command, events
@@ -29,7 +30,8 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     runner, messages = begin(body)
     assert [type(m) for m in messages] == [Episode, CameraInfo, Odometry, Imu, Pose, CompressedImage]
     (info,) = (m for m in messages if isinstance(m, CameraInfo))
-    assert (info.width, info.height, info.focal_px, info.centre_x_px, info.centre_y_px) == (32, 24, 20.0, 16.0, 12.0)
+    assert (info.width, info.height, info.centre_x_px, info.centre_y_px) == (32, 24, 16.0, 12.0)
+    assert camera_of(info) == LineBody.camera
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)

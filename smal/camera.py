@@ -1,0 +1,93 @@
+"""How a camera sees: the angle from its axis at which it sees what lies so far from the middle of its image.
+
+A wide lens bends what it sees; without knowing how, virtual views of it are wrong. Calibrations name the models of
+OpenCV and ROS. A camera that nobody has calibrated is taken to be rectilinear (what is straight stays straight) or
+equidistant (fisheye), whichever predicts its views better (`smal.calibration.fit_camera`).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
+#: What a rectilinear lens sees is less than a right angle from its axis.
+_MOST_RAD: Final = {"plumb_bob": math.radians(89.0), "rational_polynomial": math.radians(89.0), "equidistant": math.pi}
+#: Of fields of view from 170 to 5 degrees, over the width of the image.
+_LEAST_FOCAL, _MOST_FOCAL = 0.04, 12.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that looks level, and as far to the left as to the right.
+
+    Parameters
+    ----------
+    focal : float
+        Focal length over the image's width, 0.04 to 12. the same across and down.
+    lens : str
+        A model of OpenCV and ROS; "plumb_bob" without distortion is rectilinear.
+    distortion : tuple of float
+        Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are
+        left out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
+    centre : (float, float)
+        Where the axis meets the image, right of and below its middle, over the image's width.
+
+    Raises
+    ------
+    ValueError
+        No camera sees so; the text says what is wrong.
+    """
+
+    focal: float
+    lens: Lens = "plumb_bob"
+    distortion: tuple[float, ...] = ()
+    centre: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not _LEAST_FOCAL <= self.focal <= _MOST_FOCAL:
+            raise ValueError(f"no camera has a focal length of {self.focal:g} times the width of its image")
+        if self.lens not in get_args(Lens):
+            raise ValueError(f"the lens must be one of {', '.join(get_args(Lens))}, got {str(self.lens)[:80]!r}")
+        if not all(map(math.isfinite, (*self.distortion, *self.centre))) or len(self.distortion) > 8:
+            raise ValueError("distortion must be at most 8 finite numbers, and the centre finite")
+
+    @classmethod
+    def of_field(cls, field_deg: float, lens: Lens = "plumb_bob") -> "Camera":
+        """Return the camera without distortion that sees so far from the left to the right, in degrees."""
+        half = math.radians(field_deg) / 2.0
+        return cls(0.5 / (half if lens == "equidistant" else math.tan(half)), lens)
+
+    @property
+    def field_deg(self) -> float:
+        """How far it sees from the left to the right of its image."""
+        return 2.0 * math.degrees(float(self.angle(0.5 / self.focal)))
+
+    def radius(self, angle_rad: NDArray[Any]) -> NDArray[np.float64]:
+        """Return how far from the middle it shows what is at an angle from its axis, in focal lengths."""
+        angles, radii = self._table
+        return np.asarray(np.interp(angle_rad, angles, radii))
+
+    def angle(self, radius: NDArray[Any] | float) -> NDArray[np.float64]:
+        """Return the angle from its axis of what it shows so far from the middle, the opposite of `radius`."""
+        angles, radii = self._table
+        return np.asarray(np.interp(radius, radii, angles))
+
+    @cached_property
+    def _table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Angles, and how far from the middle they are shown: up to where more angle is no longer further out."""
+        angles = np.linspace(0.0, _MOST_RAD[self.lens], 2**14)
+        k = np.zeros(8)
+        k[: len(self.distortion)] = self.distortion
+        if self.lens == "equidistant":
+            radii = angles * np.polynomial.Polynomial([1.0, *k[:4]])(angles**2)
+        else:
+            x = np.tan(angles)
+            above = np.polynomial.Polynomial([1.0, k[0], k[1], k[4]])(x**2)
+            radii = x * above / np.polynomial.Polynomial([1.0, *k[5:]])(x**2)
+        falls = np.flatnonzero(~(np.diff(radii) > 0.0))
+        end = falls[0] + 1 if falls.size else len(angles)
+        return angles[:end], radii[:end]

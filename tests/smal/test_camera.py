@@ -1,0 +1,66 @@
+"""Lenses, against OpenCV's own models of them."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal.camera import Camera, Lens
+
+ANGLES_RAD = np.radians(np.arange(0.5, 50.0, 0.5))
+
+
+def by_opencv(lens: Lens, distortion: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return how far from the middle what is at the angles is shown, in focal lengths."""
+    points = np.stack([np.sin(ANGLES_RAD), np.zeros_like(ANGLES_RAD), np.cos(ANGLES_RAD)], axis=1)[:, None]
+    still = np.zeros(3)
+    if lens == "equidistant":
+        shown, _ = cv2.fisheye.projectPoints(points, still, still, np.eye(3), np.array(distortion))
+    else:
+        shown, _ = cv2.projectPoints(points, still, still, np.eye(3), np.array(distortion))
+    return np.asarray(shown[:, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("lens", "distortion"),
+    [
+        ("plumb_bob", (-0.25, 0.06, 0.0, 0.0, -0.004)),
+        ("rational_polynomial", (0.5, 0.1, 0.0, 0.0, 0.02, 0.8, 0.2, 0.03)),
+        ("equidistant", (-0.03, 0.002, -0.001, 0.0001)),
+    ],
+)
+def test_a_lens_bends_as_opencv_says(lens: Lens, distortion: tuple[float, ...]) -> None:
+    camera, expected = Camera(0.5, lens, distortion), by_opencv(lens, distortion)
+    rising = np.diff(expected, prepend=0.0) > 0.0
+    np.testing.assert_allclose(camera.radius(ANGLES_RAD)[rising], expected[rising], rtol=1e-4)
+    np.testing.assert_allclose(camera.angle(expected[rising]), ANGLES_RAD[rising], rtol=1e-4)
+
+
+def test_what_no_lens_shows_further_out_has_the_last_place_that_it_shows() -> None:
+    """A strong barrel bends back what is far aside, where its calibration says nothing true."""
+    camera = Camera(0.5, "plumb_bob", (-0.5,))
+    radii = camera.radius(np.linspace(0.0, math.pi, 1000))
+    assert (np.diff(radii) >= 0.0).all()
+    assert math.isfinite(float(radii[-1]))
+
+
+@pytest.mark.parametrize("lens", ["plumb_bob", "equidistant"])
+def test_a_camera_of_a_field_of_view_has_it(lens: Lens) -> None:
+    assert Camera.of_field(100.0, lens).field_deg == pytest.approx(100.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"focal": math.nan}, "focal length"),
+        ({"focal": 0.0}, "focal length"),
+        ({"focal": 0.5, "lens": "ftheta"}, "ftheta"),
+        ({"focal": 0.5, "distortion": (math.inf,)}, "distortion"),
+        ({"focal": 0.5, "distortion": (0.0,) * 14}, "distortion"),
+    ],
+)
+def test_what_no_camera_is_is_refused(wrong: dict[str, object], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Camera(**wrong)  # type: ignore[arg-type]
