@@ -13,10 +13,10 @@ import pytest
 
 from services.cli import main as cli
 from services.cli.options import feature_flags
-from services.kit.bus import Bus
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.kit.version import program_version
+from services.kit.zenoh_session import open_client
 from smal.features import FeatureSettings
 from smal.files.stored import FORMAT_VERSION
 from tests import corridor
@@ -113,8 +113,7 @@ def test_no_vulkan_driver(tmp_path: Path) -> None:
 
 @pytest.mark.zenoh
 def test_a_router_that_cannot_be_there(mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    wait = Bus.wait_connected
-    monkeypatch.setattr(Bus, "wait_connected", lambda bus, _patience_s: wait(bus, 0.1))
+    monkeypatch.setattr("services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

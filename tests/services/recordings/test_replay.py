@@ -230,7 +230,7 @@ def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: 
         assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
         with closing(Bus(ROBOT, free_endpoint)) as bus:
             heard = Heard(bus, topics.ACTION)
-            status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 0.5)
+            status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 1)
             assert status == 0, told
             eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
     finally:
