@@ -21,8 +21,9 @@ from smal.place_recognition.matches import Matches, Progress, check_features, ig
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
 _MEAN, _SPREAD, _CORRELATION, _PRIOR_QUERIES = 2.0, 1.5, 1.0 / 3.0, 5
-#: Least spread, and most correlation; the most that one query says (log ratio).
-_LEAST_SPREAD, _MOST_CORRELATION, _MOST_SAID = 0.3, 0.95, 30.0
+#: Least spread, and most correlation (more comes of stretches that are not at the believed place); the most that one
+#: query says (log ratio).
+_LEAST_SPREAD, _MOST_CORRELATION, _MOST_SAID = 0.3, 0.7, 30.0
 _ROUNDS: Final = 6
 #: Ratios are looked up at so many z between two of the `GRID`.
 _FINE: Final = 16
