@@ -11,7 +11,7 @@ from typer import Option
 
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
-from services.experiments.evaluation.plan import PLANS, in_world
+from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_runs
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
 from services.kit.errors import UsageError
@@ -23,6 +23,9 @@ def evaluate(
     world: Annotated[
         str | None,
         Option(help="In this world instead, for example an imported map: SMAL and teach and repeat, one drive."),
+    ] = None,
+    runs: Annotated[
+        int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
     workers: Annotated[int, Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
     report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
@@ -44,6 +47,8 @@ def evaluate(
     if world is not None:
         path = Path(world)
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
+    if runs is not None:
+        plan = with_runs(plan, runs)
     planned = units(plan)
     results = Results(out, planned)
     with interrupted_by_signals():

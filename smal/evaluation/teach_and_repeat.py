@@ -55,12 +55,12 @@ class _Route(NamedTuple):
 class TeachAndRepeat:
     """Repeats the one of some drives, with images and odometry, whose keyframe correlates best with the first image.
 
-    The camera's field of view is horizontal, above 0 and below pi. ValueError when a drive lacks images or odometry, or
-    the drives show no turn or no way ahead.
+    The camera's field of view is horizontal, above 0 and below pi. One that is told begins where a drive began.
+    ValueError when a drive lacks images or odometry, or the drives show no turn or no way ahead.
     """
 
-    def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float) -> None:
-        self._field = field_of_view_rad
+    def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float, *, told: bool = False) -> None:
+        self._field, self._told = field_of_view_rad, told
         taught = [(_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives]
         movements = atom_movements([odometry for _, odometry in taught], [drive.atoms for drive in drives])
         self._turn = abs(float(movements[Atom.LEFT, 1]))
@@ -76,6 +76,11 @@ class TeachAndRepeat:
         self._index = 0
         self._looked_rad, self._looking, self._heading = 0.0, False, math.nan
         self._best: tuple[float, int, int, tuple[float, float, float]] = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
+
+    @property
+    def done(self) -> bool:
+        """Whether it has come to the end of its drive."""
+        return self._route is not None and self._index >= len(self._route.poses)
 
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
         """Take one image, (height, width, 3) RGB, and this episode's odometry (x, y, heading); return what to do."""
@@ -120,14 +125,14 @@ class TeachAndRepeat:
     def _begin(self, seen: NDArray[np.float32], here: NDArray[np.float64]) -> _Route | None:
         """Find where the robot is; None as long as it has to turn left to look round."""
         for number, route in enumerate(self._routes):
-            for key, taught in enumerate(route.images[:-1]):
+            for key, taught in enumerate(route.images[: 1 if self._told else -1]):
                 off, correlation = self._match(seen, taught)
                 place = (float(here[0]), float(here[1]), float(here[2]) + off)
                 self._best = max(self._best, (correlation + FIRST * (key == 0), number, key, place))
         if not math.isnan(self._heading):
             self._looked_rad += math.remainder(float(here[2]) - self._heading, math.tau)
         self._heading = float(here[2])
-        self._looking |= self._best[0] < SURE
+        self._looking |= self._best[0] < SURE and not self._told
         if self._looking and self._looked_rad < math.tau:
             return None
         _, number, self._index, place = self._best

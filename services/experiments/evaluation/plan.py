@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -15,17 +15,19 @@ DEFAULT_LENGTH: Final = LearningSettings().sequence_length
 TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
 #: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
 JUDGED_TICKS: Final = 4
-#: How often the searches of SMAL and of its best peer are done, and errands.
-RUNS: Final = 10
+#: How often the searches of SMAL and of its best peer are done, and errands; and after one drive, by how many drives,
+#: each of which teaches alone.
+RUNS, TAUGHT = 10, 5
 #: Who searches: a name for people, and how each decides. All have the same drives.
 CONTROLLERS: Final = {
     "smal": ("SMAL", "the filter and the planner, at every frame"),
     "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
+    "teach-and-repeat-told": ("teach and repeat, told", "the same, told that it begins where the drive began"),
     "paper": ("the paper's scheme", "a decision every l frames"),
     "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
     "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
 }
-_BEST: Final = ("smal", "teach-and-repeat")
+_BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
 #: Light and season other than those of the drives.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
 #: Frame at which robots are carried away: a good way from the start, and far from the goal.
@@ -64,7 +66,8 @@ class Recognizer:
 class Trial:
     """Searches that differ in their seed alone.
 
-    The length l is for the paper's scheme; at ``kidnap_tick`` the robot is carried to another place (0: never).
+    The length l is for the paper's scheme; at ``kidnap_tick`` the robot is carried to another place (0: never). The
+    runs are shared out among several sets of drives, each of which teaches alone, with a seed of the filter's own.
     """
 
     controller: str
@@ -75,6 +78,7 @@ class Trial:
     variation: str = "day"
     start: Start = "start"
     kidnap_tick: int = 0
+    sets: int = 1
 
     @property
     def title(self) -> str:
@@ -143,19 +147,16 @@ class Plan:
 
 def _usual(runs: int) -> tuple[Trial, ...]:
     """Return the searches of the best two after one drive: from the start, anywhere beside the way, and kidnapped."""
-    return tuple(
-        trial
-        for name in _BEST
-        for trial in (
-            Trial(name, 1, runs), Trial(name, 1, runs, start="anywhere"), Trial(name, 1, runs, kidnap_tick=_KIDNAP)
-        )
-    )  # fmt: skip
+    from_start = [Trial(name, 1, runs, sets=min(runs, TAUGHT)) for name in _BEST]
+    others = [replace(one, start="anywhere") for one in from_start[:2]]
+    return (*from_start, *others, *(replace(one, kidnap_tick=_KIDNAP) for one in from_start[:2]))
 
 
 def _conditions(runs: int) -> tuple[Trial, ...]:
     """Return those, and the same from the start with a poor camera and in other light."""
     spoilt = [{"degradation": "poor"}, *({"variation": name} for name in VARIATIONS)]
-    return (*_usual(runs), *(Trial(name, 1, runs, **one) for name in _BEST for one in spoilt))  # type: ignore[arg-type]
+    usual = _usual(runs)
+    return (*usual, *(replace(trial, **one) for trial in usual[: len(_BEST)] for one in spoilt))  # type: ignore[arg-type]
 
 
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
@@ -164,7 +165,12 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
     The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
     that imitate have `others` runs.
     """
-    each = (Trial(name, drives, runs if name in _BEST else others) for drives in counts for name in CONTROLLERS)
+    each = (
+        Trial(name, drives, runs if name in _BEST else others)
+        for drives in counts
+        for name in CONTROLLERS
+        if drives > 1 or name not in _BEST
+    )
     paper = (Trial("paper", max(counts), others, length, view) for length in lengths for view in ("clean", "poor"))
     return tuple(dict.fromkeys([*each, *_conditions(runs), *paper]))
 
@@ -202,6 +208,15 @@ QUICK: Final = Plan(
     ),
 )  # fmt: skip
 PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
+
+
+def with_runs(plan: Plan, runs: int) -> Plan:
+    """Return a plan with so many searches after one drive in each cell, at least one for each set of drives."""
+    worlds = (
+        replace(world, trials=tuple(replace(one, runs=runs) if one.sets > 1 else one for one in world.trials))
+        for world in plan.worlds
+    )
+    return replace(plan, worlds=tuple(worlds))
 
 
 def in_world(world: str, aside_m: float) -> Plan:

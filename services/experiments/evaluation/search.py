@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ PICTURE_TICKS: Final = 10
 class Driver(Protocol):
     """Who drives: `smal.Robot`, the paper's `Robot`, or a peer.
 
-    One that has ``where`` says where it is, unless it is ``lost``, and ``done``, which ends the search.
+    One that has ``where`` says where it is, unless it is ``lost``; one that has ``done`` says that it has arrived.
     """
 
     def reset(self) -> None:
@@ -50,8 +50,8 @@ class Driver(Protocol):
 class Search:
     """What happened in one search."""
 
-    outcome: RunOutcome
-    """"false_goal": the robot said that it was there, and was not."""
+    outcome: RunOutcome | Literal["missed"]
+    """"false_goal": the robot said that it was there, and was not; "missed": it passed by the victim without a word."""
     poses: NDArray[np.float64]
     """(ticks + 1, 3): x, y in metres, heading in radians."""
     atoms: NDArray[np.int8]
@@ -79,19 +79,23 @@ def search(
     request: ResetRequest,
     degrader: Degrader | None = None,
     picture_ticks: int = 0,
+    *,
+    until_said: bool = False,
 ) -> Search:
     """Let somebody search for the victim, who sees images through a degrader.
 
     Where a degradation shakes the camera, the simulation is opened with that shake. `picture_ticks` are the frames from
-    one kept picture to the next; 0: none is kept.
+    one kept picture to the next; 0: none is kept. A search ends where the victim is found, or, `until_said`, where a
+    driver that has ``done`` says that it is there.
     """
     episode = LockstepEpisode(simulation, request)
     driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
-    tells = hasattr(type(driver), "where")
+    tells, says = hasattr(type(driver), "where"), until_said and hasattr(type(driver), "done")
+    passed = False
     poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
-    outcome: RunOutcome | None = None
+    outcome: RunOutcome | Literal["missed"] | None = None
     while True:
         tick, view = episode.tick, episode.view
         image = view.image if degrader is None else degrader.apply(tick, view.image)
@@ -102,12 +106,16 @@ def search(
         atom = driver.step(image, rounded(view.odometry)[:3])
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
-            if driver.done:  # type: ignore[attr-defined]
-                outcome = "found" if episode.reached else "false_goal"
-                break
+        if (tells or says) and driver.done:  # type: ignore[attr-defined]
+            outcome = "found" if episode.reached else "false_goal"
+            break
         poses.append(episode.step(cast(AtomName, atom.name.lower())).pose)
         atoms.append(atom)
         outcome = episode.outcome
+        if says and outcome == "found":
+            passed, outcome, episode.outcome = True, None, None
+        elif passed and outcome == "timeout":
+            outcome = "missed"
     way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
     made = np.array(atoms, dtype=np.int8)
     return Search(outcome, way, made, shortest_m, tuple(places), pictures, request.kidnap_tick or 0)

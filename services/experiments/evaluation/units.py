@@ -215,16 +215,17 @@ class Recognize(Unit):
 
 @dataclass(frozen=True)
 class Searches(Unit):
-    """Have one driver search under one condition, with all seeds of a trial."""
+    """Have one driver, taught by one of a trial's sets of drives, search under one condition."""
 
     trial: Trial
+    which: int
     patience: float
     criterion: Criterion
 
     @property
     def is_example(self) -> bool:
         """Whether pictures of a search are kept: SMAL's after one drive, from the start, as it was taught."""
-        return self.trial == Trial("smal", 1, self.trial.runs)
+        return self.which == 0 and self.trial == Trial("smal", 1, self.trial.runs, sets=self.trial.sets)
 
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
@@ -233,18 +234,18 @@ class Searches(Unit):
         poses = np.concatenate([one.poses for one in taught])
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))
         found, shown = [], False
-        for seed in range(RUN_SEED, RUN_SEED + trial.runs):
+        for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
             request = ResetRequest(
                 seed=seed, purpose="run", start=trial.start, kidnap_tick=trial.kidnap_tick or None, max_ticks=most_ticks
             )
             keeps = self.is_example and not shown
-            one = search(simulation, driver, request, Degrader(how, seed), PICTURE_TICKS if keeps else 0)
+            pictures = PICTURE_TICKS if keeps else 0
+            one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True)
             found.append(finding(one, poses, self.criterion))
             if keeps and one.outcome == "found":
                 shown = True
-                pictures = {str(tick): np.frombuffer(encode_jpeg(seen), np.uint8)
-                            for tick, seen in one.pictures.items()}  # fmt: skip
-                save_arrays(self.file(folder), poses=one.poses, **pictures)
+                jpegs = {str(k): np.frombuffer(encode_jpeg(seen), np.uint8) for k, seen in one.pictures.items()}
+                save_arrays(self.file(folder), poses=one.poses, **jpegs)
         return {"searches": found, "file": shown}
 
     def _driver(self, taught: tuple[Drive, ...], folder: Path) -> Driver:
@@ -253,11 +254,11 @@ class Searches(Unit):
         match self.trial.controller:
             case "smal":
                 (learned,) = self.needed(Learn)
-                return Robot(Model.load(learned.file(folder)))
+                return Robot(Model.load(learned.file(folder)), seed=self.which)
             case "paper":
                 return PaperRobot(_paper_model(*self.needed(Learn), folder))
-            case "teach-and-repeat":
-                return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG))
+            case "teach-and-repeat" | "teach-and-repeat-told" as name:
+                return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told"))
             case nearest:
                 return NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
 
@@ -295,16 +296,18 @@ def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
     """Yield the units of a world that the report is about."""
     site = Site.of(world.world, plan.camera)
 
-    def teaching(drives: int) -> tuple[Teach, ...]:
-        return tuple(Teach(site, (), TEACHING_SEED + k) for k in range(drives))
+    def teaching(drives: int, which: int = 0) -> tuple[Teach, ...]:
+        return tuple(Teach(site, (), TEACHING_SEED + which * drives + k) for k in range(drives))
 
-    def learned(drives: int, length: int) -> tuple[Learn]:
-        return (Learn(site, teaching(drives), length),)
+    def learned(drives: int, length: int, which: int = 0) -> tuple[Learn]:
+        return (Learn(site, teaching(drives, which), length),)
 
     for trial in world.trials:
         length = {"smal": 0, "paper": trial.length}.get(trial.controller)
-        model = () if length is None else learned(trial.drives, length)
-        yield Searches(site, (*teaching(trial.drives), *model), trial, plan.patience, world.criterion)
+        for which in range(trial.sets):
+            model = () if length is None else learned(trial.drives, length, which)
+            needs = (*teaching(trial.drives, which), *model)
+            yield Searches(site, needs, trial, which, plan.patience, world.criterion)
     queries = tuple(Query(site, (), world.recognized, QUERY_SEED + k) for k in range(world.queries))
     if queries:
         for recognizer in world.recognizers:

@@ -27,6 +27,8 @@ def camera_in(name: str) -> SceneCamera:
 class StubCamera:
     """Sees the victim as a given fraction of the image, and remembers whether it was asked."""
 
+    focal_px = 20.0
+
     def __init__(self, fraction: float = 0.0) -> None:
         self.fraction = fraction
         self.asked = 0

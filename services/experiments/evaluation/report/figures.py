@@ -24,8 +24,8 @@ from services.simulator.world.map_view import draw_map
 
 #: Of who searches and who recognizes, beside ours and the single image.
 _PEERS: Final = {
-    "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "nearest-1": "#8d99ae",
-    "nearest-5": "#5c677d",
+    "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "teach-and-repeat-told": "#b5651d",
+    "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
 }  # fmt: skip
 #: Camera images beside an example route.
 VIEWS: Final = 6

@@ -87,7 +87,7 @@ def _introduction(plan: Plan, results: Results) -> Iterator[str]:
     yield html.tiles(
         {
             "worlds": ", ".join(world.title for world in plan.worlds),
-            "searches": str(sum(one.trial.runs for one in found if isinstance(one, Searches))),
+            "searches": str(sum(len(found[one]["searches"]) for one in found if isinstance(one, Searches))),
             "held-out frames": f"{sum(found[one]['frames'] for one in found if isinstance(one, Query)):,}",
             "processor time": f"{_seconds(results) / 60:.0f} min",
             "version": program_version(),

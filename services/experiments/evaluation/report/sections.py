@@ -104,7 +104,7 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
     rows = [
         [
             one.trial.condition, str(one.trial.drives), one.trial.title, one.said, _interval(one.wilson_95, ".0%"),
-            *(str(one.outcomes.count(outcome)) for outcome in ("collision", "timeout", "false_goal")),
+            *(str(one.outcomes.count(outcome)) for outcome in ("collision", "timeout", "missed", "false_goal")),
             _or_dash(one.spl, ".2f"), f"{one.aside_rms_m:.2f}", f"{one.aside_max_m:.2f}",
             _or_dash(one.interventions_per_km, ".1f"), _or_dash(one.wrong_share, ".1%"),
             "-" if one.right_soon is None else "{} of {}".format(*one.right_soon),
@@ -112,7 +112,7 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
         for one in [*sorted(usual, key=lambda one: one.trial.drives), *special]
     ]  # fmt: skip
     yield html.table(
-        ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "false goals", "SPL",
+        ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "missed", "false goals", "SPL",
          "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {SOON_S:g} s"],
         rows, left=3,
     )  # fmt: skip

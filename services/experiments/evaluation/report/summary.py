@@ -54,7 +54,7 @@ class Success:
     Attributes
     ----------
     outcomes
-        How each ended, in the order of their seeds.
+        How each ended.
     found, runs, rate, wilson_95
         Searches that found the victim, out of how many, the share of them and Wilson's interval of it.
     spl
@@ -123,6 +123,10 @@ class WorldResults:
 def results_of(world: WorldPlan, units: Iterable[Unit], findings: Findings) -> WorldResults:
     """Put together what was found out in a world."""
     here = [(unit, findings[unit]) for unit in units if unit in findings and unit.site.world == world.world]
+    searches: dict[Trial, list[Finding]] = {}
+    for unit, one in here:
+        if isinstance(unit, Searches):
+            searches.setdefault(unit.trial, []).extend(one["searches"])
     return WorldResults(
         world,
         [
@@ -130,7 +134,7 @@ def results_of(world: WorldPlan, units: Iterable[Unit], findings: Findings) -> W
             for unit, found in here
             if isinstance(unit, Recognize)
         ],
-        [Success(unit.trial, found["searches"]) for unit, found in here if isinstance(unit, Searches)],
+        [Success(trial, found) for trial, found in searches.items()],
         {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
     )
 

@@ -34,7 +34,7 @@ SMALL = Plan(
                 *(
                     Trial(name, 1, 8, **special)  # type: ignore[arg-type]
                     for name in ("smal", "teach-and-repeat")
-                    for special in ({"start": "anywhere"}, {"kidnap_tick": 50}, {"degradation": "occluded"})
+                    for special in ({"start": "anywhere", "sets": 2}, {"kidnap_tick": 50}, {"degradation": "occluded"})
                 ),
             ),
         ),
@@ -57,7 +57,8 @@ def finding(unit: Unit) -> Finding:
         case Query():
             return {"frames": QUERIES}
         case Searches():
-            return {"searches": [search(unit.trial, seed) for seed in range(1, 9)], "file": unit.is_example}
+            seeds = range(1 + unit.which, 9, unit.trial.sets)
+            return {"searches": [search(unit.trial, seed) for seed in seeds], "file": unit.is_example}
         case Errand():
             right = "false_goal" if unit.errand == "nobody there" else "found"
             return {"right": right, "outcomes": [right] * 9 + ["timeout"], "driven_m": [120.0] * 10,
