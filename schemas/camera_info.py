@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from schemas.base import Message
 
@@ -30,3 +30,13 @@ class CameraInfo(Message):
     """How the lens bends what it sees, by the names of ROS."""
     distortion: Annotated[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...], Field(max_length=8)] = ()
     """Coefficients of that model, in the order of ROS; those that are left out are 0."""
+
+    @model_validator(mode="after")
+    def _sees(self) -> Self:
+        # As `smal.camera.Camera` has it, of which this must always make one.
+        if not 0.04 <= self.focal_px / self.width <= 12.0:
+            raise ValueError("no camera has such a focal length for the width of its image")
+        off = self.centre_x_px - self.width / 2, self.centre_y_px - self.height / 2
+        if max(map(abs, off)) > self.width / 2:
+            raise ValueError("the axis of a camera must meet its image")
+        return self

@@ -18,6 +18,7 @@ Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 _MOST_RAD: Final = {"plumb_bob": math.radians(89.0), "rational_polynomial": math.radians(89.0), "equidistant": math.pi}
 #: Of fields of view from 170 to 5 degrees, over the width of the image.
 _LEAST_FOCAL, _MOST_FOCAL = 0.04, 12.0
+_MOST_DISTORTION: Final = 1e6
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Camera:
         Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are
         left out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
     centre : (float, float)
-        Where the axis meets the image, right of and below its middle, over the image's width.
+        Where the axis meets the image, right of and below its middle, over the image's width; -0.5 to 0.5.
 
     Raises
     ------
@@ -52,8 +53,10 @@ class Camera:
             raise ValueError(f"no camera has a focal length of {self.focal:g} times the width of its image")
         if self.lens not in get_args(Lens):
             raise ValueError(f"the lens must be one of {', '.join(get_args(Lens))}, got {str(self.lens)[:80]!r}")
-        if not all(map(math.isfinite, (*self.distortion, *self.centre))) or len(self.distortion) > 8:
-            raise ValueError("distortion must be at most 8 finite numbers, and the centre finite")
+        if len(self.distortion) > 8 or not all(abs(one) <= _MOST_DISTORTION for one in self.distortion):
+            raise ValueError(f"distortion must be at most 8 numbers of -{_MOST_DISTORTION:g} to {_MOST_DISTORTION:g}")
+        if not all(abs(one) <= 0.5 for one in self.centre):
+            raise ValueError("the axis of a camera must meet its image")
 
     @classmethod
     def of_field(cls, field_deg: float, lens: Lens = "plumb_bob") -> "Camera":

@@ -19,6 +19,8 @@ def camera_of(info: CameraInfo) -> Camera:
 def camera_info(cause: Message, camera: Camera, width: int, height: int) -> CameraInfo:
     """Make the message of a camera whose images are of this size."""
     right, down = camera.centre
+    # Another size of image may be cut.
+    down = min(max(down, -height / width / 2), height / width / 2)
     return CameraInfo.after(
         cause, width=width, height=height, focal_px=camera.focal * width, centre_x_px=width / 2 + right * width,
         centre_y_px=height / 2 + down * width, lens=camera.lens, distortion=camera.distortion,

@@ -1,0 +1,67 @@
+"""A camera comes out of its message as it went in; of messages that tell of none nothing is made."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from schemas.camera_info import CameraInfo
+from services.kit.cameras import camera_info, camera_of, camera_of_ros
+from smal.camera import Camera, Lens
+from tests.schemas.messages import EXAMPLES
+
+CAUSE = EXAMPLES[CameraInfo]
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def ros(**fields: Any) -> Any:
+    k = [300.0, 0.0, 330.0, 0.0, 300.0, 230.0, 0.0, 0.0, 1.0]
+    usual = {"width": 640, "height": 480, "k": k, "d": [], "distortion_model": ""}
+    return SimpleNamespace(**usual | fields)
+
+
+@given(
+    st.floats(0.04, 12.0),
+    st.sampled_from(get_args(Lens)),
+    st.lists(st.floats(-1e6, 1e6), max_size=8).map(tuple),
+    st.tuples(st.floats(-0.5, 0.5), st.floats(-0.375, 0.375)),
+)
+def test_a_camera_comes_back(focal: float, lens: Lens, distortion: tuple[float, ...], centre: Any) -> None:
+    camera = Camera(focal, lens, distortion, centre)
+    back = camera_of(camera_info(CAUSE, camera, 640, 480))
+    assert (back.lens, back.distortion) == (lens, distortion)
+    assert (back.focal, *back.centre) == pytest.approx((focal, *centre), abs=1e-9)
+    assert 0.0 < back.field_deg <= 360.0
+
+
+@given(st.lists(NUMBERS, min_size=9, max_size=9), st.lists(NUMBERS, max_size=14), st.integers(0, 2**32 - 1), st.text())
+def test_whatever_ros_tells_is_a_camera_that_can_be_told_or_one_error(
+    k: list[float], d: list[float], width: int, lens: str
+) -> None:
+    try:
+        camera = camera_of_ros(ros(k=k, d=d, width=width, distortion_model=lens))
+    except ValueError:
+        return
+    assert math.isfinite(camera_info(CAUSE, camera, 160, 120).centre_y_px)
+
+
+def test_a_calibration_of_ros_is_taken_as_it_is() -> None:
+    camera = camera_of_ros(ros(d=[-0.2, 0.05, 0.001, 0.0, 0.0], distortion_model="plumb_bob"))
+    assert camera == Camera(300.0 / 640.0, "plumb_bob", (-0.2, 0.05, 0.001, 0.0, 0.0), (10.0 / 640.0, -10.0 / 640.0))
+    assert camera_of_ros(ros()).lens == "plumb_bob"
+    with pytest.raises(ValueError, match="thin_prism"):
+        camera_of_ros(ros(d=[0.1], distortion_model="thin_prism"))
+    with pytest.raises(ValueError, match="not calibrated"):
+        camera_of_ros(ros(k=[0.0] * 9))
+
+
+@pytest.mark.parametrize("wrong", [{"focal_px": 10.0}, {"focal_px": 9e3}, {"centre_x_px": 3000.0}])
+def test_a_message_of_which_no_camera_can_be_made_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValidationError):
+        CameraInfo(**CAUSE.model_dump() | wrong)
