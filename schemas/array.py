@@ -1,7 +1,5 @@
 """Arrays on the wire: element type, shape and little-endian bytes."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, Self
 

@@ -1,7 +1,5 @@
 """The fields that every message carries, and the rules that every message obeys."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -74,7 +72,7 @@ class Message(Strict):
         return self.topic
 
     @classmethod
-    def after(cls, cause: Message, **fields: object) -> Self:
+    def after(cls, cause: "Message", **fields: object) -> Self:
         """Make a message that descends from ``cause``: same robot, episode, tick and stamp."""
         header = {"robot": cause.robot, "episode": cause.episode, "tick": cause.tick, "stamp_ns": cause.stamp_ns}
         return cls.model_validate(header | fields)

@@ -1,7 +1,5 @@
 """How the robot's camera sees."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator

@@ -1,7 +1,5 @@
 """Messages to bytes and back, with every limit checked before memory is spent."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Final, TypeVar
 

@@ -1,7 +1,5 @@
 """Commands to the actuator, and what the actuator did."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field

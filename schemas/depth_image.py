@@ -1,7 +1,5 @@
 """Depth images."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Self
 
 import numpy as np

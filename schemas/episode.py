@@ -1,7 +1,5 @@
 """Beginnings and ends of episodes."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, ClassVar, Final, Literal, Self
 

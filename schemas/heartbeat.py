@@ -1,7 +1,5 @@
 """That a person, or a program that has episodes run, is still there."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

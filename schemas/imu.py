@@ -1,7 +1,5 @@
 """Inertial measurements."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Annotated, ClassVar, Final, Self
 

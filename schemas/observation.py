@@ -1,7 +1,5 @@
 """What the features service makes of one camera frame."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Dead reckoning by the wheels."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

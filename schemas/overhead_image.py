@@ -1,7 +1,5 @@
 """Images of a camera that looks at the robot from above."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Where the robot is."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """That the robot is there, and what an operator's sign of life answers to."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 from pydantic import Field

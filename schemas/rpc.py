@@ -1,7 +1,5 @@
 """Requests and replies of the services' queryables ``rpc/<service>/<verb>``; JSON, so that curl reads them too."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Final, Literal
 

@@ -1,7 +1,5 @@
 """Where in what was taught the robot is."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ways that recognition knows."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator

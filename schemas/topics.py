@@ -3,8 +3,6 @@
 Who publishes a topic, and who takes it, stands in the table of services.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Where the tracker sees the robot."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator

@@ -3,8 +3,6 @@
 A new service is a folder and a row here. What the rows say is checked where all services run (`tests/system`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Literal
 

@@ -1,7 +1,5 @@
 """``smal bench``: run a benchmark of the checkout, with a fixed number of threads."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

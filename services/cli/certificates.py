@@ -1,7 +1,5 @@
 """Certificates of a robot's bus: one of each role, signed by an authority of the robot's own."""
 
-from __future__ import annotations
-
 import ipaddress
 import os
 import re

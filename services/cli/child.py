@@ -4,8 +4,6 @@ A script of the standard library alone, ``python child.py PARENT COMMAND...``: i
 kernel here, rather than between fork and exec of the parent, cannot deadlock on a lock of the parent's threads.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -1,7 +1,5 @@
 """``smal demonstrate``: the scripted expert drives, the recorder writes."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated

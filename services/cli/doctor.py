@@ -1,7 +1,5 @@
 """``smal doctor``: try everything that SMAL needs of this machine; each check says what it found, or what to do."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

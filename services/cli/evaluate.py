@@ -1,7 +1,5 @@
 """``smal evaluate``: the paper's experiments in simulation, as a page of results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

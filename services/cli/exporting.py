@@ -1,7 +1,5 @@
 """``smal export``: recordings for other software."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How commands are given to Typer: in one style, and with options that several commands share."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from dataclasses import is_dataclass

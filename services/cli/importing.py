@@ -1,7 +1,5 @@
 """``smal import``: recordings that somebody has already, to teach from."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """``smal learn``: recordings in, a model out."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """``smal topic echo`` and ``hz``: listening to what crosses the bus."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -46,8 +44,8 @@ Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; C
 class Arrivals:
     """When each message of a key came, seconds, and how many bytes it had."""
 
-    times_s: array[float] = field(default_factory=lambda: array("d"))
-    sizes: array[int] = field(default_factory=lambda: array("q"))
+    times_s: "array[float]" = field(default_factory=lambda: array("d"))
+    sizes: "array[int]" = field(default_factory=lambda: array("q"))
 
     def add(self, size: int, now_s: float) -> None:
         """Note a message."""

@@ -3,8 +3,6 @@
 Every error that a user can cause is one line on standard error: exit status 2 for bad use, 1 for a failed job.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from typing import Annotated, Any, Final, cast

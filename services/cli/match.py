@@ -1,7 +1,5 @@
 """``smal match``: which frame of one image folder shows the place of each frame of another."""
 
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``smal model``: what a model has learned."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import closing
 from pathlib import Path

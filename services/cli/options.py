@@ -1,7 +1,5 @@
 """Options that several commands share: declared once, and checked where they are read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where commands write their results: checked before the work begins, written whole or not at all."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

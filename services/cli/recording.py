@@ -1,7 +1,5 @@
 """``smal recording``: what is in recordings, whether they are whole, and making them so."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """``smal replay``: a recording on the topics, in the place of its robot."""
 
-from __future__ import annotations
-
 import secrets
 import sys
 import time

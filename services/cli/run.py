@@ -1,7 +1,5 @@
 """``smal run``: the robot searches by itself with a learned model."""
 
-from __future__ import annotations
-
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any

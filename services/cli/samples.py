@@ -1,7 +1,5 @@
 """What came from the bus: as one line for ``smal topic echo``, or as one JSON object."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -1,7 +1,5 @@
 """``smal secure``: who may do what on a robot's bus, by certificates."""
 
-from __future__ import annotations
-
 import json
 import socket
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The processes of a stack on this machine: started together, watched, and stopped together."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """``smal teleop``: drive with the keyboard."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from typer import Option

@@ -1,7 +1,5 @@
 """``smal topic``: what can be heard on the bus, and what is heard."""
 
-from __future__ import annotations
-
 import json
 from difflib import get_close_matches
 from typing import Annotated

@@ -1,7 +1,5 @@
 """``smal up``: the whole stack on this machine, without Docker."""
 
-from __future__ import annotations
-
 import logging
 import time
 from contextlib import suppress

@@ -1,10 +1,9 @@
 """``smal world``: worlds out of maps, and pictures of them."""
 
-from __future__ import annotations
-
 import math
 import re
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -26,8 +25,6 @@ from services.simulator.world.route import lane_graph, plan_route, route_length_
 from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from matplotlib.figure import Figure
 
 app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE)
@@ -180,7 +177,7 @@ def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None
         imsave(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
 
 
-def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
+def world_map(world: World, places: list[tuple[float, Pose]]) -> "Figure":
     """Return the map of a world with its route, and the viewpoints by number."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes as long to load as all the rest
 

@@ -1,7 +1,5 @@
 """Run the console: ``python -m services.console --console 127.0.0.1:8080``."""
 
-from __future__ import annotations
-
 from services.console.config import ConsoleSettings
 from services.console.newest_content import Board
 from services.console.server import WebServer

@@ -1,7 +1,5 @@
 """What a browser may say: every message is one of these, or the connection ends."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter

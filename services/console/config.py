@@ -1,7 +1,5 @@
 """Where the page is, and who may open it: checked before anything is served."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple

@@ -4,8 +4,6 @@ A page of somebody else's must not reach it with the person's browser: so the ho
 be made to lead here, "DNS rebinding"), what opens a connection has to come from the page itself, and there is no CORS.
 """
 
-from __future__ import annotations
-
 import hmac
 import re
 from typing import Final

@@ -1,7 +1,5 @@
 """How every service is, for the page."""
 
-from __future__ import annotations
-
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final

@@ -1,7 +1,5 @@
 """What takes long, as a process of its own beside which driving goes on: ``smal learn``, ``smal world import``."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """The model that the robot goes by, as far as the page draws it: the taught ways, and what they looked like."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

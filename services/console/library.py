@@ -1,7 +1,5 @@
 """What was recorded and learned: the files that the page lists, below the root."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing

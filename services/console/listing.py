@@ -1,7 +1,5 @@
 """Recordings as the page lists them, read in a process of its own: a file that takes long, or all memory, ends that."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """What the services tell and what lies in the folders, put on the board for those who watch."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Final

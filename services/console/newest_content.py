@@ -4,8 +4,6 @@ Nothing waits for a watcher: whoever is slow finds something newer when they loo
 So one that stands still costs one event, whatever it is sent.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, Iterator

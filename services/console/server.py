@@ -1,7 +1,5 @@
 """The page's server: one loop, on a thread of its own, in which nobody keeps the others from their turn."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import ssl

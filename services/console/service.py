@@ -1,7 +1,5 @@
 """The console on the bus: what a browser says goes to the operator, or to whom it is for."""
 
-from __future__ import annotations
-
 import math
 import secrets
 from collections import deque

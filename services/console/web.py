@@ -1,7 +1,5 @@
 """What the page is answered: files, pictures, maps that it sends, and two sockets, one to watch and one to drive."""
 
-from __future__ import annotations
-
 import asyncio
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine

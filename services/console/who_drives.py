@@ -5,8 +5,6 @@ of the moment when its beat was sent, and of no later one: what a sleeping lapto
 nothing, as the robot's gate has it for commands.
 """
 
-from __future__ import annotations
-
 import hmac
 import secrets
 from collections.abc import Callable

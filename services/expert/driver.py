@@ -1,7 +1,5 @@
 """The scripted expert: which of the four keys to hold, given where the robot is and where it should go."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

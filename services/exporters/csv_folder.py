@@ -1,7 +1,5 @@
 """A folder of images with a ``drive.csv``, as ``smal import folder`` reads it; images are copied to the byte."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path

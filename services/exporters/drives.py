@@ -1,7 +1,5 @@
 """Recorded episodes as drives that any format can be written from: images, poses by the wheels, velocities."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass

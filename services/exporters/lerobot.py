@@ -3,8 +3,6 @@
 Its frames are a tenth of a second apart, without exception: where a tick is missing an episode ends and another begins.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Frames are those of REP 105: ``odom`` is where the episode began, ``base_link`` 
 recorded: it is drawn at ``base_link`` and looks ahead, as all of our robots' do.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Run the features service: ``python -m services.features --modalities color,hog``."""
 
-from __future__ import annotations
-
 from schemas import topics
 from services.features.service import FeaturesService, FeaturesSettings
 from services.kit.node import Node

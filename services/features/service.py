@@ -1,7 +1,5 @@
 """One frame in, one observation out."""
 
-from __future__ import annotations
-
 import logging
 
 from pydantic import field_validator

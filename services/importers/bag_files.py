@@ -1,7 +1,5 @@
 """The messages in the files of a bag: MCAP by our own reader, which survives damage and bombs, and SQLite."""
 
-from __future__ import annotations
-
 import re
 import sqlite3
 import struct

@@ -5,8 +5,6 @@ the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s`` (counter-clockwise
 ``success`` (1 or 0), and ``x_m``, ``y_m`` and ``heading_rad`` by the wheels, which a row may leave empty.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from typing import Annotated, Final

@@ -5,8 +5,6 @@ the turn rate is their product; what they are in metres and radians a second nob
 reckoned only where the user says it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated
 

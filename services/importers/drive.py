@@ -1,7 +1,5 @@
 """What every format gives: drives, each a camera's frames and how fast the robot went."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -64,7 +62,7 @@ class Drive:
         images: Images,
         motion: Rows,
         track: Rows,
-        tally: Tally,
+        tally: "Tally",
         **more: Any,  # noqa: ANN401
     ) -> Self:
         """Make a drive of rows in any order, of motion and of track; what no robot does is counted instead."""

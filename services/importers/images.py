@@ -1,7 +1,5 @@
 """Images, files of images and videos of other people's as JPEG: what is JPEG already stays as it is, to the byte."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing

@@ -4,8 +4,6 @@ Names in such a folder, and links in it, may lead anywhere: to a private file, w
 recording, or to a pipe that nobody ever writes to.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

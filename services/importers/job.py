@@ -1,7 +1,5 @@
 """What an import is asked for, and what came of it."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal, get_args

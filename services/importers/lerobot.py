@@ -3,8 +3,6 @@
 Files have the names that the format prescribes; those that a data set writes down itself are not followed.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """A drive as a recording like those of our own recorder, which ``smal learn`` takes without knowing its origin."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import Counter

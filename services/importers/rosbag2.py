@@ -4,8 +4,6 @@ Types are those that ROS prescribes, not what a bag says of them. The command sa
 atoms; odometry, where it is there, says where the robot was.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The libraries that decode Parquet, video and images are written in C and C++. Wh
 a crash or a demand for all memory, ends this process and no other.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import resource

@@ -8,8 +8,6 @@ measured on the source itself, so that one rule does for a toy car's throttle an
 both is a turn where the turn is sharp, as one who has only keys would drive it, and keeps how fast it went ahead.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

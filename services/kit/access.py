@@ -5,8 +5,6 @@ message is looked at where it comes into the router (ingress, what a role may sa
 role may hear); both must allow it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

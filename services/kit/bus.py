@@ -3,8 +3,6 @@
 What may be counted on stands in ``wire``.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import threading
@@ -361,6 +359,6 @@ def _origin(sample: zenoh.Sample) -> str:
     return "stamped by nobody" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
 
 
-def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
+def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
     """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
     return zenoh.handlers.Callback(on_sample, indirect=False)

@@ -1,7 +1,5 @@
 """How a camera sees, from and to messages: ours, and `sensor_msgs/msg/CameraInfo` of ROS."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from schemas.base import Message

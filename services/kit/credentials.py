@@ -1,7 +1,5 @@
 """How a process shows the router who it is: by a certificate, as the router does; the connection is encrypted."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 import ssl

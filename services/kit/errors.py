@@ -1,7 +1,5 @@
 """Errors that end a command or a service: one line, and an exit status that scripts can rely on."""
 
-from __future__ import annotations
-
 
 class UsageError(Exception):
     """The command was used wrongly; exit status 2."""

@@ -1,7 +1,5 @@
 """Whether what takes long is to go on, asked between its steps; whoever does the steps need not know who may end it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

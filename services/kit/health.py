@@ -3,8 +3,6 @@
 ``GET /healthz`` is for whoever restarts services, ``GET /metrics`` for Prometheus.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -166,7 +164,7 @@ def serve_http(address: str, ailment: Callable[[], str | None], metrics: Collect
     host, _, port = address.rpartition(":")
     tell = make_wsgi_app(metrics)
 
-    def answer(asked: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
+    def answer(asked: "WSGIEnvironment", start: "StartResponse") -> Iterable[bytes]:
         if asked["PATH_INFO"] != "/healthz":
             return tell(asked, start)  # type: ignore[no-any-return]
         problem = ailment()

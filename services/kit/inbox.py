@@ -1,7 +1,5 @@
 """Where everything that arrives waits for the one thread that handles it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter, deque

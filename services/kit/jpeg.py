@@ -1,7 +1,5 @@
 """JPEG: every colour image that crosses the wire."""
 
-from __future__ import annotations
-
 from typing import Final, cast
 
 import cv2

@@ -1,7 +1,5 @@
 """What the services that work with a learned model share: its settings, loading it, and the main function."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A service gives its handlers to a ``Node``; everything that arrives (messages, r
 one thread that calls ``spin``, so a service needs no locks.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import secrets

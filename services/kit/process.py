@@ -1,7 +1,5 @@
 """How the process of a service starts, and ends where it cannot."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pixels as ROS 2 sends them, ``sensor_msgs/Image``."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import cv2

@@ -5,8 +5,6 @@ query and before the end of its second, which is for senders that appear later (
 a subscriber to a dozen topics). So we fetch ourselves.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field

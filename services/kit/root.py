@@ -1,7 +1,5 @@
 """The folder below which a service reads and writes what others name; nobody on the bus reaches anything else."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import IO, Annotated, Final

@@ -1,7 +1,5 @@
 """Messages of ROS 2 by what is in them, for types of the `rosbags` package, whose classes want every field."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

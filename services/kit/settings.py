@@ -1,7 +1,5 @@
 """Settings that every service has."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 

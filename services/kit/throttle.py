@@ -1,7 +1,5 @@
 """What goes wrong again and again, told once a second."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

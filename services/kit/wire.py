@@ -14,8 +14,6 @@
 - ``close`` takes back every declaration; who waits for an answer is told that there is none. A closed bus is of no use.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Sessions of Zenoh: a router in this process, and clients of one. What Zenoh is told stands in ``zenoh_settings``."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -3,8 +3,6 @@
 Everything that is said to Zenoh by its settings stands here; ``zenoh_session`` and ``bus`` talk to it.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any, Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """From keys to commands: an answer to every heartbeat of the robot while a key is held, else silence."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A person who drives, on the bus: their commands and signs of life, and what they ask of the robot."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

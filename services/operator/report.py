@@ -1,7 +1,5 @@
 """What was last heard of the robot: whoever shows it to a person draws this."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from schemas.base import Atom, Source

@@ -1,7 +1,5 @@
 """Run the policy service: ``python -m services.policy --model campus.smal``."""
 
-from __future__ import annotations
-
 from schemas import topics
 from services.kit.model_service import ModelSettings, serve_model
 from services.kit.node import Node

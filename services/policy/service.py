@@ -1,7 +1,5 @@
 """One state in; a decision where one is due, and always a command, out."""
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from statistics import median
@@ -71,7 +69,7 @@ class PolicyService:
         self._last = (state, answer)
         return answer
 
-    def _refuse(self, state: State, loaded: LoadedModel, maker: _ByFilter | _ByPaper) -> Command:
+    def _refuse(self, state: State, loaded: LoadedModel, maker: "_ByFilter | _ByPaper") -> Command:
         """Stop, and have nothing left to do when the states are of the right model again."""
         maker.reset()
         self._last = None

@@ -1,7 +1,5 @@
 """Run the recognition service: ``python -m services.recognition --model campus.smal``."""
 
-from __future__ import annotations
-
 from schemas import topics
 from services.kit.model_service import ModelSettings, serve_model
 from services.kit.node import Node

@@ -1,7 +1,5 @@
 """Run the recorder: ``python -m services.recorder --recordings drives``."""
 
-from __future__ import annotations
-
 from services.kit.node import Node
 from services.kit.process import run_node
 from services.recorder.service import RecorderService, RecorderSettings

@@ -1,7 +1,5 @@
 """How long there is room for what is recorded: told in time, and a recording is sealed before there is none."""
 
-from __future__ import annotations
-
 import errno
 import math
 import shutil

@@ -1,7 +1,5 @@
 """The recorder on the bus: every message of an episode in, one file an episode out."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

@@ -3,8 +3,6 @@
 The writer of the ``mcap`` package holds 3 kB for every chunk, this one a tenth of that.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections import Counter
 from typing import Final

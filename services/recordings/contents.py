@@ -1,7 +1,5 @@
 """What is in a recording, and what is wrong with it: for people, who have many of them."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Only what the robot's camera saw, what its wheels counted and what its actuator did is used, never a true pose.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ The topic is the message's Zenoh key. The channel's metadata names robot and epi
 recordings are merged, and the record's sequence number is the tick.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache

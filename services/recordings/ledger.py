@@ -1,7 +1,5 @@
 """What an episode's recording has and what it lacks: which messages were sent again, which ticks never came."""
 
-from __future__ import annotations
-
 from array import array
 from bisect import bisect_right
 from collections import defaultdict

@@ -3,8 +3,6 @@
 It has no index then, which readers do without.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Final, NamedTuple, cast

@@ -3,8 +3,6 @@
 Files may be truncated (their whole messages are read) and may hold several episodes (each stays by itself).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path

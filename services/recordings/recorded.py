@@ -1,7 +1,5 @@
 """A recorded episode, the pieces of it that have no gap, and how demonstrations that are made of them are called."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Which features recordings hold, found without reading more of them than one observation an episode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path

@@ -4,8 +4,6 @@ The reader of the ``mcap`` package bounds neither what chunks unpack to nor how 
 every image. So it decodes single records only.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

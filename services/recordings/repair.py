@@ -1,7 +1,5 @@
 """Recordings that are not sealed, damaged, or in several files become a sealed one of all that is whole in them."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A recorded episode as its robot told it: what to publish at each tick, and when."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 A recording is ``NAME.mcap.partial`` until it is sealed. Whoever has locked it owns it.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import threading

@@ -1,7 +1,5 @@
 """The messages in a recording, one after the other, and whose each is."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """All that is whole in an MCAP file, also behind what is damaged; and what stands at its end."""
 
-from __future__ import annotations
-
 import mmap
 import struct
 import zlib

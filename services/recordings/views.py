@@ -8,8 +8,6 @@ Frames, as ROS has them: ``base_link`` is the robot, ``camera`` its camera, ``od
 one tree. Where the camera is mounted no message says; it is drawn at the robot's centre.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import singledispatchmethod
 from typing import Final, NamedTuple

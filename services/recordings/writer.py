@@ -1,7 +1,5 @@
 """One episode's recording, from its first message to its seal."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

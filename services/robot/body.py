@@ -1,7 +1,5 @@
 """What a robot's body has to be able to do: a simulated one, a real one, or one in a test."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar

@@ -1,7 +1,5 @@
 """The cancelling of an episode that is being begun: another world may take minutes to open."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock

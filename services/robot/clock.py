@@ -1,7 +1,5 @@
 """The actuator's clock, the tick, and the pulse."""
 
-from __future__ import annotations
-
 import time
 from typing import Final
 

@@ -1,7 +1,5 @@
 """One episode: frame after frame, and how it ends. The one loop that services, experiments and Gymnasium share."""
 
-from __future__ import annotations
-
 from typing import Generic, Literal, TypeVar
 
 from schemas.episode import Outcome

@@ -6,8 +6,6 @@ process that was frozen and wakes with old plans can make an old command look fr
 the pulse that it answers, and is as old as that: by a slow link nobody who was there looks as if they were there now.
 """
 
-from __future__ import annotations
-
 import math
 import secrets
 from collections import Counter

@@ -3,8 +3,6 @@
 No rendering, no calls, no publishing: whatever the rest of the process waits for, this does not.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Readings of a body's sensors as messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Final
 

@@ -1,7 +1,5 @@
 """How time passes in an episode: in real time by the clock; another pace (the simulator's lockstep) may be given."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -28,7 +26,7 @@ class Running(Generic[V]):
 
     id: str
     episode: Episode[V]
-    pace: Pace[V]
+    pace: "Pace[V]"
     #: When it began, by the gate's time and by the wall clock.
     begun_s: float
     begun_ns: int

@@ -3,8 +3,6 @@
 It takes requests, commands and clock readings, and gives messages; a ``Pace`` decides when the next frame is.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

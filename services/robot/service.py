@@ -1,7 +1,5 @@
 """The robot on the bus: calls and commands in, frames and episode events out."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Who says that a goal is reached: the robot's task, where there is one; else only the operator can."""
 
-from __future__ import annotations
-
 from typing import Protocol, TypeVar
 
 from services.robot.body import View

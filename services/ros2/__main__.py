@@ -1,7 +1,5 @@
 """Run a robot with a ROS 2 base: ``python -m services.ros2 --ros2-config turtlebot4.yaml``."""
 
-from __future__ import annotations
-
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.pace import Paces

@@ -1,7 +1,5 @@
 """A ROS 2 base as a body: velocities out, frames in. Knows nothing of Zenoh."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Collection, Iterator

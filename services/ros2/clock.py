@@ -1,7 +1,5 @@
 """Another machine's clock, told by ours."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from services.robot.gate import MAX_AGE_S

@@ -1,7 +1,5 @@
 """What a robot is told of its base: topics, types, speeds. A file, which may begin with one of the presets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 

@@ -1,7 +1,5 @@
 """ROS 2 messages: their bytes (CDR) and the hashes of their types, both by the `rosbags` package."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, Final, Literal, TypeAlias
 

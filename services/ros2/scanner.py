@@ -1,7 +1,5 @@
 """What a laser scan says of the ways ahead and back: something is near, they are free, or it does not tell."""
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """What a robot's messages say: its newest frame, its wheels, its inertial unit, and what forbids to go on."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import Counter, deque

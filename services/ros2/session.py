@@ -1,7 +1,5 @@
 """The session with the robot's own router, apart from the stack's; the one file here that imports zenoh."""
 
-from __future__ import annotations
-
 import json
 import logging
 import time

@@ -1,7 +1,5 @@
 """Where the wheels say that the base is, and what that means for an episode."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

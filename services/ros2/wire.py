@@ -1,7 +1,5 @@
 """How ROS 2 speaks over Zenoh: keys, liveliness tokens and attachments, in two dialects. Pure: no session here."""
 
-from __future__ import annotations
-
 import re
 import struct
 from typing import Final, Literal, NamedTuple

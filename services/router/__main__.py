@@ -1,7 +1,5 @@
 """Run the router: ``python -m services.router --router tcp/127.0.0.1:7447``."""
 
-from __future__ import annotations
-
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.node import Node

@@ -1,7 +1,5 @@
 """Run the simulated robot: ``python -m services.simulator --world campus``."""
 
-from __future__ import annotations
-
 import logging
 
 from services.kit.node import Node

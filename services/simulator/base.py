@@ -1,7 +1,5 @@
 """The robot's base: how its wheels are driven. This one is kinematic; `physics` has the one with mass."""
 
-from __future__ import annotations
-
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 

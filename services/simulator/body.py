@@ -1,7 +1,5 @@
 """The simulated robot as a body: in real time its world moves on by the clock, whoever is slow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from threading import Lock
 from typing import Final

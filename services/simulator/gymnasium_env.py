@@ -4,8 +4,6 @@ Importing this module registers ``smal/Campus-v0`` and ``smal/Indoor-v0``:
 ``gymnasium.make("services.simulator.gymnasium_env:smal/Campus-v0")`` does both.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import gymnasium

@@ -3,8 +3,6 @@
 What happens then does not depend on how fast the machine is: the same seed and the same answers give the same episode.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Final
 

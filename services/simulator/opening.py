@@ -1,7 +1,5 @@
 """Load a world and put its robot into it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

@@ -3,8 +3,6 @@
 The engine is the one inside SAPIEN, on the CPU; it needs neither a GPU nor Vulkan.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import partial

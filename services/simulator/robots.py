@@ -1,7 +1,5 @@
 """The robots that can be simulated: their bodies, their wheels, and where their camera sits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """The world with the robot in it: reset, advance, look. Knows nothing of messages, ticks or time-outs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
@@ -40,8 +38,8 @@ class Simulation:
     def __init__(
         self,
         world: World,
-        camera: SceneCamera | CameraSettings,
-        base: Base | None = None,
+        camera: "SceneCamera | CameraSettings",
+        base: "Base | None" = None,
         *,
         shake: float | None = None,
         variation: Variation = DAY,

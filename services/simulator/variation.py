@@ -1,7 +1,5 @@
 """Conditions other than those of teaching, by name: light by time of day, haze, façades, moved things, exposure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Final

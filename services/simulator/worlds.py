@@ -1,7 +1,5 @@
 """The simulator's settings, and the worlds that its robot can be in, by name."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Final, Literal

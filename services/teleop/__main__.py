@@ -1,7 +1,5 @@
 """Drive by keyboard: ``python -m services.teleop``, the same as ``smal teleop``."""
 
-from __future__ import annotations
-
 from services.kit.process import read_settings, run_service
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run

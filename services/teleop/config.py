@@ -1,7 +1,5 @@
 """Settings of teleoperation."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final
 
 from pydantic import Field

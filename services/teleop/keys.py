@@ -3,8 +3,6 @@
 Few terminals tell releases: those that speak the kitty keyboard protocol, https://sw.kovidgoyal.net/kitty.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple

@@ -1,7 +1,5 @@
 """One session at the keyboard: the terminal on one side, the operator's part of the bus on the other."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from typing import Final

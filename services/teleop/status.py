@@ -1,7 +1,5 @@
 """The status line: who drives, what the robot does, and how the episode goes."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from schemas.base import Atom

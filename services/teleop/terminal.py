@@ -1,7 +1,5 @@
 """The operator's terminal: keys as they are pressed, and a status line below what has happened."""
 
-from __future__ import annotations
-
 import logging
 import os
 import select

@@ -1,7 +1,5 @@
 """Run the tracker: ``python -m services.tracker``."""
 
-from __future__ import annotations
-
 from schemas import topics
 from services.kit.node import Node
 from services.kit.process import run_node

@@ -1,7 +1,5 @@
 """One overhead image in, one tracked pose out."""
 
-from __future__ import annotations
-
 import logging
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Corners of an ArUco marker in an image, to a small fraction of a pixel."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Final
 

@@ -4,8 +4,6 @@ The tag lies flat at a known height and the camera looks straight down, so that 
 tag's plane, and the pose is planar: where the tag is, and where it looks.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """A client that has episodes run and keeps what a report needs of them."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The user's files in the hands of a stack's services: what they call them, and the recorder that writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path

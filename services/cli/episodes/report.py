@@ -1,7 +1,5 @@
 """What came of episodes: their ways on a map, and the page of results of ``smal run``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Victims and robots as meshes about their own origin, x forward."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A world as meshes, pictures and lights, ready for any renderer: here sky and trees. Knows nothing of SAPIEN."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Buildings and barriers as meshes with what they wear; every roof is closed underneath."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 

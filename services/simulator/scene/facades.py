@@ -1,7 +1,5 @@
 """Pictures of façades: a wall with windows for the upper storeys, one with doors for the ground floor."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterable
 from dataclasses import astuple

@@ -1,7 +1,5 @@
 """Pictures that fill one face of something: posters, windows, doors, whiteboards, books, drawers, cartons."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Final

@@ -1,7 +1,5 @@
 """Furniture as meshes, with what they wear; each piece fills the footprint and the height that it states."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Callable, Iterable

@@ -4,8 +4,6 @@ All layers are cut out of each other and lie in one plane, so that nothing flick
 which are many and small, lie on top: thicker than paint, so that the camera's depth tells them from the street.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

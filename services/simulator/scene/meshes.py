@@ -1,7 +1,5 @@
 """Triangle meshes with texture coordinates, in metres with z up, and the few shapes that a world is made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,13 +30,13 @@ class Mesh:
     uvs: NDArray[np.float32]
     triangles: NDArray[np.uint32]
 
-    def placed(self, pose: Pose) -> Mesh:
+    def placed(self, pose: Pose) -> "Mesh":
         """Return the mesh turned about the vertical and moved."""
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return make(self.vertices @ turn + (pose.x, pose.y, 0.0), self.normals @ turn, self.uvs, self.triangles)
 
-    def flipped(self) -> Mesh:
+    def flipped(self) -> "Mesh":
         """Return the mesh with its inside out; the renderer draws outsides only."""
         return make(self.vertices, -self.normals, self.uvs, self.triangles[:, ::-1])
 

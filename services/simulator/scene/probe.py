@@ -4,8 +4,6 @@ A process of its own, because a broken graphics driver takes its process with it
 software, seconds; or error.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """The robot's camera and the one above it, rendered by SAPIEN."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

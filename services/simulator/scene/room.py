@@ -1,7 +1,5 @@
 """A room as a scene: floor, walls and ceiling, furniture, what hangs on the walls, and lamps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final, get_args
 

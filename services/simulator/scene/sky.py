@@ -1,7 +1,5 @@
 """The picture of the sky and of what lies at the horizon, the same in every run."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

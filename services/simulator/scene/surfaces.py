@@ -1,7 +1,5 @@
 """What a scene is made of: lights, and surfaces that wear a material or the picture of a face."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pictures of materials, (h, w, 3) uint8 RGB: seamless, the same in every run."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from typing import Any, Final

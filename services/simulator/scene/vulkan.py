@@ -1,7 +1,5 @@
 """Find a Vulkan driver before the renderer looks for one, and say plainly when there is none."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The robot's camera: what it is asked for, what air, motion and exposure do to its picture, and a moment of it all."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -107,7 +105,7 @@ class SimulatedView:
     """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
 
     world: World
-    camera: SceneCamera
+    camera: "SceneCamera"
     variation: Variation
     pose: Pose  # Where the robot truly is.
     tilt: Tilt

@@ -1,7 +1,5 @@
 """What a robot senses besides its camera's picture: how the camera shakes, odometry, inertia."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from functools import lru_cache

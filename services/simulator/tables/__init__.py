@@ -1,7 +1,5 @@
 """Tables that hold no algorithm, as TOML: what tags of maps stand for, conditions of light, bodies of robots."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import TypeVar

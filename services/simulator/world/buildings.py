@@ -1,7 +1,5 @@
 """From outlines with tags to buildings: storeys, wall material, colour, roof, and the parts of a building."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections import Counter

@@ -1,7 +1,5 @@
 """What stands in a room: a kind, a place, a size, and which parts of it are solid at which height."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cached_property

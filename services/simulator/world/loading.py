@@ -1,7 +1,5 @@
 """Load a world by name or path: a map or a world file in, a place with start and victim out. Never the renderer."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

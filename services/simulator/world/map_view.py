@@ -1,7 +1,5 @@
 """Draw a world from above, for the pages of results."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

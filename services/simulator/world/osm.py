@@ -1,7 +1,5 @@
 """Read an OpenStreetMap XML file into nodes, ways and multipolygon relations in local metres."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

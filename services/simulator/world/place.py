@@ -1,7 +1,5 @@
 """What every world is, indoors or out: a place in local metres (x east, y north) with a task in it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 

@@ -1,7 +1,5 @@
 """Trees that a map does not show one by one: woods, orchards and rows."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """From the tags of a highway to a road, and what opens where a road meets something solid."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence

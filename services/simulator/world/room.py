@@ -4,8 +4,6 @@ Metres are measured from the room's south-west corner, x to the east and y to th
 east: 0 looks east, 90 north, 180 west, 270 south.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The way leads along lanes, with a straight free leg at either end.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Final
 

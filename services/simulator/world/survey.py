@@ -1,7 +1,5 @@
 """From tagged nodes, ways and relations to the things of a terrain."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any, Final
 

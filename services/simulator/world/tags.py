@@ -1,7 +1,5 @@
 """What OpenStreetMap's tags stand for: which kind of thing an element is, how long, how wide and of which colour."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """Where the task is: a hidden place for the victim and a start far from it, and where episodes begin."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

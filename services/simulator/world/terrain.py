@@ -4,8 +4,6 @@ The classes say what is in the file. Headings are in degrees from east, anticloc
 the victim, change its x and y.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The same world on another day: façades painted anew, and movable things elsewhere."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import replace
