@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features import Centering, extract
+from smal.features import Centering
 from smal.likelihood import scale
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
 from smal.particles import HIDES, Particles, View, systematic
@@ -93,8 +93,6 @@ class Filter:
         self._centering = centering
         self._seed = seed
         # Made here, and not while the first frame waits.
-        grey = np.full((120, 160, 3), 128, dtype=np.uint8)
-        self._blank = visual_map.described(centering.apply(extract(grey, centering.settings)))
         _ = visual_map.neighbour_cosines, visual_map.reference, visual_map.next_cosine
         self.reset()
 
@@ -185,7 +183,7 @@ class Filter:
         cosines = self._map.cosines(components)
         middle, spread = scale(self._map.sampled(cosines))
         same_picture = self._tracked is not None and np.array_equal(components, self._last)
-        if not components.any() or components @ self._blank > cosines.max() or same_picture:
+        if not components.any() or components @ self._map.blank > cosines.max() or same_picture:
             return View(cosines, middle, 0.0, 0.0)
         likelihood = self._map.likelihood
         same = min(likelihood.correlation(float(components @ self._counted)), self._expected(self._step))

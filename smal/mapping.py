@@ -103,6 +103,7 @@ def learn(
         keyframes=keyframes,
         basis=basis,
         views=views,
+        blank=unit(describe(np.full_like(images[0], 128)) @ basis),
         aside=aside,
         correlation_length=length,
         correlation_rad=_correlation_turn(views, unrelated),

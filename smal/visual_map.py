@@ -44,6 +44,8 @@ class VisualMap:
     views : float32 array (k, 3, turns, r)
         Components of each keyframe's views, of unit length: from `aside` to the right, from there, from the left; each
         turned by `TURNS_DEG`.
+    blank : float32 array (r,)
+        Components of a picture that shows nothing, of unit length.
     aside : float
         How far the views from aside are from the keyframe, in the map's unit.
     correlation_length, correlation_rad : float
@@ -74,6 +76,7 @@ class VisualMap:
     keyframes: NDArray[np.int32]
     basis: NDArray[np.float32]
     views: NDArray[np.float32]
+    blank: NDArray[np.float32]
     aside: float
     correlation_length: float
     correlation_rad: float

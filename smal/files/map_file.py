@@ -30,7 +30,7 @@ _NUMBERS: dict[str, Callable[[float], bool]] = {
 }
 #: Axes of its arrays.
 _AXES = {
-    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1, "ratio": 2,
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1, "ratio": 2,
     "stitched": 2, "stitch_offsets": 2,
 }  # fmt: skip
 _WHOLE = ("drives", "keyframes", "stitched")
@@ -73,6 +73,7 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
         "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
+        "blank": one.blank.shape == (one.basis.shape[1],) and float(np.linalg.norm(one.blank)) < 1.01,
         "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
         "ratio": one.ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.ratio) < 100.0).all()),
         "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,

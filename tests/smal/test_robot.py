@@ -1,6 +1,8 @@
 """The method in four lines: images in, atoms out, and where the robot is."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,3 +89,21 @@ def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> N
         raw = extract(view(*place), FEATURES)
         belief = localizer.observe(raw, place if frame % 2 == 0 else None, [Atom.FORWARD])
     assert belief.tracked == pytest.approx(8 * STEP_M, rel=0.1)
+
+
+def test_who_only_follows_features_needs_no_opencv(tmp_path: Path) -> None:
+    """The processes of recognition and of the policy have none: their image is smaller for it."""
+    model().save(tmp_path / "way.smal")
+    np.save(tmp_path / "seen.npy", extract(view(*pose(0)), FEATURES))
+    code = (
+        "import sys; sys.modules['cv2'] = None\n"
+        "import numpy as np\n"
+        "from smal import Model\n"
+        "from smal.planning import Planner\n"
+        "from smal.robot import Localizer\n"
+        "model = Model.load('way.smal')\n"
+        "belief = Localizer(model).observe(np.load('seen.npy'), (0.0, 0.0, 0.0))\n"
+        "print(Planner(model.mapped).decide(belief.summary()).atom.name)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == "FORWARD\n", done.stderr

@@ -181,6 +181,7 @@ def test_the_content_makes_the_map_again() -> None:
         ("movements", lambda movements: 1e300 * movements, "movements"),
         ("basis", lambda basis: np.zeros((0, 10**6), basis.dtype), "components"),
         ("gamma", lambda _: -1.0, "gamma"),
+        ("blank", lambda blank: blank[1:], "blank"),
         ("ratio", lambda ratio: ratio[1:], "ratio"),
         ("ratio", lambda ratio: np.full_like(ratio, np.nan), "ratio"),
         ("drives", lambda drives: np.where(np.arange(drives.size) == drives.size - 1, 2, drives), "drives"),

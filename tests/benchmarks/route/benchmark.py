@@ -41,6 +41,7 @@ def map_of(metres: float, components: int) -> Model:
         keyframes=(np.arange(count) * round(SPACING_M / FRAME_M)).astype(np.int32),
         basis=np.linalg.qr(rng.standard_normal((_FEATURES.size, components)))[0].astype(np.float32),
         views=views,
+        blank=np.zeros(components, np.float32),
         aside=0.4,
         correlation_length=2.0,
         correlation_rad=0.2,
