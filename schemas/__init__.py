@@ -1,4 +1,1 @@
-"""What crosses the wire: one message a file, the codec, and the one table of topics.
-
-Read ``base`` first, then any message, then ``codec`` and ``topics``.
-"""
+"""What crosses the wire, one message a file: read ``base``, any message, then ``codec`` and ``topics``."""

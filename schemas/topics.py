@@ -1,7 +1,4 @@
-"""The one table of topics: recorder, health checks, ``smal topic`` and the README are derived from it.
-
-Who publishes a topic, and who takes it, stands in the table of services.
-"""
+"""The one table of topics, of which recorder, health, ``smal topic`` and README are made; services in ``table.py``."""
 
 import math
 import re

@@ -56,10 +56,7 @@ class Finding(NamedTuple):
 
 
 def begin(folder: Path, robot: str) -> None:
-    """Make an authority; one that is there before stays known, so that what it has signed goes on to be taken.
-
-    Raises OSError when the folder cannot be written to.
-    """
+    """Make an authority beside those that are there, which stay known; OSError when the folder cannot be written to."""
     key = ec.generate_private_key(ec.SECP256R1())
     # Named apart, so that of two only the one that has signed is tried.
     name = f"smal {robot} {secrets.token_hex(4)}"
@@ -72,10 +69,7 @@ def begin(folder: Path, robot: str) -> None:
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
-    """Make a certificate of every role, signed by the newest authority, in place of what is there.
-
-    Raises UsageError when the authority's key is not there or is no authority's of the folder.
-    """
+    """Make a certificate of every role in place of the last; UsageError without a known authority's key."""
     authority = read_authority(folder)
     for role in roles():
         key = ec.generate_private_key(ec.SECP256R1())
@@ -105,10 +99,7 @@ def check_host(host: str) -> str:
 
 
 def names_of_router(folder: Path) -> list[str]:
-    """Return the names and addresses that the router's certificate has; none where there is no such certificate.
-
-    Raises UsageError when its file is no certificate.
-    """
+    """Return the names in the router's certificate, none without one; UsageError when its file is no certificate."""
     path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
     if not path.exists():
         return []
@@ -121,10 +112,7 @@ def names_of_router(folder: Path) -> list[str]:
 
 
 def robot_of(authority: Authority) -> str:
-    """Return whose bus an authority is for.
-
-    Raises UsageError when it does not say so, because `smal secure init` has not made it.
-    """
+    """Return whose bus an authority is for; UsageError where `smal secure init` has not made it."""
     name = authority.certificate.subject.rfc4514_string()
     found = re.fullmatch(r"CN=smal (\S+) \w+", name)
     if found is None:
@@ -133,10 +121,7 @@ def robot_of(authority: Authority) -> str:
 
 
 def retire(folder: Path) -> int:
-    """Forget all authorities but the newest; return how many were forgotten.
-
-    Raises UsageError when a certificate in the folder would be of no use any more.
-    """
+    """Forget all authorities but the newest; return how many. UsageError when a certificate would be of no use then."""
     newest = read_authority(folder).certificate
     for one in _of_roles(folder, [newest]):
         if not one.ok:
@@ -147,10 +132,7 @@ def retire(folder: Path) -> int:
 
 
 def read_authority(folder: Path) -> Authority:
-    """Read the authority that signs, and its key: of those in the folder, the one whose key is there.
-
-    Raises UsageError when they are not there, or do not belong together.
-    """
+    """Read the authority that signs, the one whose key is in the folder; UsageError where there is no such pair."""
     path, authorities = folder / CA_KEY_FILE, _authorities(folder)
     try:
         key = _read_key(path)

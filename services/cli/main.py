@@ -1,7 +1,4 @@
-"""The ``smal`` command.
-
-Every error that a user can cause is one line on standard error: exit status 2 for bad use, 1 for a failed job.
-"""
+"""The ``smal`` command; an error that a user can cause is one line, with status 2 for bad use, 1 for a failed job."""
 
 import sys
 from importlib import import_module

@@ -188,10 +188,7 @@ class Use:
 
 
 def read_world(world: str) -> LoadedWorld:
-    """Read the world of ``--world``, to say what is wrong with it before the processes start.
-
-    Raises UsageError when there is no such world, or its file is no map.
-    """
+    """Read the world of ``--world`` before the processes start; UsageError says what is wrong with it."""
     try:
         return load_world(world)
     except WorldError as error:
@@ -199,10 +196,7 @@ def read_world(world: str) -> LoadedWorld:
 
 
 def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goal: str | None = None) -> AnyModel:
-    """Read the model of ``--model``, for which ``--scheme``, ``--stride`` and ``--goal`` must be right.
-
-    Raises UsageError when the file is no model, or cannot be used so.
-    """
+    """Read the model of ``--model``; UsageError when it is none, or not for this scheme, stride or goal."""
     try:
         model = load_model(path)
     except ModelError as error:

@@ -14,10 +14,7 @@ from smal.files.container import replacing
 
 
 def make_folder(path: Path, option: str) -> None:
-    """Make the folder for results before the work begins whose results would be lost without it.
-
-    Raises UsageError when nothing can be written there.
-    """
+    """Make the folder for results before the work begins; UsageError when nothing can be written there."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -70,10 +67,7 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path, option: str) -> Iterator[Path]:
-    """Fill a folder that does not exist yet, or is empty; it gets its name when it is whole.
-
-    Raises UsageError when there is something else, or it cannot be made.
-    """
+    """Fill a new or empty folder, which gets its name when it is whole; UsageError when there is something else."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise UsageError(f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name")
     place = path.resolve()

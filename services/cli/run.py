@@ -144,10 +144,7 @@ def _load(bus: Bus, model: Path, use: options.Use) -> None:
 
 
 def _check_features(bus: Bus, wanted: FeatureSettings) -> None:
-    """Ask the features service whether it makes what the model was learned on.
-
-    Raises JobError when it does not: recognition would refuse every frame.
-    """
+    """Refuse a stack that makes other features than the model was learned on: recognition would take no frame."""
     detail = bus.call("features", "status", Nothing(), Status).detail
     if detail.get("fingerprint") != wanted.fingerprint:
         names = ",".join(wanted.modalities)

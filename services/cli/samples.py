@@ -19,10 +19,7 @@ class Sample:
     encoding: str
 
     def decoded(self) -> Message:
-        """Return the message.
-
-        Raises DecodeError when the key is no topic of SMAL, or the payload is not what belongs on it.
-        """
+        """Return the message; DecodeError where the key is no topic of SMAL, or the payload not what belongs on it."""
         topic = topic_of(self.key)
         if topic is None:
             raise DecodeError("no topic of SMAL")

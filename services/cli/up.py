@@ -135,10 +135,7 @@ def _check_addresses(reach: options.Reach, services: tuple[str, ...], *, insecur
 
 
 def _chain_flags(model: Path | None, use: options.Use) -> tuple[tuple[str, ...], FeatureSettings | None]:
-    """Return the flags with which recognition and policy have their model from the start, and after every restart.
-
-    And the features that it was learned on.
-    """
+    """Return the flags by which recognition and policy have their model from the start, and its features."""
     if model is None:
         for name, value in asdict(use).items():
             if value is not None:

@@ -31,10 +31,7 @@ class ConsoleSettings(RootSettings):
 
 
 class Place(NamedTuple):
-    """Where to serve the page: a socket that listens, its address for a browser, and the word that it has to know.
-
-    Without a word the page is for this machine alone.
-    """
+    """Where to serve the page: a listening socket, its address, and the word that a browser has to know, if any."""
 
     socket: socket.socket
     address: str
@@ -42,10 +39,7 @@ class Place(NamedTuple):
 
 
 def listen(settings: ConsoleSettings) -> Place:
-    """Listen where the settings say.
-
-    Raises ServiceError when that may not be listened on, or cannot be; BusError when others can read the token or key.
-    """
+    """Listen where the settings say; ServiceError where that cannot be, BusError when others can read the secrets."""
     host, _, port = settings.console.rpartition(":")
     given = (settings.console_cert, settings.console_key, settings.console_token)
     if others_reach(host) and not settings.insecure and None in given:

@@ -77,10 +77,7 @@ class _Work:
 
 
 class Jobs:
-    """One job at a time; of one thread, but for ``show``.
-
-    ``show`` is called with the job as the page draws it, whenever that changes, on the job's thread.
-    """
+    """One job at a time, of one thread; ``show`` is given the job as the page draws it, on the job's own thread."""
 
     def __init__(self, show: Callable[[dict[str, object]], None]) -> None:
         self._show = show

@@ -63,10 +63,7 @@ class LearnedModel:
 
 
 class Library:
-    """Recordings and models below a root, which has no links in its path, looked at again where they have changed.
-
-    ``look`` is called on one thread; everything else on any.
-    """
+    """Recordings and models below a root, looked at again where they have changed; one thread alone calls ``look``."""
 
     def __init__(self, root: Path) -> None:
         self.root = root

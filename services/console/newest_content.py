@@ -56,10 +56,7 @@ class Board:
         return self._version
 
     def _since(self, version: int) -> tuple[int, str, bytes]:
-        """Return the newest version, and what is newer than another one.
-
-        The object's ``now`` is when it was made, by the clock; ``picture`` says whether there is one.
-        """
+        """Return the newest version, and what is newer than another: JSON with the time ``now``, and the picture."""
         with self._lock:
             new = [f'"{name}":{text}' for name, (at, text) in self._channels.items() if at > version]
             at, picture = self._picture

@@ -152,10 +152,7 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
 def write(
     form: Format, drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None] = lambda: None
 ) -> None:
-    """Write drives into a folder that is empty; ``advance`` is called for each of their ticks.
-
-    Raises JobError when the format has no room for them; OSError when it cannot be written.
-    """
+    """Write drives into an empty folder, ``advance`` for each tick; JobError when they do not fit the format."""
     importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(drives, folder, tally, advance)
 
 

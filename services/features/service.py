@@ -36,11 +36,7 @@ class FeaturesSettings(ServiceSettings):
 
 
 class FeaturesService:
-    """Extracts the feature modalities of each camera frame.
-
-    Where they need depth, the colour and the depth image of a frame are joined; either may come first, and only the
-    newest of each is kept.
-    """
+    """Extracts each frame's features; for depth the newest colour and depth image of a frame are joined."""
 
     def __init__(self, features: FeatureSettings) -> None:
         self.needs_depth = "depth" in features.needs

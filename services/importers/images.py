@@ -72,10 +72,7 @@ class Row(NamedTuple):
 def drive_of(
     inside: Inside, name: str, rows: Sequence[Row], tally: Tally, *, success: bool | None = None, metric: bool = True
 ) -> Drive:
-    """Make a drive of its frames.
-
-    An ImportFailure says that no camera's frames have such times: the ticks would show nothing of how the robot drove.
-    """
+    """Make a drive of its frames; ImportFailure where no camera's frames have such times."""
     times_s = np.array([row.time_s for row in rows])
     _check_rate(times_s, inside)
     motion = [(row.time_s, *row.velocity) for row in rows]

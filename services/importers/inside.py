@@ -24,10 +24,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Inside:
-    """A folder, or one file, to read from; a link in its own path is the user's own.
-
-    An ImportFailure says that there is nothing.
-    """
+    """A folder, or one file, to read from, whose own path may have links; ImportFailure where there is nothing."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -49,11 +46,7 @@ class Inside:
             return below(self._root, name)
 
     def open(self, name: str = "") -> IO[bytes]:
-        """Open a file for reading.
-
-        Raises ImportFailure when the name, or a link, leads out of the folder; or it is no regular file, or cannot be
-        read.
-        """
+        """Open a file; ImportFailure when it is outside of the folder, no regular file, or cannot be read."""
         with self._failures(name):
             return open_below(self._root, name)
 

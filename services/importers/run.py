@@ -33,10 +33,7 @@ _PERIOD_S: Final = 0.1
 
 
 def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> Report:
-    """Import; ``advance`` is called for each frame with the number of all.
-
-    Raises ImportFailure when nothing can be imported; OSError when it cannot be written.
-    """
+    """Import, telling ``advance`` of each frame, and of how many; ImportFailure or OSError when that cannot be."""
     try:
         return _run(job, tally, advance)
     except ImportFailure as error:

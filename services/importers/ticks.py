@@ -181,10 +181,7 @@ class Nominal(NamedTuple):
 
 
 def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
-    """Measure it on the samples of all drives, (n, 2): linear and angular.
-
-    Raises ImportFailure when the robot never moves.
-    """
+    """Measure it on the samples of all drives, (n, 2): linear and angular; ImportFailure where no robot moves."""
     linear, angular = np.abs(velocities).T
     driving, turning = linear[linear > _LEAST_LINEAR], angular[angular > _LEAST_ANGULAR]
     if not driving.size:

@@ -1,7 +1,4 @@
-"""The bus: messages, and calls of services, between whoever has the same router, over Zenoh.
-
-What may be counted on stands in ``wire``.
-"""
+"""The bus: messages and calls over Zenoh between all at one router; ``wire`` says what may be counted on."""
 
 import logging
 import re
@@ -231,10 +228,7 @@ class Bus:
         ]
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary") -> None:
-        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the bus's thread.
-
-        Raises BusError when ``keys`` is no valid key expression.
-        """
+        """Call ``take(key, payload, encoding)`` for each sample on keys; BusError when these are no key expression."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
@@ -299,10 +293,7 @@ class Bus:
         thread.start()
 
     def call(self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0) -> R:
-        """Call a service and wait for its reply.
-
-        Raises RpcError when the service refuses, does not answer in time, or answers nonsense.
-        """
+        """Call a service; RpcError when it refuses, does not answer in time, or answers nonsense."""
         key = rpc_key(self.robot, service, verb)
         replies = self.sessions["ordinary"].get(
             key,

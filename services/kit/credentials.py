@@ -33,10 +33,7 @@ Credentials = Certificate | None
 
 
 def credentials_in(folder: Path, role: str) -> Certificate:
-    """Return the certificate that a folder has for a role.
-
-    Raises BusError when it has none, or others can read its key.
-    """
+    """Return a folder's certificate for a role; BusError where it has none, or others can read its key."""
     return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
 
 
@@ -62,10 +59,7 @@ def how_secure(credentials: Credentials, host: str | None = None) -> str:
 
 
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
-    """Shake hands with a router, to say what Zenoh does not: whose certificate is refused, and why.
-
-    None where nobody refuses one, or what listens there does not encrypt.
-    """
+    """Shake hands with a router, to say whose certificate is refused, and why; None where none is."""
     where = f"tls/{host}:{port}"
     try:
         context = ssl.create_default_context(cafile=certificate.ca)

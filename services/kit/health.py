@@ -1,7 +1,4 @@
-"""What a service tells of itself: whether its work gets done, and counts and times for Prometheus; both by HTTP.
-
-``GET /healthz`` is for whoever restarts services, ``GET /metrics`` for Prometheus.
-"""
+"""What a service tells by HTTP: ``GET /healthz`` for whoever restarts services, ``GET /metrics`` for Prometheus."""
 
 import re
 import threading

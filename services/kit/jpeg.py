@@ -31,10 +31,7 @@ def shrunk(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
 
 
 def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
-    """Return the (height, width, 3) RGB pixels of a compressed image.
-
-    Raises ValueError when it is none, or larger than a camera's.
-    """
+    """Return the RGB pixels (height, width, 3) of a JPEG; ValueError when it is none, or larger than a camera's."""
     # Before OpenCV, which makes room for as many pixels as the header claims, up to 3 GB.
     if not is_jpeg(data):
         raise ValueError("not a JPEG image of a size that a camera has")

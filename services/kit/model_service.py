@@ -122,10 +122,7 @@ class LoadedModel:
 
     @classmethod
     def named(cls, request: LoadRequest, root: Path) -> Self:
-        """Read the model that a call names. Raises ServiceError when it cannot be used so.
-
-        What is no model at all is answered as what is not there: whoever asks learns nothing of other files.
-        """
+        """Read the model that a call names; ServiceError when it is of no use, which says nothing of other files."""
         try:
             with open_below(root, request.model) as file:
                 model = _known(Stored.read(file, request.model))

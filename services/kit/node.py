@@ -123,10 +123,7 @@ class Node:
         self.bus.subscribe(topic, take, refuse, replay=replay)
 
     def at_once(self, topic: Topic, handler: Callable[[M], None], otherwise: Callable[[], None] = lambda: None) -> None:
-        """Handle every message of a topic on the bus's own thread, before all that waits; it must return at once.
-
-        ``otherwise`` is called there for what comes and is no such message.
-        """
+        """Handle a topic on the bus's thread, before all that waits; ``otherwise`` is called for what is no message."""
 
         def refuse(why: str) -> None:
             otherwise()
@@ -216,10 +213,7 @@ class Node:
         return f"internal error; the log of {self.name} says more"
 
     def apart(self, period_s: float, handler: Callable[[], Message | None]) -> None:
-        """Publish what ``handler`` returns every ``period_s`` seconds, whatever the node is busy with, until it closes.
-
-        It is called on a thread of its own.
-        """
+        """Publish what ``handler`` returns every ``period_s``, on a thread of its own, until the node closes."""
 
         def repeat() -> None:
             while not self._closed.wait(period_s):

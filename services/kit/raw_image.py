@@ -27,10 +27,7 @@ ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
 
 
 def rgb_of(encoding: str, width: int, height: int, step: int, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the RGB pixels, (height, width, 3), of rows that are ``step`` bytes long.
-
-    Raises ValueError when the encoding is none of `ENCODINGS`, or numbers and pixels do not fit.
-    """
+    """Return the RGB pixels (height, width, 3) of rows of ``step`` bytes; ValueError when that does not fit."""
     if encoding not in ENCODINGS:
         raise ValueError(f"encoding {encoding[:30]!r}: known are {', '.join(ENCODINGS)}")
     size, conversion = ENCODINGS[encoding]

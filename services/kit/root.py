@@ -43,10 +43,7 @@ def below(root: Path, name: str) -> Path:
 
 
 def open_below(root: Path, name: str) -> IO[bytes]:
-    """Open a regular file below a root to read.
-
-    Raises OSError when there is none of this name, or it cannot be opened.
-    """
+    """Open a regular file below a root to read; OSError where there is none, or it cannot be opened."""
     return os.fdopen(open_regular(below(root, name), os.O_RDONLY | os.O_NOFOLLOW), "rb")
 
 

@@ -46,17 +46,11 @@ class ServiceSettings(BaseSettings):
         return self
 
     def credentials(self, role: str) -> Credentials:
-        """Return what to show the router, as one of the roles of the table of services.
-
-        Raises BusError when it is asked for, and not there.
-        """
+        """Return what to show the router as one of the roles; BusError where it is asked for, and not there."""
         if self.tls_ca and self.tls_cert and self.tls_key:
             return certificate_of(self.tls_ca, self.tls_cert, self.tls_key)
         return None if self.secure is None else credentials_in(self.secure, role)
 
     def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
-        """Connect to the router, as one of the roles of the table of services.
-
-        Raises BusError when there is no router, or it does not let us in.
-        """
+        """Connect to the router as one of the roles; BusError when there is none, or it does not let us in."""
         return Bus(self.robot, self.router, patience_s, self.credentials(role))

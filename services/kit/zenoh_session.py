@@ -31,10 +31,7 @@ _OPENING: Final = threading.Lock()
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
-    """Open a session; the first one of a process decides how many threads take in what comes.
-
-    That is told to Zenoh by the environment, which is not for the processes that this one starts.
-    """
+    """Open a session; the first one of a process decides, by the environment, how many threads take in what comes."""
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

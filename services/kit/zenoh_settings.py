@@ -180,10 +180,7 @@ def runtime(threads: int) -> str:
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
-    """Return the two parts of a router's address.
-
-    Raises BusError when the address is malformed; Zenoh would try an impossible one for ever.
-    """
+    """Return host and port of a router; BusError for a malformed address, which Zenoh would try for ever."""
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
         form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
@@ -192,10 +189,7 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
 
 
 def check_credentials(endpoint: str, credentials: Credentials) -> None:
-    """Check that an address is of the kind that credentials are for.
-
-    Raises BusError when it is encrypted and they are no certificate, or the other way round.
-    """
+    """Check that an address is encrypted where the credentials are a certificate, and only there; else a BusError."""
     if encrypted(endpoint) and credentials is None:
         raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
     if credentials is not None and not encrypted(endpoint):

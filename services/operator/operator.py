@@ -328,10 +328,7 @@ class Operator:
         return not self.asking
 
     def _arming(self) -> Callable[[], None] | None:
-        """Return what releases the stop that the operator knows of when they press the key, and no other one.
-
-        None where the robot may not be asked, which is said.
-        """
+        """Return what releases the stop that the operator knows of now; None where the robot may not be asked."""
         stop = self.commands.to_release
         if not self._may_ask():
             return None

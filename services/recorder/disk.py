@@ -41,10 +41,7 @@ class Disk:
             raise OSError(errno.ENOSPC, self.warning)
 
     def look(self, folder: Path, written: int) -> bool:
-        """Return whether the disk of a folder has room to go on, with so many bytes recorded so far.
-
-        Raises OSError when the folder is gone.
-        """
+        """Return whether there is room to go on after so many recorded bytes; OSError when the folder is gone."""
         now_s = self._clock()
         self._written.append((now_s, written))
         while now_s - self._written[0][0] > _RATE_S:

@@ -119,10 +119,7 @@ def verify(path: Path) -> Contents:
 
 
 def contents_of(path: Path, *, thorough: bool = False) -> Contents:
-    """Tell what is in a recording; what of it does not decode is counted only.
-
-    Raises RecordingError when it is no recording at all, or unpacks to too much.
-    """
+    """Tell what is in a recording; RecordingError when it is none, or unpacks to too much."""
     recorded = being_recorded(path)
     data = open_recording(path, living=True)
     left = path.suffix == PARTIAL_SUFFIX

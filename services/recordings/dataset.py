@@ -140,10 +140,7 @@ def _joined(first: Path, second: Path) -> str:
 
 
 def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
-    """Say why an episode must not teach, or None.
-
-    An episode whose end was not recorded teaches the way, but no goal.
-    """
+    """Say why an episode must not teach, or None; one whose end was not recorded teaches the way, but no goal."""
     if episode.purpose == "run" and not include_runs:
         return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
     if episode.purpose == "run" and episode.outcome != "found":
@@ -165,10 +162,7 @@ def _is_image(payload: memoryview) -> bool:
 
 
 def _complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
-    """Compute the features that were not recorded from the images; return how many.
-
-    A frame whose image is damaged stays without, and so does one that needs depth.
-    """
+    """Compute missing features from the images, but for depth and for damaged images; return how many."""
     if "depth" in settings.needs:
         return 0
 
@@ -227,10 +221,7 @@ class RecordedImages(Sequence[NDArray[np.uint8]]):
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the recordings among files and folders; of a folder those in it, also unfinished ones.
-
-    Raises UsageError for a path that is not there, or a folder without a recording.
-    """
+    """Return the recordings among files and in folders, unfinished ones too; UsageError where a path has none."""
     found: list[Path] = []
     for path in paths:
         if not path.exists():

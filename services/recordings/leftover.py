@@ -1,7 +1,4 @@
-"""What a recorder left that was killed, or whose disk was full, is sealed where it stands: nothing is copied.
-
-It has no index then, which readers do without.
-"""
+"""What a recorder left that was killed, or whose disk was full, is sealed in its place, without an index."""
 
 import os
 from pathlib import Path

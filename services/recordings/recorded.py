@@ -133,10 +133,7 @@ def episode_of(name: str) -> str:
 
 
 def ticks_of(names: Sequence[str], frames: int) -> list[int]:
-    """Return the ticks of a drive of so many frames that is made of the named pieces.
-
-    Empty where the names do not say, as that of a whole episode, or say something else than that many.
-    """
+    """Return the ticks of a drive of that many frames by the names of its pieces; empty where they do not say."""
     spans = [re.search(r"\[([0-9]{1,18})-([0-9]{1,18})\]$", name) for name in names]
     pieces = [range(int(span[1]), int(span[2]) + 1) for span in spans if span is not None]
     return [tick for piece in pieces for tick in piece] if sum(map(len, pieces)) == frames else []

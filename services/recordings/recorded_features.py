@@ -14,10 +14,7 @@ from smal.features import FeatureSettings
 
 
 def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
-    """Return the features that recordings hold; the usual ones if they hold none that this version makes.
-
-    Raises UsageError when they hold different ones.
-    """
+    """Return what features recordings hold, the usual ones if none of this version; UsageError when they differ."""
     found: dict[FeatureSettings, Path] = {}
     for path in paths:
         for features in features_in(path):

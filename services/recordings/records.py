@@ -150,10 +150,7 @@ def heads(data: memoryview, at: int) -> Iterator[Head]:
 
 
 def inside(chunk: Chunk, bounds: Bounds, *, checked: bool = False) -> Iterator[McapRecord]:
-    """Yield the whole records in a chunk; raises as `records`.
-
-    The checksum of one that is not packed is only checked if that is wanted: it takes to read all of it.
-    """
+    """Yield the whole records in a chunk; a checksum counts of a packed one, or if ``checked``. Raises as `records`."""
     content = memoryview(bounds.unpack(chunk) if chunk.compression else chunk.data)
     checked |= bool(chunk.compression)
     if len(content) != chunk.uncompressed_size or (checked and chunk.uncompressed_crc not in (0, zlib.crc32(content))):

@@ -97,10 +97,7 @@ def end_of(last: Message, started: Episode) -> Episode:
 
 
 def tracks_of(path: Path) -> tuple[Track, ...]:
-    """Read what robots told, in the order of their episodes in the file.
-
-    Raises RecordingError when it cannot be read, is being recorded, holds no episode, or takes too much memory.
-    """
+    """Read what robots told, by episode; RecordingError when it is unreadable, being recorded, empty or too much."""
     tracks: dict[tuple[str, str], Track] = {}
     allowance = Allowance()
     data = open_recording(path)

@@ -1,7 +1,4 @@
-"""The file of a recording: its names, who owns it, and writing it so that it is soon on the disk.
-
-A recording is ``NAME.mcap.partial`` until it is sealed. Whoever has locked it owns it.
-"""
+"""The file of a recording: ``NAME.mcap.partial`` until it is sealed; whoever has locked it owns it."""
 
 import fcntl
 import os

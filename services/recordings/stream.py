@@ -41,10 +41,7 @@ def being_recorded(path: Path) -> bool:
 
 
 def open_recording(path: Path, *, living: bool = False) -> memoryview:
-    """Return the bytes of a recording; one that is still being recorded only if that is wanted.
-
-    Raises RecordingError when it cannot be read, is no MCAP file, or is being recorded.
-    """
+    """Return a recording's bytes; RecordingError when there is none, or it is being recorded, unless ``living``."""
     if not living and being_recorded(path):
         raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
     try:

@@ -90,10 +90,7 @@ class EpisodeWriter:
         self._written = self.messages
 
     def seal(self) -> Path:
-        """Finish the recording, and give it its name; return its file.
-
-        Where there was no room for its end, that is what `services.recordings.leftover` seals later.
-        """
+        """Finish and name the recording, and return its file; `leftover` seals later what had no room for its end."""
         try:
             if self.problem is None:
                 self._finish()

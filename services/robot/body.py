@@ -91,11 +91,7 @@ class Stops(Protocol):
 
 
 class Body(Stops, Protocol[V_co]):
-    """Wheels and a camera.
-
-    ``drive`` and ``stand`` are called 50 times a second on a thread that does nothing else; they must return at once.
-    Everything else is called on another thread.
-    """
+    """Wheels and a camera; ``drive`` and ``stand`` return at once, 50 times a second on a thread of their own."""
 
     @property
     def speed_m_s(self) -> float:

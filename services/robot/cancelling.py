@@ -22,10 +22,7 @@ class Cancelling:
         self._by: str | None = None
 
     def cancel(self, session: str, operator: str | None) -> None:
-        """End what is being begun, at its next step, because a session says so; ServiceError where it may not.
-
-        Only who asked for it may, and the operator (a session), if there is one.
-        """
+        """End what is being begun; ServiceError unless who asked for it, or the operator (a session), says so."""
         with self._lock:
             if self._asker is None:
                 raise ServiceError("there is nothing to cancel: no episode is being begun")

@@ -157,10 +157,7 @@ class CommandGate:
             return self._pulse
 
     def hear(self, beat: Heartbeat, now_s: float) -> None:
-        """Take an operator's sign of life, unless it answers no recent pulse.
-
-        That of another one than the one who is there changes nothing.
-        """
+        """Take an operator's sign of life, unless it answers no recent pulse, or another operator is there."""
         with self._lock:
             answered_s, last = self._pulsed_s.get(beat.answers, -math.inf), self._operator
             if now_s - answered_s > OPERATOR_S:
@@ -177,10 +174,7 @@ class CommandGate:
                     self._latch("operator_lost")
 
     def watch(self, now_s: float) -> None:
-        """Latch a stop where the operator has answered no pulse for too long.
-
-        The time is of the clock that ``pulse`` and ``hear`` are told, which never stands.
-        """
+        """Latch a stop where the operator has answered no pulse for too long, by the clock of ``pulse``."""
         with self._lock:
             last = self._operator
             if last is not None and last.there and now_s - last.answered_s > OPERATOR_S:

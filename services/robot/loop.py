@@ -1,7 +1,4 @@
-"""The last thread before the wheels: gate, then body, 50 times a second, and nothing else.
-
-No rendering, no calls, no publishing: whatever the rest of the process waits for, this does not.
-"""
+"""The last thread before the wheels: gate, then body, 50 times a second, and nothing that could wait."""
 
 import logging
 import threading

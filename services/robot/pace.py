@@ -111,10 +111,7 @@ Paces = Mapping[Mode, Callable[[], Pace[V]]]
 
 
 class RealTime(Generic[V]):
-    """The clock runs: ten frames a second, or as many as can be made, and a loop that moves the robot meanwhile.
-
-    ``wake`` makes somebody call ``poll`` soon.
-    """
+    """The clock runs: ten frames a second at most, while a loop drives; ``wake`` has somebody call ``poll`` soon."""
 
     def __init__(self, gate: CommandGate, body: Body[V], clock: Callable[[], float], wake: Callable[[], None]) -> None:
         self._clock = clock

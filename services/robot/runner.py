@@ -158,17 +158,11 @@ class EpisodeRunner(Generic[V]):
         return reply, messages
 
     def cancel(self, request: CancelRequest) -> None:
-        """End the beginning of an episode, which ``reset`` then refuses; on any thread.
-
-        Raises ServiceError where none is being begun, or who asks neither asked for it nor operates the robot.
-        """
+        """End the beginning of an episode, on any thread; ServiceError where none begins, or they may not."""
         self._cancelling.cancel(request.session, self.gate.operator)
 
     def end_by(self, request: EndRequest) -> list[Message]:
-        """End the running episode because somebody asks for that.
-
-        Raises ServiceError where another episode runs, or none, or the operator alone may say so.
-        """
+        """End the running episode when asked; ServiceError where it is another, or they may not."""
         run = self._running
         if run is None or run.id != request.episode:
             raise ServiceError(f"episode {request.episode} is not running")

@@ -107,11 +107,7 @@ class Ros2Body:
         return self._link.lacks() or self._senses.silent(self._asked)
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Be ready where it stands: a person has put it there.
-
-        Raises ServiceError where something that it needs is not heard, or it was asked for what only a simulated robot
-        can do.
-        """
+        """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""
         if request.kidnap_tick is not None:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
         if request.world is not None or request.variation is not None:

@@ -138,10 +138,7 @@ def known_presets() -> list[str]:
 
 
 def read_config(path: Path) -> Ros2Config:
-    """Read a configuration, a YAML file; with `preset: NAME` it says only what differs from that one.
-
-    Raises UsageError where it cannot be used.
-    """
+    """Read a configuration; with `preset: NAME` it says only what differs from that. UsageError where it is wrong."""
     own = _read(path)
     preset = own.get("preset")
     if preset is not None:

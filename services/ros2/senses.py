@@ -215,10 +215,7 @@ class Senses:
         return None
 
     def silent(self, atom: Atom = "stop") -> str | None:
-        """Say who must be heard for a movement to be made, and is not; None where everybody is.
-
-        The scanner must have seen that its way is free.
-        """
+        """Say which silent topic, or way that no beam has seen, forbids a movement; None where nothing does."""
         now = self._clock()
         for topic, heard in self.inputs.items():
             if heard.silence_s is None:
@@ -297,10 +294,7 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
 
 
 def picture(message: RosMessage) -> tuple[bytes, int]:
-    """Return the JPEG in a CompressedImage, or of the pixels in an Image, and how wide it is.
-
-    Raises MessageError where there is none that we understand.
-    """
+    """Return the JPEG of a CompressedImage, or of the pixels of an Image, and its width; MessageError where none is."""
     try:
         if hasattr(message, "format"):
             # It goes on as it came; decoded to see that it is whole.

@@ -50,10 +50,7 @@ def _settings(config: Ros2Config) -> zenoh.Config:
 
 
 class Ros2Session:
-    """The way to a base: has the senses take what it says, sends it velocities, and shows us to `ros2 node list`.
-
-    Raises ServiceError when its router does not answer.
-    """
+    """The way to a base: hears what it says, and sends it velocities; ServiceError when its router does not answer."""
 
     def __init__(self, config: Ros2Config, senses: Senses) -> None:
         self._config = config

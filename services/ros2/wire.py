@@ -85,10 +85,7 @@ def qualified(topic: str, namespace: str) -> str:
 
 
 class Bridge:
-    """A robot with another middleware, and zenoh-bridge-ros2dds beside it: plain keys, nothing attached.
-
-    The robot's own bridge speaks for us: there are no tokens of ours.
-    """
+    """A robot with another middleware: zenoh-bridge-ros2dds speaks for us, with plain keys and nothing attached."""
 
     #: Key expression of the tokens by which endpoints tell that they are there.
     tokens = "@/*/@ros2_lv/**"

@@ -49,10 +49,7 @@ def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> 
 
 
 class Actuator:
-    """Wheels that do not quite obey, in the same way for the same seed.
-
-    The errors belong to ticks of simulated time, so that a movement does not depend on how finely it is stepped.
-    """
+    """Wheels that do not quite obey; their errors belong to ticks of simulated time, however finely it is stepped."""
 
     def __init__(self, drive: Drive, rng: np.random.Generator) -> None:
         self._drive, self._rng = drive, rng
@@ -81,10 +78,7 @@ class Motion(NamedTuple):
 
 
 class KinematicBase:
-    """A base without mass, that has the speed of its wheels at once and stops where it touches something.
-
-    `drive` are other wheels than those of the place's robot.
-    """
+    """A base without mass, that has its wheels' speed at once and stops where it touches something."""
 
     braking_s = 0.0  # Seconds from nominal speed to standing.
 

@@ -60,10 +60,7 @@ class SimulatedBody:
         self.braking_s = simulation.braking_s
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Put the robot at a seeded start, in another world if one is asked for.
-
-        Raises ServiceError where there is no such world, or it cannot be used; the robot stays where it is.
-        """
+        """Put the robot at a seeded start; ServiceError where the world cannot be used, and the robot stays."""
         self._go_where_asked(request)
         with self._lock:
             self.simulation.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")

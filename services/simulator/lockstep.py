@@ -22,10 +22,7 @@ GIVE_UP_S: Final = 30.0
 
 
 class LockstepEpisode(Episode[SimulatedView]):
-    """An episode in this process, without messages, for whoever acts on its views.
-
-    What the services add changes nothing in lockstep: the same seed gives the same poses.
-    """
+    """An episode in this process, for whoever acts on its views; the same seed gives the same poses as by messages."""
 
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
@@ -69,10 +66,7 @@ class Lockstep:
         """Do nothing: time stands."""
 
     def poll(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
-        """Move on by a tick if the last frame is answered; send it again, or give up, where an answer is overdue.
-
-        While a stop is latched the robot stands, and nothing is rendered.
-        """
+        """Move on if the last frame is answered; send it again, or give up, when an answer is overdue."""
         # Asked in this order: of an answer that comes between the two, the next poll makes a step.
         answered, applied = runner.gate.answered(run.tick), runner.gate.applied(self.gate_s(run.tick))
         if runner.gate.emergency_stop:

@@ -1,7 +1,4 @@
-"""A base with mass: the wheels are driven in PhysX, and what the robot does follows from friction and contacts.
-
-The engine is the one inside SAPIEN, on the CPU; it needs neither a GPU nor Vulkan.
-"""
+"""A base with mass: wheels, friction and contacts in PhysX, as SAPIEN has it, on the CPU; no Vulkan is needed."""
 
 import math
 from collections.abc import Iterable

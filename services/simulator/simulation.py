@@ -91,10 +91,7 @@ class Simulation:
                 self._sensors.feel(motion, duration_s / steps)
 
     def look(self, captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False) -> SimulatedView:
-        """Return what is seen and felt now; odometry and inertial readings are those since this was last called.
-
-        `captured_s` and `wanted` are those of `SimulatedView`.
-        """
+        """Return what is seen, and felt since this was last called; `captured_s` and `wanted` as in `SimulatedView`."""
         felt = self._sensors
         return SimulatedView(
             *self._seen, self.pose, felt.tilt, felt.tilt_rate, self.collided, felt.odometry(), felt.imu(), captured_s,

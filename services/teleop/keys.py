@@ -1,7 +1,4 @@
-"""From the bytes of a terminal to keys.
-
-Few terminals tell releases: those that speak the kitty keyboard protocol, https://sw.kovidgoyal.net/kitty.
-"""
+"""From the bytes of a terminal to keys; releases by the kitty protocol, https://sw.kovidgoyal.net/kitty."""
 
 import re
 from collections.abc import Iterator

@@ -131,10 +131,7 @@ def require_terminal() -> None:
 
 @contextmanager
 def open_terminal() -> Iterator[Terminal]:
-    """Read keys without waiting for Enter and without showing them; restored however the context is left.
-
-    Raises UsageError when standard input is not a terminal.
-    """
+    """Read keys as they are pressed, until the context is left; UsageError when the input is no terminal."""
     require_terminal()
     before = termios.tcgetattr(sys.stdin)
     terminal = Terminal()

@@ -27,10 +27,7 @@ class TagNotSeen(Exception):  # noqa: N818 - what happened, and no error
 
 @dataclass(frozen=True)
 class Tag:
-    """A square ArUco marker of ``DICT_4X4_50``, by its number, that lies flat on the robot, its upper edge in front.
-
-    ``side_m`` is that of its black square, ``height_m`` is above the floor; metres.
-    """
+    """A square ArUco marker of ``DICT_4X4_50`` flat on the robot, upper edge ahead; side and height in metres."""
 
     number: int
     side_m: float

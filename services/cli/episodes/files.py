@@ -18,10 +18,7 @@ STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0
 
 
 def name_for(bus: Bus, service: str, path: Path, option: str) -> str:
-    """Return the name of a path below the root of a service.
-
-    Raises UsageError when it is elsewhere. Raises RpcError when the service does not answer.
-    """
+    """Return a path's name below a service's root; UsageError when it is elsewhere, RpcError without an answer."""
     root = bus.call(service, "status", Nothing(), Status).detail.get("root")
     name = name_below(Path(str(root)), path)
     if name is None:

@@ -36,10 +36,7 @@ _TIERS: Final = 4
 
 
 def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
-    """Make the meshes, pictures and lights of a world; takes seconds.
-
-    `shadows` says whether what stands on the ground darkens it.
-    """
+    """Make the meshes, pictures and lights of a world, with ``shadows`` or without; takes seconds."""
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, world.victim, light, shadows=shadows)

@@ -95,10 +95,7 @@ def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
 
 
 def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """Return the upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), from one height to another.
-
-    Each from its foot on, anticlockwise seen from the right of the ring.
-    """
+    """Return upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), anticlockwise from its right, foot first."""
     begin, end = ring[:-1], ring[1:]
     foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
     return np.stack(

@@ -49,10 +49,7 @@ def load_renderer() -> Any:
 
 
 class SceneCamera:
-    """A camera on the robot's mast, in a world built for it.
-
-    Raises UnavailableError where the machine has no usable Vulkan driver.
-    """
+    """A camera on the robot's mast, in a world built for it; UnavailableError without a usable Vulkan driver."""
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = sapien = load_renderer()
@@ -81,10 +78,7 @@ class SceneCamera:
         return _colour(self._camera)
 
     def depth_m(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.float32]:
-        """Return how far along the optical axis each pixel's surface is; `inf` for the sky and for nothing.
-
-        It is (height, width) float32, metres, exact to a millimetre up to 40 m.
-        """
+        """Return each pixel's depth along the axis, (height, width) float32, metres; `inf` for the sky and nothing."""
         shown = self._labels(pose, tilt)
         # The depth buffer holds 0 at the near plane and 1 at the far one, and is linear in the inverse of the depth.
         buffer = self._camera.get_picture("GbufferDepth").astype(np.float64)

@@ -43,10 +43,7 @@ class Scene(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """What a mesh wears: a material or a face, by name, or a façade; perhaps in another colour.
-
-    `variant` is that of a face's picture, or the part of a façade.
-    """
+    """What a mesh wears: a material or a face by name, or a façade; `variant` is that of a face, or a façade's part."""
 
     wears: str | Facade
     colour: Rgb | None = None

@@ -21,10 +21,7 @@ _PLAIN_SHAPE: Final = (64, 64)
 def noise(
     rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return smooth noise of a shape that repeats without a seam, mean 0 and standard deviation 1.
-
-    `grain_px` is the size of the blobs in pixels: one number, or one for each axis.
-    """
+    """Return smooth seamless noise, mean 0 and standard deviation 1; `grain_px` is the size of its blobs."""
     down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
     frequency_down, frequency_across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
     keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))

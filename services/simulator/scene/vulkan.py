@@ -26,10 +26,7 @@ def cannot_render(error: RuntimeError) -> UnavailableError:
 
 @lru_cache
 def load_sapien(*, rendering: bool = True) -> Any:
-    """Return the SAPIEN module, the Vulkan driver chosen before it is imported for the first time.
-
-    Raises UnavailableError where SAPIEN is missing, or for rendering the Vulkan loader or a driver.
-    """
+    """Return SAPIEN, its Vulkan driver chosen first; UnavailableError where one of them is missing."""
     try:
         _prepare()
     except UnavailableError:

@@ -168,10 +168,7 @@ class SimulatedView:
 
 
 def depth_message(header: Message, depth_m: NDArray[np.float32]) -> DepthImage:
-    """Make the message of a depth image (height, width) in metres, `inf` where nothing is.
-
-    It has every n-th pixel, so that it is small.
-    """
+    """Make a small depth message of every n-th pixel of an image (height, width) in metres, `inf` where nothing is."""
     height, width = depth_m.shape
     every = max(1, math.ceil(width / _MOST_COLUMNS), math.ceil(height / _MOST_ROWS))
     # From the middle of each block, so that a pixel of the small image looks where its block does.

@@ -45,10 +45,7 @@ class Outline(NamedTuple):
 
 
 def compose(outlines: Sequence[Outline], parts: Sequence[Outline]) -> tuple[list[Building], Counter[str]]:
-    """Return all buildings, and how many parts are "used", or are not for which reason.
-
-    Buildings whose parts cover at least 70 % of them are drawn as these parts.
-    """
+    """Return all buildings, those that parts cover to 70 % as parts; and how many parts are "used", or why not."""
     counts: Counter[str] = Counter()
     tree = STRtree([outline.shape for outline in outlines])
     own: list[list[Outline]] = [[] for _ in outlines]

@@ -54,10 +54,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
-    """A piece of furniture, as it is in a room's file.
-
-    Tables and desks are open below; chairs and plants are round; the others are boxes.
-    """
+    """A piece of furniture in a room's file; tables and desks are open below, plants round, the others boxes."""
 
     kind: FurnitureKind
     x_m: Metres  # Middle of its footprint, from the west wall.

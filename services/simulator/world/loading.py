@@ -76,10 +76,7 @@ def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
 
 
 def import_map(osm_map: Path, out: Path, wishes: Wishes) -> tuple[World, str]:
-    """Turn a map into the world that whoever reads the file `out` will have, and the text for that file.
-
-    Raises WorldError where the map cannot be used, or there is no way from start to victim.
-    """
+    """Return a map's world, as it is read back, and the text for its file; WorldError when the map is of no use."""
     text = terrain_text(_connected(world_of_map(osm_map, wishes)))
     return world_of_text(text.encode(), out), text
 

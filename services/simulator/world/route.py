@@ -1,7 +1,4 @@
-"""Where a robot can go: what stands in the way, and the shortest way to the victim.
-
-The way leads along lanes, with a straight free leg at either end.
-"""
+"""Where a robot can go: what stands in the way, and the shortest way to the victim, along lanes."""
 
 from functools import lru_cache
 from typing import Final

@@ -45,10 +45,7 @@ def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
 
 
 class _Survey:
-    """Gather the things of a terrain, element by element, and count what becomes of each.
-
-    `skipped` counts what is broken; `left_out` what is as it should be, but shows nothing here.
-    """
+    """Gather the things of a terrain; count what was used, `skipped` (broken) and `left_out` (nothing to see here)."""
 
     def __init__(self, frame: Polygon) -> None:
         self.skipped: Counter[str] = Counter()
@@ -170,10 +167,7 @@ class _Survey:
 
 
 def _area_within(points: Points) -> BaseGeometry:
-    """Return the area that a closed line (n, 2) encloses, untangled where it crosses itself.
-
-    An `OutlineError` says that the line is open, encloses nothing, or crosses itself too often.
-    """
+    """Return what a closed line (n, 2) encloses, untangled; OutlineError where it is open, empty or too tangled."""
     if len(points) < 4 or (points[0] != points[-1]).any():
         raise OutlineError(OPEN)
     area: BaseGeometry = Polygon(points)
