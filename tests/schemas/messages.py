@@ -165,6 +165,10 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
     if cls is DepthImage:
         width, height = fields["width"] % 8 + 1, fields["height"] % 8 + 1
         fields |= {"width": width, "height": height, "data": rng.bytes(2 * width * height)}
+    elif cls is CameraInfo:
+        width, height = fields["width"], fields["height"]
+        axis = {"centre_x_px": width * rng.random(), "centre_y_px": height / 2}
+        fields |= {"focal_px": width * rng.uniform(1.0, 12.0), **axis}
     elif cls is TaughtMap:
         count = len(fields["begins"])
         poses = Float32Array.from_numpy(rng.standard_normal((count, 3), dtype=np.float32))
