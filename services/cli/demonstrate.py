@@ -66,7 +66,6 @@ def demonstrate(
 
 
 def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
-    """Have every drive driven and recorded; return how many."""
     expert = ExpertService()
     records: list[EpisodeRecord] = []
     with closing(EpisodeClient("demonstrate", access.settings)) as client:

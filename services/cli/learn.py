@@ -161,7 +161,6 @@ def _read(
 def _learn(
     teaching: Teaching, scheme: Scheme, settings: LearningSettings, bar: _Lines | Bars
 ) -> tuple[AnyModel, dict[str, Any]]:
-    """Return the model, and what is told of it."""
     drives = teaching.demonstrations
     try:
         if scheme == "filter":

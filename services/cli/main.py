@@ -47,11 +47,9 @@ class _LazyGroup(TyperGroup):
     def get_command(  # type: ignore[override]  # typer hides the classes
         self, ctx: typer.Context, cmd_name: str
     ) -> TyperGroup | TyperCommand | None:
-        """Load one."""
         return _load(cmd_name) if cmd_name in COMMANDS else None
 
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # noqa: ANN401
-        """List all without loading any."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 

@@ -145,7 +145,6 @@ def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], 
 
 
 def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: ImageFolder) -> ImageFolder | None:
-    """List a folder of depth images, if the features need them."""
     if path is None or "depth" not in features.needs:
         if path is not None or "depth" in features.needs:
             raise UsageError(f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it")

@@ -79,7 +79,6 @@ def _by_clock(rate: float) -> Callable[[Tick], bool]:
 
 
 def _by_hand(tick: Tick) -> bool:
-    """Wait for Enter; go on unless the input is at its end."""
     sys.stderr.write(f"tick {tick.number}; Enter goes on, Ctrl-D ends: ")
     sys.stderr.flush()
     return sys.stdin.readline() != ""

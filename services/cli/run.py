@@ -137,7 +137,6 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
 
 
 def _load(bus: Bus, model: Path, use: options.Use) -> None:
-    """Have recognition and policy load the model."""
     for service in CHAIN:
         request = LoadRequest(model=name_for(bus, service, model, "--model"), stride=use.stride, goal=use.goal)
         bus.call(service, "load", request, LoadReply, timeout_s=60.0)
@@ -156,11 +155,7 @@ def _check_features(bus: Bus, wanted: FeatureSettings) -> None:
 
 
 def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
-    """Ask recognition and policy whether they work with the model whose results these are to be.
-
-    Raises JobError when one does not: the file was replaced, or the service was started again, with the model of its
-    stack.
-    """
+    """Refuse results of another model: services that were started again have that of their stack."""
     for service in CHAIN:
         detail = bus.call(service, "status", Nothing(), Status).detail
         for name, found, wanted in (("model", detail.get("checksum"), identity), ("goal", detail.get("goal"), goal)):

@@ -126,10 +126,7 @@ class Library:
         return next((one for one in self.models() if one.name == name), None)
 
     def leads_to(self, model: LearnedModel) -> str:
-        """Return where a run is said to lead that goes to the nearest goal: of several nobody knows which that is.
-
-        What a model does not tell, the recordings do that it was learned from, as far as they are there.
-        """
+        """Return where a run to the nearest goal leads, by the model, or else by the recordings that taught it."""
         goals = set(model.goals) or {one.goal for one in self._taught_by(model) if one.goal}
         return goals.pop() if len(goals) == 1 else "nearest" if goals else "victim"
 

@@ -97,7 +97,6 @@ def _started() -> tuple[multiprocessing.process.BaseProcess, Connection]:
 
 
 def _read_all(connection: Connection) -> None:
-    """Read what is asked for, until nobody asks any more."""
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
     with suppress(OSError):
@@ -141,7 +140,6 @@ def read(path: Path, listed: Recording) -> Recording:
 
 
 def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
-    """Give small pictures along a drive, its first and last frame among them."""
     count = min(THUMBNAILS, len(ticks))
     for k in range(count):
         tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]

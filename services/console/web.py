@@ -79,7 +79,6 @@ class Web:
         return _picture(recording.thumbnails[number])
 
     async def _taught(self, request: Request) -> Response:
-        """Answer with the taught image of a keyframe."""
         learned, keyframe = self._service.learned, _number(request.path_params["keyframe"])
         if learned is None or keyframe is None or learned.identity != request.path_params["model"]:
             return _picture(None)

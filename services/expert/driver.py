@@ -61,10 +61,7 @@ class RouteDriver:
         return self._turning or "forward"
 
     def _project(self, position: NDArray[np.float64]) -> float:
-        """Return how far along the route the nearest point is; never behind, and not past the next corner at once.
-
-        A route may pass the same place twice, so only the stretch that can have been reached is searched.
-        """
+        """Return how far along the route the nearest point is, of the stretch that can have been reached."""
         near, far = self._progress_m, self._progress_m + 2 * self._lookahead_m
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
         points = self._point_at(candidates)

@@ -67,7 +67,6 @@ class _Episode:
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((3, 256), np.int64))
 
     def take(self, frame: _Frame, pixels: Pixels) -> None:
-        """Keep what the tables say of a frame."""
         self.frames.append(frame)
         counts = [cv2.calcHist([pixels], [channel], None, [256], [0.0, 256.0])[:, 0] for channel in range(3)]
         self.counts += np.stack(counts).astype(np.int64)
@@ -130,7 +129,6 @@ def _usable(
 
 @contextmanager
 def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], None]]:
-    """Open an MP4 file to write; give what adds an image to it."""
     import av  # noqa: PLC0415 - as above
 
     width, height = size
@@ -153,7 +151,6 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
 
 def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally) -> None:
-    """Write everything but the images."""
     import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
 
     lengths = [len(episode.frames) for episode in episodes]
@@ -179,7 +176,6 @@ def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], rob
 
 
 def _columns(episodes: list[_Episode], lengths: list[int], tasks: list[str], tally: Tally) -> dict[str, NDArray[Any]]:
-    """Return the features, as the rows have them."""
     frames = [frame for episode in episodes for frame in episode.frames]
     places = np.concatenate([np.arange(length) for length in lengths])
     columns: dict[str, NDArray[Any]] = {ACTION: np.array([frame.action for frame in frames], np.float32)}

@@ -52,7 +52,6 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
 
 
 def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[str, str, int, Fields]]:
-    """Yield topic, type, time and fields of every message."""
     began_ns: int | None = None
     for moment in drive.moments(tally, advance):
         stamp_ns = moment.stamp_ns

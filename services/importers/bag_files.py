@@ -33,11 +33,7 @@ class Received(NamedTuple):
 
 
 def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator[Received]:
-    """Yield the messages of a bag, of one topic or of all, file after file.
-
-    Raises ImportFailure when there is no bag, or a file cannot be read; of one whose end is missing the whole messages
-    are read.
-    """
+    """Yield the messages of a bag, of one topic or of all; ImportFailure when there is none, or a file is damaged."""
     for name in _files(inside):
         path = inside.regular(name)
         messages = _of_sqlite(path, tally) if path.suffix == ".db3" else _of_mcap(path, tally)

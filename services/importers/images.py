@@ -27,10 +27,7 @@ _PNG: Final = b"\x89PNG\r\n\x1a\n"
 
 
 def as_jpeg(data: bytes) -> bytes:
-    """Return an image file as JPEG; what is neither JPEG nor PNG, damaged or of a size of no camera is `NotAnImage`.
-
-    It is decoded in any case: half an image is found here, where it is counted, and not in learning.
-    """
+    """Return a JPEG or PNG file as JPEG, decoded to see that it is whole; `NotAnImage` says what is wrong with it."""
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     if not data.startswith((_JPEG, _PNG)):

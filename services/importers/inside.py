@@ -1,8 +1,4 @@
-"""Reads files of a folder that somebody else filled, and none outside of it.
-
-Names in such a folder, and links in it, may lead anywhere: to a private file, whose content would then be in the
-recording, or to a pipe that nobody ever writes to.
-"""
+"""Reads files of a stranger's folder, and none outside of it, wherever names and links in it may lead."""
 
 import os
 from collections.abc import Iterator

@@ -126,7 +126,6 @@ class _DataSet:
         self._filmed = self.info.features[self._camera].dtype == "video"
 
     def episodes(self) -> Iterator[_Episode]:
-        """Yield what the data set says that it has."""
         return self._of_tables() if self.info.codebase_version == "v3.0" else self._of_lines()
 
     def _of_lines(self) -> Iterator[_Episode]:
@@ -156,7 +155,6 @@ class _DataSet:
                 yield episode
 
     def drive(self, episode: _Episode) -> Drive:
-        """Read an episode, all but its images."""
         where, name = self._velocity, str(episode.number)
         columns = dict.fromkeys(["timestamp", where.feature])
         columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys({SUCCESS} & self.info.features.keys())
@@ -246,7 +244,6 @@ def _cell(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
 def _batches(
     inside: Inside, name: str, columns: Sequence[str], episode: int | None = None, rows: int = _ROWS
 ) -> Iterator[Any]:
-    """Yield record batches of columns of a Parquet file, of one episode or of all."""
     import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
     import pyarrow.compute as pc  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415

@@ -14,14 +14,7 @@ import numpy as np
 
 from schemas.codec import printable
 from services.importers.bag_files import Received, received
-from services.importers.drive import (
-    MOST_SAMPLES,
-    Drive,
-    Image,
-    ImportFailure,
-    NotAnImage,
-    Tally,
-)
+from services.importers.drive import MOST_SAMPLES, Drive, Image, ImportFailure, NotAnImage, Tally
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import Job

@@ -118,11 +118,7 @@ class Moves:
         return int((stands[first] & (first == last)).sum())
 
     def way(self, times_s: Array) -> Array:
-        """Add the velocities up: poses (n, 3) at times, beginning at (0, 0, 0).
-
-        This is dead reckoning: by measured velocities as good as the wheels' own; by commanded ones it takes the robot
-        to do at once what it is told.
-        """
+        """Add the velocities up by dead reckoning: poses (n, 3) at times, beginning at (0, 0, 0)."""
         inside = self._times_s[(self._times_s > times_s[0]) & (self._times_s < times_s[-1])]
         grid = np.union1d(times_s, inside)
         gone, turned = self.until(grid).T

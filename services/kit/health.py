@@ -89,7 +89,6 @@ class _StatusCollector(Collector):
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Give every figure of the status."""
         status = self._status()
         labels = (status.service, self._robot)
         for name, meaning in _COUNTS.items():
@@ -131,11 +130,9 @@ class _Server(ThreadingWSGIServer):
         super().__init__(*arguments)
 
     def verify_request(self, *_request: object) -> bool:
-        """Tell whether there is room for another."""
         return self._room.acquire(blocking=False)
 
     def process_request_thread(self, *request: Any) -> None:  # noqa: ANN401
-        """Answer one request, and make room."""
         try:
             super().process_request_thread(*request)
         finally:

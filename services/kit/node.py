@@ -293,7 +293,6 @@ class Node:
 
     @contextmanager
     def _surviving(self, name: str) -> Iterator[None]:
-        """Count and tell of what a handler raises, and go on."""
         try:
             yield
         except Exception as error:

@@ -101,7 +101,6 @@ class Operator:
         )
 
     def _on_event(self, event: Episode) -> None:
-        """Follow the episode."""
         self.commands.on_event(event)
         told = {name: getattr(event, name) for name in ("purpose", "driver", "goal", "world", "outcome", "tick")}
         named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
@@ -303,7 +302,6 @@ class Operator:
         threading.Thread(target=ask, name="question", daemon=True).start()
 
     def _call(self, verb: str, request: Strict) -> None:
-        """Call the robot, from a thread that asks."""
         self._node.bus.call("robot", verb, request, Nothing, ANSWER_S)
 
     def _robot_detail(self) -> dict[str, Any]:

@@ -25,10 +25,7 @@ _log = logging.getLogger("policy")
 
 
 class PolicyService:
-    """Decides when recognition has an answer, and sends one atom movement for every frame.
-
-    A state of another model than its own means something else here: the robot stops, and the plan is dropped.
-    """
+    """Sends one atom movement for every frame; on a state of another model the robot stops, and the plan is dropped."""
 
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None

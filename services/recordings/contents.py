@@ -173,7 +173,6 @@ class _Reading:
         self._end: int | None = None
 
     def take(self, topic: Topic, stored: Stored) -> None:
-        """Take one message."""
         self.episode.topics[topic.name].add(stored)
         if not self._thorough and not self._tells(topic):
             return
@@ -222,12 +221,10 @@ class _Reading:
                 pass
 
     def told(self) -> EpisodeContents:
-        """Return what was read."""
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
         return self.episode
 
     def conclude(self, contents: Contents) -> None:
-        """Tell what is wrong with what is there, and what is not there."""
         name = f"episode {self.episode.episode}"
         for topic, bad in self._bad.items():
             count = self.episode.topics[topic].messages

@@ -1,7 +1,4 @@
-"""Reads recordings back: for each episode what the camera saw and what the actuator did, tick by tick.
-
-Files may be truncated (their whole messages are read) and may hold several episodes (each stays by itself).
-"""
+"""Reads recordings back, also truncated ones: for each episode what camera and actuator did, tick by tick."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass

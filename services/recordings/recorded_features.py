@@ -26,10 +26,7 @@ def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
 
 
 def features_in(path: Path) -> tuple[FeatureSettings, ...]:
-    """Return the features in a recording, those of each episode once, as its first readable observation tells.
-
-    Not those of another version, and none of a file that cannot be read: reading it says why.
-    """
+    """Return the features in a recording that this version makes, by each episode's first readable observation."""
     found: dict[tuple[str, str], FeatureSettings | None] = {}
     try:
         for stored in messages(records(mapped(path))):

@@ -209,7 +209,6 @@ class Views:
         yield from self._changed(event, "episode", text, warns=event.outcome not in (None, "found"))
 
     def _changed(self, message: Message, name: str, text: str, *, warns: bool = False) -> Iterator[View]:
-        """Log what is new."""
         if self._told.get(name) != text:
             self._told[name] = text
             level = Log.WARNING if warns else Log.INFO

@@ -68,7 +68,7 @@ class Ros2Body:
         self._link = link
         self._clock = clock
         self._frame: Frame | None = None
-        self._jpeg, self._width = b"", 1
+        self._jpeg = b""
         self._begun_s = clock()
         self._felt_s = 0.0
         self._since: Wheels | None = None
@@ -147,7 +147,6 @@ class Ros2Body:
         return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
 
     def _tell_lack(self) -> None:
-        """Log once why the robot stands, and when it need not any more."""
         lacks = self._lacks()
         if lacks is not None and not self._lacked:
             _log.warning("%s stands: %s", self.name, lacks)
@@ -160,7 +159,7 @@ class Ros2Body:
         if frame is None or frame is self._frame:
             return
         try:
-            (self._jpeg, self._width), self._frame = picture(frame.message), frame
+            self._jpeg, self._frame = picture(frame.message), frame
         except MessageError as error:
             self._senses.refuse(self._camera, str(error))
             if self._frame is None:

@@ -30,9 +30,8 @@ from smal.camera import Camera
 
 #: Wheels that were read within this time of a frame are looked through for those of its moment.
 _KEPT: Final = 100
-#: As `schemas.imu`, `schemas.camera_info` and `schemas.compressed_image` have it; and far more than any base does.
+#: As `schemas.imu` and `schemas.compressed_image` have it; and far more than any base does.
 _MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
-_LEAST_FOCAL_PX, _MOST_FOCAL_PX = 1.0, 1e5
 _MOST_COLUMNS, _MOST_ROWS = 4096, 3072
 #: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.
 _MOST_BYTES: Final = {
@@ -293,8 +292,8 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
         raise MessageError(f"its {what} is not finite, or beyond {most:g}")
 
 
-def picture(message: RosMessage) -> tuple[bytes, int]:
-    """Return the JPEG of a CompressedImage, or of the pixels of an Image, and its width; MessageError where none is."""
+def picture(message: RosMessage) -> bytes:
+    """Return the JPEG of a CompressedImage, or of the pixels of an Image; MessageError where there is none."""
     try:
         if hasattr(message, "format"):
             # It goes on as it came; decoded to see that it is whole.
@@ -306,6 +305,6 @@ def picture(message: RosMessage) -> tuple[bytes, int]:
         height, width, _ = image.shape
         if width > _MOST_COLUMNS or height > _MOST_ROWS:
             raise MessageError(f"{width}x{height} pixels, more than {_MOST_COLUMNS}x{_MOST_ROWS}")
-        return jpeg or encode_jpeg(image), width
+        return jpeg or encode_jpeg(image)
     except ValueError as error:
         raise MessageError(str(error)) from None

@@ -169,7 +169,6 @@ class Ros2Session:
         return [one for one in list(self._tokens.values()) if (one.kind, one.topic) == (kind, topic)]
 
     def _choose(self, endpoints: list[Endpoint]) -> None:
-        """Take note of which velocities the robot subscribes to."""
         types = {one.type_name for one in endpoints}
         wanted = next((name for name in _VELOCITIES if name in types), None)
         if wanted is None:

@@ -54,7 +54,6 @@ class SimulatedBody:
         self._enter(simulation)
 
     def _enter(self, simulation: Simulation) -> None:
-        """Be in its world from now on."""
         self.simulation, self.name = simulation, simulation.name
         self.speed_m_s, self.camera = simulation.speed_m_s, Camera.of_field(FIELD_OF_VIEW_DEG)
         self.braking_s = simulation.braking_s
@@ -101,7 +100,6 @@ class SimulatedBody:
             self._moved_s = now_s  # it stands since: hours of suspension need no steps
 
     def _move_on(self, order: tuple[Atom, float], until_s: float) -> None:
-        """Move by whole steps, so that the sensors' readings are evenly apart."""
         while self._moved_s + STEP_S <= until_s:
             self._moved_s += STEP_S
             self.simulation.advance(*order, STEP_S)

@@ -1,7 +1,4 @@
-"""Lockstep: the world moves one tick when the driver has answered a frame, however long that takes.
-
-What happens then does not depend on how fast the machine is: the same seed and the same answers give the same episode.
-"""
+"""Lockstep: the world moves on when a frame is answered, so that episodes do not depend on how fast the machine is."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -87,7 +84,6 @@ class Lockstep:
             yield from self._send_again(runner, run)
 
     def _send_again(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
-        """Send the frame again, to whoever is there now."""
         # Who wants the other images may have come, or have become known, only after the frame was made.
         *others, image = run.frame
         made = {message.topic_name for message in others}

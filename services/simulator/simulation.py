@@ -94,8 +94,8 @@ class Simulation:
         """Return what is seen, and felt since this was last called; `captured_s` and `wanted` as in `SimulatedView`."""
         felt = self._sensors
         return SimulatedView(
-            *self._seen, self.pose, felt.tilt, felt.tilt_rate, self.collided, felt.odometry(), felt.imu(), captured_s,
-            wanted,
+            *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
+            captured_s, wanted,
         )  # fmt: skip
 
     def route(self) -> NDArray[np.float64]:

@@ -53,7 +53,6 @@ def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float
 
 
 def _refined(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners where straight lines along the four sides meet."""
     for _ in range(_ROUNDS):
         corners = _meeting(*_sides(grey, corners))
     return corners
@@ -81,7 +80,6 @@ def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDAr
 
 
 def _meeting(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where each line meets the one before it."""
     directions = ends - starts
     before, direction_before = np.roll(starts, 1, axis=0), np.roll(directions, 1, axis=0)
     share = _cross(starts - before, directions) / _cross(direction_before, directions)

@@ -92,7 +92,6 @@ def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
 
 
 def _crown(tree: Tree, rng: np.random.Generator) -> list[Mesh]:
-    """Return a big ball of leaves and smaller ones around it, none of them smooth."""
     radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
     middle = (low + tree.height_m) / 2
     half = (tree.height_m - low) / 2
@@ -116,7 +115,6 @@ def _blob(
 
 
 def _tiers(tree: Tree) -> list[Mesh]:
-    """Return cones stacked into each other, the upper ones smaller."""
     radius, low = (fraction * tree.height_m for fraction in _CROWN["conifer"])
     rise = tree.height_m - low
     return [

@@ -61,7 +61,6 @@ def barriers(items: Iterable[Barrier]) -> Iterator[Piece]:
 
 
 def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Iterator[Piece]:
-    """Yield the walls along a ring: upper storeys, the ground floor, and bare ones."""
     low, top = building.min_height_m, building.height_m
     wide = np.linalg.norm(np.diff(ring, axis=0), axis=1) >= _PIER_M
     if top - low < _LOW_M:
@@ -99,7 +98,6 @@ def _flat(building: Building) -> Iterator[Piece]:
 
 
 def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
-    """Yield a roof over eaves that stick out, and its upright ends, where it has such."""
     top = building.height_m
     corners = _corners(building.footprint)
     cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)

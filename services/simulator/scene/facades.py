@@ -143,7 +143,6 @@ def _weather_sheet() -> NDArray[np.float64]:
 
 
 def _courses(shape: tuple[int, int], rng: np.random.Generator, course_px: int, brick_px: int) -> NDArray[np.float64]:
-    """Return the shades of a running bond of bricks with light joints."""
     row, column = np.indices(shape)
     course = row // course_px
     shifted = (column + (course % 2) * (brick_px // 2)) % shape[1]

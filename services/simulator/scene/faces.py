@@ -51,7 +51,6 @@ def paint_face(face: str, variant: int, colour: Rgb | None) -> Picture:
 
 
 def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a framed board with what is left of a meeting: boxes, arrows, a curve, scribble."""
     picture = coloured(colour or (244, 245, 244), 1.0 + 0.01 * layered(rng, (SIZE, SIZE), (3.0, 90.0)))
     pens = ((36, 62, 140), (170, 40, 40), (40, 40, 44), (30, 110, 60))
     centres = np.stack([rng.integers(50, 300, 5), rng.integers(70, 440, 5)], axis=1)
@@ -72,7 +71,6 @@ def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _window(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a window of two casements with a bright sky over trees outside."""
     fade = np.linspace(0, 1, SIZE)[:, None, None]
     sky = np.array([176, 206, 236]) * (1 - fade) + np.array([232, 240, 244]) * fade
     picture = as_picture(np.broadcast_to(sky, (SIZE, SIZE, 3)) + 8 * noise(rng, (SIZE, SIZE), (30.0, 90.0))[..., None])
@@ -91,7 +89,6 @@ def _window(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _door(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a smooth door leaf in its frame, with a handle and a small pane."""
     leaf = colour or ((150, 96, 56), (66, 96, 128), (186, 178, 160), (112, 48, 46))[int(rng.integers(4))]
     grain = noise(rng, (SIZE, SIZE), (90.0, 1.5))
     picture = coloured(leaf, 1.0 + 0.04 * grain)
@@ -106,7 +103,6 @@ def _door(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a row of books, some leaning, a box file here and there, the shelf's dark back above them."""
     picture = sheet((58, 48, 40))
     left = 6
     while left < SIZE - 20:
@@ -125,7 +121,6 @@ def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _drawers(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint the fronts of three drawers with handles and labels."""
     picture = coloured(colour or (186, 188, 190), 1.0 + 0.012 * layered(rng, (SIZE, SIZE), (1.0, 4.0)))
     for row in range(3):
         top = 10 + row * 166
@@ -138,7 +133,6 @@ def _drawers(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _carton(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a side of a cardboard box: parcel tape down its middle, a label, arrows that point up."""
     shade = 1.0 + 0.03 * noise(rng, (SIZE, SIZE), (90.0, 2.0)) + 0.03 * noise(rng, (SIZE, SIZE), 50.0)
     fall = np.linspace(1.04, 0.88, SIZE)[:, None]
     picture = coloured(colour or (188, 148, 102), shade * fall)
@@ -153,7 +147,6 @@ def _carton(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _screen(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint a monitor: a dark frame about an editor's lines."""
     picture = sheet(colour or (34, 40, 52))
     for row in range(14):
         left = 60 + 26 * int(rng.integers(0, 4))
@@ -204,7 +197,6 @@ def _chart(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Gene
 
 
 def _landscape(rng: np.random.Generator, accent: Rgb) -> Picture:
-    """Paint a sun over ranges of hills, the nearest in the accent's colour."""
     fade = np.linspace(0, 1, SIZE)[:, None, None]
     top, low = np.array(pick(rng)) * 0.6 + 90, np.array([250, 226, 190])
     picture = as_picture(np.broadcast_to(top * (1 - fade) + low * fade, (SIZE, SIZE, 3)))
@@ -222,7 +214,6 @@ def _landscape(rng: np.random.Generator, accent: Rgb) -> Picture:
 
 
 def _circles(rng: np.random.Generator, accent: Rgb) -> Picture:
-    """Paint quarter circles in a grid, as in prints of the 1920s."""
     picture = sheet((238, 230, 212))
     colours = [accent, pick(rng), pick(rng), INK]
     for row in range(4):
@@ -239,7 +230,6 @@ def _circles(rng: np.random.Generator, accent: Rgb) -> Picture:
 
 
 def _sign(rng: np.random.Generator, accent: Rgb) -> Picture:
-    """Paint a notice: a big symbol on its colour, text below."""
     picture = sheet(PAPER)
     fill(picture, (0, 0, SIZE, 340), accent)
     sides = int(rng.integers(3, 7))

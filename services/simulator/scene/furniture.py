@@ -37,12 +37,10 @@ def _variant(piece: Furniture) -> int:
 
 
 def _blocks(finish: Finish, boxes: Iterable[tuple[Box, float, float]]) -> list[Piece]:
-    """Return boxes that wear the same, each with its lower and upper height."""
     return [(finish, block(box, low, high)) for box, low, high in boxes]
 
 
 def _crate(piece: Furniture) -> list[Piece]:
-    """Return cardboard boxes on top of each other, every second one turned a little and smaller."""
     count = max(1, round(piece.height_m / _CRATE_M))
     side, top = Finish("carton", piece.colour, _variant(piece)), Finish("cardboard", piece.colour)
     step = piece.height_m / count
@@ -69,7 +67,6 @@ def _turned_within(piece: Furniture) -> tuple[Pose, float]:
 
 
 def _cabinet(piece: Furniture) -> list[Piece]:
-    """Return a steel cabinet with drawers in front, on a dark plinth."""
     x_min, y_min, x_max, y_max = piece.box
     body = (x_min, y_min, x_max - 0.01, y_max)
     return [
@@ -80,7 +77,6 @@ def _cabinet(piece: Furniture) -> list[Piece]:
 
 
 def _shelf(piece: Furniture) -> list[Piece]:
-    """Return an open shelf: carcass, boards, and a row of books on each."""
     x_min, y_min, x_max, y_max = box = piece.box
     rows = max(1, round(piece.height_m / _COMPARTMENT_M))
     bays = max(1, round(piece.width_m / _BAY_M))
@@ -98,7 +94,6 @@ def _shelf(piece: Furniture) -> list[Piece]:
 
 
 def _partition(piece: Furniture) -> list[Piece]:
-    """Return a screen of cloth panels in aluminium frames on flat rails."""
     x_min, y_min, x_max, y_max = piece.box
     joints = np.linspace(y_min, y_max, max(1, round(piece.width_m / _BAY_M)) + 1).tolist()
     thin, high = 0.3 * piece.depth_m, piece.height_m
@@ -116,7 +111,6 @@ def _partition(piece: Furniture) -> list[Piece]:
 
 
 def _desk(piece: Furniture) -> list[Piece]:
-    """Return a desk with drawers, a screen and a keyboard on it; what stands on top is above its height."""
     x_min, _, _, y_max = box = piece.box
     top = piece.height_m
     under = top - sizes.BOARD_M
@@ -138,7 +132,6 @@ def _desk(piece: Furniture) -> list[Piece]:
 
 
 def _table(piece: Furniture) -> list[Piece]:
-    """Return a table on four steel legs, with a rail under its board."""
     x_min, y_min, x_max, y_max = box = piece.box
     under = piece.height_m - sizes.BOARD_M
     rails = [(x_min + 0.02, y, x_max - 0.02, y + 0.025) for y in (y_min + 0.02, y_max - 0.045)]
@@ -148,7 +141,6 @@ def _table(piece: Furniture) -> list[Piece]:
 
 
 def _sofa(piece: Furniture) -> list[Piece]:
-    """Return a sofa: plinth, back, arms with round tops, and a cushion a seat."""
     x_min, y_min, x_max, y_max = piece.box
     colour = piece.colour or (156, 79, 67)
     cloth = Finish("fabric", colour)
@@ -176,7 +168,6 @@ def _sofa(piece: Furniture) -> list[Piece]:
 
 
 def _plant(piece: Furniture) -> list[Piece]:
-    """Return a potted plant: long leaves about a few stems, fuller above."""
     rng = np.random.default_rng(round(1000 * piece.height_m))
     radius, height = piece.width_m / 2, piece.height_m
     pot = 0.3 * height
@@ -199,7 +190,6 @@ def _tips(piece: Furniture, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _leaf(tip: NDArray[np.float64], pot: float, rng: np.random.Generator) -> list[Mesh]:
-    """Return a leaf that bends from the pot's middle to its tip, drawn from both sides."""
     steps = np.linspace(0, 1, 6)[:, None]
     root = np.array([0.0, 0.0, 0.9 * pot])
     knee = np.array([0.35 * tip[0], 0.35 * tip[1], 0.85 * tip[2] + 0.15 * pot])

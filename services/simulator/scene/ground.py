@@ -40,11 +40,7 @@ _AREA_MATERIAL: Final[dict[AreaKind, str]] = {"water": "water", "paved": "paved"
 
 
 def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
-    """Yield the ground of a terrain, and of some land around it.
-
-    Where no sun comes, in the area `shade`, the ground has a normal that points away from the sun, so that shade costs
-    nothing while rendering.
-    """
+    """Yield a terrain's ground and some land around it; where it is in `shade` its normal points away from the sun."""
     claims = _claims(terrain)
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)
@@ -108,7 +104,6 @@ def _widened(road: Road, more_m: float = 0.0) -> Polygon:
 
 
 def _dashes(streets: list[Road]) -> Iterator[Polygon]:
-    """Yield the dashes along the middles of marked roads, except where another road joins."""
     dash, gap = _DASH_M
     joins = np.array([_widened(road, _JOIN_M) for road in streets], dtype=object)
     tree = shapely.STRtree(joins)

@@ -1,8 +1,4 @@
-"""Render one tiny frame and say with what: ``python -m services.simulator.scene.probe``.
-
-A process of its own, because a broken graphics driver takes its process with it. It prints one JSON object: driver,
-software, seconds; or error.
-"""
+"""Render one tiny frame in a process of its own, which a broken driver may take with it, and print JSON of it."""
 
 import json
 import sys

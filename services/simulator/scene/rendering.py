@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
 from services.simulator.scene.build import build_scene
-from services.simulator.scene.surfaces import Lights, Surface, Vector
+from services.simulator.scene.surfaces import Lights, Surface
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
@@ -111,19 +111,16 @@ class SceneCamera:
         ahead_m = self._mount.ahead_m
         x, y = pose.x + ahead_m * math.cos(pose.heading), pose.y + ahead_m * math.sin(pose.heading)
         self._put_robot(pose)
-        self._take(self._sapien.Pose((x, y, self._mount.height_m), _turn(pose.heading, tilt)))
-        self._seen_from = pose, tilt
-
-    def _put_robot(self, pose: Pose) -> None:
-        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
-
-    def _take(self, mast: Any) -> None:
-        """Take a picture from where SAPIEN's pose `mast` is."""
+        mast = self._sapien.Pose((x, y, self._mount.height_m), _turn(pose.heading, tilt))
         self._mast.set_pose(mast)
         if self._sky is not None:
             self._sky.set_pose(self._sapien.Pose(mast.p))
         self._scene.update_render()
         self._camera.take_picture()
+        self._seen_from = pose, tilt
+
+    def _put_robot(self, pose: Pose) -> None:
+        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
 
     def _light(self, lights: Lights) -> None:
         self._scene.set_ambient_light(lights.ambient)
@@ -143,30 +140,25 @@ class SceneCamera:
         return body
 
     def _add(self, component: Any) -> Any:
-        """Add an entity of one component."""
         entity = self._sapien.Entity()
         entity.add_component(component)
         self._scene.add_entity(entity)
         return entity
 
     def _look_down(self, mount: OverheadMount) -> Any:
-        """Add a camera that looks straight down."""
         camera = self._lens(mount.width_px, mount.height_px, mount.focal_px)
         cos, sin = math.cos(math.radians(mount.up_deg)), math.sin(math.radians(mount.up_deg))
-        axes = [(0.0, 0.0, -1.0), (-sin, cos, 0.0), (cos, sin, 0.0)]
-        self._add(camera).set_pose(self._framed(axes, (mount.x_m, mount.y_m, mount.height_m)))
+        # Its axes ahead, to the left and up, and where it hangs, are the columns.
+        frame = np.eye(4)
+        frame[:3, :3] = np.transpose([(0.0, 0.0, -1.0), (-sin, cos, 0.0), (cos, sin, 0.0)])
+        frame[:3, 3] = mount.x_m, mount.y_m, mount.height_m
+        self._add(camera).set_pose(self._sapien.Pose(frame))
         return camera
 
     def _lens(self, width: int, height: int, focal_px: float) -> Any:
         camera = self._sapien.render.RenderCameraComponent(width, height)
         camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal_px, focal_px, width / 2, height / 2, 0.0)
         return camera
-
-    def _framed(self, axes: ArrayLike, eye: Vector) -> Any:
-        """Return SAPIEN's pose of a camera at a place, its axes ahead, to the left and up in rows."""
-        frame = np.eye(4)
-        frame[:3, :3], frame[:3, 3] = np.transpose(axes), eye
-        return self._sapien.Pose(frame)
 
 
 def _material(render: Any, surface: Surface, label: int) -> Any:
@@ -189,5 +181,4 @@ def _turn(heading: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
 
 
 def _colour(camera: Any) -> NDArray[np.uint8]:
-    """Return the picture that a camera took, (height, width, 3)."""
     return np.asarray(cv2.cvtColor(camera.get_picture("Color"), cv2.COLOR_RGBA2RGB), dtype=np.uint8)

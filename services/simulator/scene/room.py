@@ -124,7 +124,6 @@ def _off(frame: WallFrame, along_m: float, off_m: float) -> tuple[float, float]:
 
 
 def _slab(frame: WallFrame, left: float, right: float, low: float, high: float, thick: float) -> Mesh:
-    """Return a board on a wall: front, top, underside and ends."""
     back_left, back_right = frame.at(left), frame.at(right)
     front_left, front_right = _off(frame, left, thick), _off(frame, right, thick)
     upright = [(front_left, front_right), (back_left, front_left), (front_right, back_right)]
@@ -205,7 +204,6 @@ def _pixels(metres: float) -> int:
 
 
 def _lino(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
-    """Paint marbled linoleum in sheets 2 m wide with welded seams, scuffed here and there."""
     sheet = np.floor(across / _SHEET_M).astype(int)
     tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
     seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)

@@ -75,7 +75,6 @@ def _plain(_rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 def _asphalt(rng: np.random.Generator, colour: Rgb) -> Picture:
-    """Paint grit with a few cracks that somebody has filled with tar."""
     picture = coloured(colour, 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
     for _ in range(3):
         steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
@@ -84,7 +83,6 @@ def _asphalt(rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
-    """Paint blades: fine upright streaks over patches of dryer and fresher green."""
     shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
     dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
     return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
@@ -116,7 +114,6 @@ def _boards(rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:
-    """Paint overlapping leaves, lit from above, with dark gaps between them."""
     picture = np.full((*_SHAPE, 3), np.array(colour) * 0.35)
     for depth in np.linspace(0.5, 1.25, 1400):
         centre = rng.integers(0, _SHAPE[0], 2)
@@ -133,13 +130,11 @@ def _bark(rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 def _grain(rng: np.random.Generator, colour: Rgb) -> Picture:
-    """Paint sawn wood, its grain along the picture's width."""
     fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
     return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
 
 
 def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
-    """Paint coarse cloth: threads over and under each other, a little uneven."""
     down, across = np.indices(_SHAPE)
     threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
     return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))

@@ -54,11 +54,7 @@ def _prepare() -> None:
 
 
 def choose_driver(environment: Mapping[str, str], folders: Sequence[Path], gpu: bool) -> Path | None:
-    """Return the driver file to set, or None to leave the choice to the loader.
-
-    The loader tries every installed driver. Without a graphics device that only costs time and warnings, so the
-    software driver is named; with one, or with a choice made by the user, nothing is changed.
-    """
+    """Return the software driver's file where there is no graphics device and no choice by the user; else None."""
     chosen = environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES")
     if chosen:
         missing = [name for name in chosen.split(os.pathsep) if not Path(name).is_file()]

@@ -77,11 +77,7 @@ def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.ui
 def hazy(
     image: NDArray[np.uint8], depth_m: NDArray[np.float32], visibility_m: float, colour: tuple[float, float, float]
 ) -> NDArray[np.uint8]:
-    """Return an image (h, w, 3) seen through haze of a colour (Koschmieder's law).
-
-    `depth_m` is the distance of every pixel (h, w), infinity for the sky; at `visibility_m` 5 % of the contrast is
-    left.
-    """
+    """Return an image (h, w, 3) in haze of a colour (Koschmieder's law); `depth_m` (h, w), infinity for the sky."""
     through = np.exp(depth_m * np.float32(np.log(_CONTRAST_AT_VISIBILITY) / visibility_m))[..., None]
     veiled = image * through + np.asarray(colour, dtype=np.float32) * (1 - through)
     return np.asarray(np.rint(veiled), dtype=np.uint8)
@@ -89,10 +85,7 @@ def hazy(
 
 @lru_cache(maxsize=16)
 def exposure(stops: float) -> NDArray[np.uint8]:
-    """Return the 256 values that those of an sRGB image become when it is exposed `stops` more.
-
-    To linear light, brighter, and back (IEC 61966-2-1): burnt out or drowned in black as a camera's would be.
-    """
+    """Return what the 256 values of sRGB become when exposed `stops` more, through linear light (IEC 61966-2-1)."""
     encoded = np.arange(256) / 255
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     brighter = np.clip(linear * 2.0**stops, 0, 1)
@@ -128,7 +121,6 @@ class SimulatedView:
         return decode_jpeg(self.jpeg)
 
     def _rendered(self) -> NDArray[np.uint8]:
-        """Return what the camera sees, blurred as far as it shakes."""
         camera, variation = self.camera, self.variation
         image = camera.render(self.pose, self.tilt)
         if variation.visibility_m is not None:

@@ -191,9 +191,9 @@ class Sensors:
         self._pose = start
         self._rolled_m = (0.0, 0.0)
         self._elapsed_s = 0.0
-        self._odometer = Odometer(self._drive, self._error, odometry)
+        self.odometer = Odometer(self._drive, self._error, odometry)
         self._unit = InertialUnit(self._error, imu)
-        self._shake = Shake(self._strength, self._drive, shake)
+        self.shake = Shake(self._strength, self._drive, shake)
         self._readings: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
 
     def feel(self, motion: Motion, duration_s: float) -> None:
@@ -205,24 +205,10 @@ class Sensors:
         before, after, step_s = self._pose, motion.pose, self._elapsed_s
         velocity_m_s = (after.x - before.x) / step_s, (after.y - before.y) / step_s
         moved = velocity_m_s, math.remainder(after.heading - before.heading, math.tau) / step_s, step_s
-        self._odometer.step(self._rolled_m, step_s)
-        self._shake.step(*moved)
-        self._readings.append(self._unit.step(before.heading, *moved, self.tilt, self.tilt_rate))
+        self.odometer.step(self._rolled_m, step_s)
+        self.shake.step(*moved)
+        self._readings.append(self._unit.step(before.heading, *moved, self.shake.tilt, self.shake.rate))
         self._pose, self._rolled_m, self._elapsed_s = after, (0.0, 0.0), 0.0
-
-    @property
-    def tilt(self) -> Tilt:
-        """How the camera is tilted now."""
-        return self._shake.tilt
-
-    @property
-    def tilt_rate(self) -> Tilt:
-        """How fast that changes, rad/s."""
-        return self._shake.rate
-
-    def odometry(self) -> OdometryReading:
-        """Return where the wheels say that the robot is, and its mean speeds since this was last called."""
-        return self._odometer.read()
 
     def imu(self) -> tuple[ImuReading, ...]:
         """Return the inertial readings since this was last called, oldest first, at most the last `MAX_SAMPLES`."""

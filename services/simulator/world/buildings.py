@@ -72,7 +72,6 @@ def compose(outlines: Sequence[Outline], parts: Sequence[Outline]) -> tuple[list
 
 
 def _buildings(number: int, shape: BaseGeometry, tags: Tags) -> Iterator[Building]:
-    """Yield the pieces of a building that are large enough to draw."""
     for polygon in shapely.get_parts(shape):
         if polygon.area < SMALLEST_M2:
             continue
@@ -159,7 +158,6 @@ def _roof(tags: Tags, footprint: Polygon) -> tuple[RoofShape, float]:
 
 
 def _stated_roof_m(tags: Tags) -> float | None:
-    """Return the height of a pitched roof, where its height or its levels are stated."""
     if MEANINGS.roofs.get(tags.get("roof:shape", ""), "flat") == "flat":
         return None
     levels = metres(tags.get("roof:levels"))

@@ -29,10 +29,7 @@ _CROWN_OF_HEIGHT: Final = 0.28
 
 
 def draw_map(world: World, ax: Axes) -> None:
-    """Draw what stands in a world, its start (arrow), its victim (star) and the camera above, if there is one.
-
-    The axes become metres east and north with equal scale; routes drawn later lie on top.
-    """
+    """Draw a world, its start (arrow), victim (star) and camera above on axes in metres; later routes lie on top."""
     x_min, y_min, x_max, y_max = world.place.bounds
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
     if isinstance(world.place, Room):

@@ -125,7 +125,6 @@ class _Found:
         self._points = 0
 
     def read(self, path: Path) -> osmium.osm.Box:
-        """Read a file; return the bounds that it states."""
         processor = osmium.FileProcessor(osmium.io.File(str(path), "osm")).with_locations()
         for element in processor:
             tags = dict(element.tags) if len(element.tags) else {}

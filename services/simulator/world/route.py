@@ -190,7 +190,6 @@ def _consecutive(chains: list[NDArray[np.float64]], index: NDArray[np.int64]) ->
 
 
 def _corners(path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Drop repeated points and points on a straight line."""
     # The simplifier that preserves topology never returns for some paths with nearly equal points.
     line = shapely.simplify(shapely.LineString(path), 0.02, preserve_topology=False)
     return np.asarray(shapely.get_coordinates(line), dtype=np.float64)

@@ -64,7 +64,6 @@ class _Survey:
         self._trees: list[Tree] = []
 
     def node(self, node: Element[Points]) -> None:
-        """Take a node: a tree or a gate."""
         here = shapely.Point(node.shape)
         inside = self._frame.covers(here)
         if node.tags.get("barrier") in MEANINGS.gates and inside:
@@ -77,7 +76,6 @@ class _Survey:
                 self._trees.append(_tree(node.id, here, node.tags))
 
     def take(self, element: Element[Points] | Element[BaseGeometry]) -> None:
-        """Take a way or a relation for each thing that it stands for."""
         for kind in meaning.kinds_of(element.tags):
             if meaning.is_hidden(element.tags):
                 self.left_out[f"{kind}: under the ground or indoors"] += 1
@@ -144,7 +142,6 @@ class _Survey:
         return True
 
     def terrain(self, extract: Extract, name: str, file: str) -> Terrain:
-        """Return the terrain of everything that was taken."""
         composed, parts = compose(self._outlines, self._parts)
         self._used["building part"] = parts.pop("used", 0)
         self.left_out.update({f"building part: {reason}": count for reason, count in parts.items()})

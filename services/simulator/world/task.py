@@ -61,7 +61,6 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
 
 
 def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Pose]:
-    """Yield free places just outside the middle of walls, lying along the wall, from the middle outwards."""
     obstacles = obstacles_of(terrain)
     for building in sorted(terrain.buildings, key=lambda building: building.footprint.distance(middle)):
         ring = shapely.get_coordinates(shapely.orient_polygons(building.footprint).exterior)

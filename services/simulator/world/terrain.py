@@ -271,10 +271,7 @@ class TerrainFile(Terrain):
 
 
 def terrain_text(world: World) -> str:
-    """Return the content of the file of a world whose place is a terrain, a thing a line.
-
-    Reading it gives the world again, with lengths rounded to the millimetre and headings to a thousandth of a degree.
-    """
+    """Return the file of a terrain's world, a thing a line, to the millimetre and a thousandth of a degree."""
     terrain = world.place
     if not isinstance(terrain, Terrain):
         raise TypeError(f"a {type(terrain).__name__} is not written as {FORMAT}")

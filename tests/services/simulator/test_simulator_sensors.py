@@ -61,7 +61,7 @@ def seen_from_start(pose: Pose) -> tuple[float, float, float]:
 def test_perfect_wheels_tell_the_true_path(wheels: Wheels) -> None:
     made = sensors()
     x, y, heading = seen_from_start(go(made, wheels)[-1])
-    reading = made.odometry()
+    reading = made.odometer.read()
     assert (reading.x_m, reading.y_m) == (pytest.approx(x, abs=1e-6), pytest.approx(y, abs=1e-6))
     assert math.remainder(reading.heading_rad - heading, math.tau) == pytest.approx(0, abs=1e-6)
 
@@ -100,9 +100,9 @@ def test_a_shaking_camera_shakes_the_unit() -> None:
         go(made, [(0.4, 0.4)])
         (reading,) = made.imu()
         rates = reading.angular_velocity_rad_s
-        assert rates == pytest.approx(made.tilt_rate, abs=1e-9)
+        assert rates == pytest.approx(made.shake.rate, abs=1e-9)
         _, left, up = reading.acceleration_m_s2
-        assert math.atan2(left, up) == pytest.approx(made.tilt.roll, abs=0.03)
+        assert math.atan2(left, up) == pytest.approx(made.shake.tilt.roll, abs=0.03)
     steady = sensors()
     go(steady, [(0.4, 0.4)] * 50)
     assert not gyro(steady.imu())[:, :2].any()
