@@ -75,7 +75,7 @@ class TaughtFrames:
         return np.hypot(across[..., 0], across[..., 1]), np.abs(turned if self.car else wrapped(turned))
 
     def pairs(self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]) -> list["_Pair"]:
-        """Choose pairs of frames of one drive: the second is the first one after the first whose way and turn fit."""
+        """Find for each frame the next one of its drive whose way and turn from it are wanted."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
             after = np.flatnonzero(self.drives[frame + 1 : frame + 101] == self.drives[frame]) + frame + 1
@@ -86,7 +86,7 @@ class TaughtFrames:
         return found
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence["_Pair"]) -> Scene:
-        """Return the scene under which the first views of pairs predict the second ones best; the first if all do."""
+        """Return the scene under which the first views of pairs predict the second ones best."""
         some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
         seen = [(self.images[pair.frame], self.describe(self.images[pair.other]), pair[2:]) for pair in some]
 
@@ -210,7 +210,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     ----------
     frames : TaughtFrames
     camera : Camera
-        Of a car alone it counts.
+        Used only if the robot is a car.
 
     Returns
     -------

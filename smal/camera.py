@@ -28,7 +28,7 @@ class Camera:
     Parameters
     ----------
     focal : float
-        Focal length over the image's width, 0.04 to 12. the same across and down.
+        Focal length over the image's width, 0.04 to 12; the same across and down.
     lens : str
         A model of OpenCV and ROS; "plumb_bob" without distortion is rectilinear.
     distortion : tuple of float

@@ -113,7 +113,7 @@ class ImageChain(Sequence[Image]):
     def __len__(self) -> int:
         return int(self._ends[-1])
 
-    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - the type of a sequence; numbers from 0 alone are asked
         part = int(np.searchsorted(self._ends, index, side="right"))
         return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
 

@@ -101,8 +101,8 @@ class Filter:
         self._rng = np.random.default_rng(self._seed)
         self._tracked: Particles | None = None
         self._jumped: Particles | None = None
-        # Probabilities that the tracked particles are right, that it has jumped to where the others are, or neither.
-        self._shares = np.array([SETTINGS.first[0], 0.0, SETTINGS.first[2]])
+        #: Probability of each class: the tracked particles are right; jumped to where the others are; it is lost.
+        self._classes = np.array([SETTINGS.first[0], 0.0, SETTINGS.first[2]])
         #: Probability of the scouts that the next view sends.
         self._to_send = SETTINGS.first[1]
         self._last = self._counted = np.zeros(self._map.basis.shape[1], dtype=np.float32)
@@ -159,7 +159,7 @@ class Filter:
     def _weigh(self, seen: View) -> None:
         """Weigh all by a view, and send scouts."""
         assert self._tracked is not None
-        tracked, jumped, lost = map(float, self._shares)
+        tracked, jumped, lost = map(float, self._classes)
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:
             jumped *= self._jumped.update(seen, self._rng)
@@ -170,7 +170,7 @@ class Filter:
         if jumped > tracked:
             self._tracked = self._drawn((self._tracked, tracked), (self._jumped, jumped))
             self._jumped, tracked, jumped = None, tracked + jumped, 0.0
-        self._shares = np.array([tracked, jumped, lost]) / (tracked + jumped + lost)
+        self._classes = np.array([tracked, jumped, lost]) / (tracked + jumped + lost)
         self._note_sure()
 
     def _seen(self, components: NDArray[np.float32]) -> View:
@@ -208,7 +208,9 @@ class Filter:
         likelihood = self._map.likelihood
         if seen.spread == 0.0:
             kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
-            self._shares = np.append(kept * self._shares[:2], self._shares[2] + (1.0 - kept) * self._shares[:2].sum())
+            self._classes = np.append(
+                kept * self._classes[:2], self._classes[2] + (1.0 - kept) * self._classes[:2].sum()
+            )
             return
         expected = self._expected(self._since)
         like_last = float(likelihood.of(seen.stands_out(components @ self._last)))
@@ -218,9 +220,9 @@ class Filter:
         jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
         _, anywhere, lost = SETTINGS.first
         out, back = lost / (anywhere + lost), SETTINGS.back * seen.newness
-        tracked, jumped, off = map(float, self._shares)
+        tracked, jumped, off = map(float, self._classes)
         gone, found = (tracked + jumped) * jump, off * back
-        self._shares = np.array([tracked * (1.0 - jump), jumped * (1.0 - jump), off - found + gone * out])
+        self._classes = np.array([tracked * (1.0 - jump), jumped * (1.0 - jump), off - found + gone * out])
         self._to_send += gone * (1.0 - out) + found
 
     def _at_starts(self) -> Particles:
@@ -254,7 +256,7 @@ class Filter:
             drive, pose, way = self._sure
             reach = self._map.correlation_length + SETTINGS.slip * way
             apart = np.hypot(*(self._map.key_poses[:, :2] - pose[:2]).T) / reach
-            near = np.exp(-0.5 * np.square(apart)) * (self._map.drives[self._map.keyframes] == drive)
+            near = np.exp(-0.5 * np.square(apart)) * (self._map.key_drives == drive)
             prior = 0.5 * prior + 0.5 * near / max(float(near.sum()), 1e-12) / says.shape[1]
         weights = prior[:, None] * says
         drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
@@ -268,31 +270,22 @@ class Filter:
 
     def _drawn(self, *sets: tuple[Particles, float]) -> Particles:
         """Draw one set of particles from several, each of which has a share."""
-        total = max(sum(share for _, share in sets), 1e-300)
-        weights = np.concatenate([particles.weights * (share / total) for particles, share in sets])
-        which = systematic(weights, SETTINGS.particles, self._rng)
-        together = Particles(
-            self._map,
-            np.concatenate([particles.keyframes for particles, _ in sets])[which],
-            np.concatenate([particles.poses for particles, _ in sets])[which],
-        )
-        together.followed = np.concatenate([particles.followed for particles, _ in sets])[which]
-        together.pace = np.concatenate([particles.pace for particles, _ in sets])[which]
-        together.shares = np.sum([particles.shares * (share / total) for particles, share in sets], axis=0)
+        together = Particles.joined(*sets)
+        together.keep(systematic(together.weights, SETTINGS.particles, self._rng))
         return together
 
     def _note_sure(self) -> None:
         """Remember the pose if it is sure: one place on one drive."""
         tracked = self._tracked
         assert tracked is not None
-        drives = self._map.drives[self._map.keyframes[tracked.keyframes]]
+        drives = self._map.key_drives[tracked.keyframes]
         drive = int(drives[tracked.weights.argmax()])
         there = tracked.weights * (drives == drive)
         x, y, _ = there @ tracked.poses / max(float(there.sum()), 1e-12)
         heading = math.atan2(there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2]))
         pose = np.array([x, y, heading])
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
-        if self._shares[0] * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
+        if self._classes[0] * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
     def _move_sure(self, movement: Movement) -> None:
@@ -303,18 +296,17 @@ class Filter:
 
     def _belief(self, seen: View) -> Belief:
         assert self._tracked is not None
-        sets = [(self._tracked, float(self._shares[0]))]
+        sets = [(self._tracked, float(self._classes[0]))]
         if self._jumped is not None:
-            sets.append((self._jumped, float(self._shares[1])))
-        total = sum(share for _, share in sets)
-        weights = np.concatenate([particles.weights * (share / total) for particles, share in sets])
+            sets.append((self._jumped, float(self._classes[1])))
+        every = Particles.joined(*sets)
         return Belief(
-            np.concatenate([particles.keyframes for particles, _ in sets]),
-            np.concatenate([particles.offsets() for particles, _ in sets]),
-            weights,
-            float(self._shares[2] / self._shares.sum()),
-            min(sum(particles.cosine(seen) * share for particles, share in sets) / total, 1.0),
-            _least_of_most(np.concatenate([particles.followed for particles, _ in sets]), weights),
+            every.keyframes,
+            every.offsets(),
+            every.weights,
+            float(self._classes[2] / self._classes.sum()),
+            min(every.cosine(seen), 1.0),
+            _least_of_most(every.followed, every.weights),
         )
 
 

@@ -63,13 +63,13 @@ class Likelihood:
 
     Parameters
     ----------
-    ratio : float64 array (shares, z)
+    log_ratio : float64 array (shares, z)
         log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point, ascending.
     gamma : float
         Above 0; neighbouring views correlate by their cosine to this power.
     """
 
-    ratio: NDArray[np.float64]
+    log_ratio: NDArray[np.float64]
     gamma: float
 
     @classmethod
@@ -98,24 +98,22 @@ class Likelihood:
         p0 = SETTINGS.usual * usual / max(usual.sum(), 1.0) + (1.0 - SETTINGS.usual) * tail / tail.sum()
         p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
         zero = int(np.argmin(np.abs(GRID)))
-        ratio = np.zeros((SHARES.size, GRID.size))
-        for row, least, most in zip(ratio[1:], SHARES[:-1], SHARES[1:], strict=True):
+        rows = np.zeros((SHARES.size, GRID.size))
+        for row, least, most in zip(rows[1:], SHARES[:-1], SHARES[1:], strict=True):
             shares = _FINE[(least <= _FINE) & (most >= _FINE)]
             shown = np.clip(np.multiply.outer(shares, np.maximum(here, 0.0)).ravel(), 0.0, GRID[-1])
             p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[zero : zero + GRID.size]
             row[:] = log_ratio(p1, p0)
         # Any view may be hidden.
-        return cls(np.clip(ratio, math.log(SETTINGS.hidden), 50.0), gamma)
+        return cls(np.clip(rows, math.log(SETTINGS.hidden), 50.0), gamma)
 
     def of(self, z: NDArray[Any], share: int = -1) -> NDArray[np.float64]:
         """Return the log ratio of each z, for one of the shares."""
-        ratio: NDArray[np.float64] = np.interp(z, GRID, self.ratio[share])
-        return ratio
+        return np.asarray(np.interp(z, GRID, self.log_ratio[share]))
 
     def mixed(self, shares: NDArray[np.float64], z: NDArray[Any], newness: float) -> NDArray[np.float64]:
         """Return the likelihood ratio of each z where shares have these probabilities, of a view that is so new."""
-        ratio: NDArray[np.float64] = np.interp(z, GRID, shares @ np.exp(newness * self.ratio))
-        return ratio
+        return np.asarray(np.interp(z, GRID, shares @ np.exp(newness * self.log_ratio)))
 
     def correlation(self, cosine: float) -> float:
         """Return how far two views of this cosine say the same, 0 to 1."""

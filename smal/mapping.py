@@ -107,7 +107,7 @@ def learn(
         aside=aside,
         correlation_length=length,
         correlation_rad=_correlation_turn(views, unrelated),
-        ratio=likelihood.ratio,
+        log_ratio=likelihood.log_ratio,
         gamma=likelihood.gamma,
         movements=way.movements,
         tick_s=tick_s,

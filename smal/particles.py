@@ -82,11 +82,11 @@ class Particles:
         """Weigh by a view; return how much likelier it is here than elsewhere."""
         found, beyond, away = self.interpolated(seen.cosines)
         z = seen.stands_out(found)
-        ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
+        log_ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
         # Where it looks away from all that was taught, the view says nothing; far aside is like nowhere.
-        ratio[1:] = np.maximum(ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.ratio[1:, :1])
-        ratio *= np.exp(-2.0 * np.square(away))
-        likelihood = self.shares[:, None] * np.exp(seen.newness * ratio)
+        log_ratio[1:] = np.maximum(log_ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.log_ratio[1:, :1])
+        log_ratio *= np.exp(-2.0 * np.square(away))
+        likelihood = self.shares[:, None] * np.exp(seen.newness * log_ratio)
         joint = likelihood * self.weights
         total = float(joint.sum())
         self.weights, shares = joint.sum(axis=0) / total, joint.sum(axis=1) / total
@@ -133,6 +133,20 @@ class Particles:
         )
         turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
         return found, beyond, turned_beyond * math.radians(step) / self._map.correlation_rad
+
+    @classmethod
+    def joined(cls, *sets: tuple["Particles", float]) -> "Particles":
+        """Put sets together, each of which has a share."""
+        total = max(sum(share for _, share in sets), 1e-300)
+        made = cls(
+            sets[0][0]._map,
+            np.concatenate([one.keyframes for one, _ in sets]),
+            np.concatenate([one.poses for one, _ in sets]),
+        )
+        made.weights = np.concatenate([one.weights * (share / total) for one, share in sets])
+        made.followed, made.pace = (np.concatenate([getattr(one, n) for one, _ in sets]) for n in ("followed", "pace"))
+        made.shares = np.sum([one.shares * (share / total) for one, share in sets], axis=0)
+        return made
 
     def keep(self, which: NDArray[np.intp]) -> None:
         """Keep some particles, alike in weight."""

@@ -87,7 +87,7 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
-    of = visual_map.drives[visual_map.keyframes]
+    of = visual_map.key_drives
     on = np.flatnonzero(of[:-1] == of[1:])
     taken_s = np.diff(visual_map.keyframes)[on] * visual_map.tick_s
     goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & (visual_map.key_goals == goal))
@@ -136,7 +136,7 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
-        of = visual_map.drives[visual_map.keyframes]
+        of = visual_map.key_drives
         self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
         self._to_go_s, following = cost_to_go(visual_map, goal)

@@ -1,7 +1,7 @@
 """The numbers of the map's method that were tuned, with their units and reasons.
 
-What the drives tell is not here: how the camera sees, over which way and turn views change, how alike views of one
-place are, how fast the robot drives and turns.
+A plain fraction that explains itself stands where it is used. What the drives tell is not here: how the camera sees,
+over which way and turn views change, how alike views of one place are, how fast the robot drives and turns.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Settings:
-    """The one place for constants: shares are of 1, lengths in correlation lengths unless a name says otherwise."""
+    """Shares are of 1, lengths in correlation lengths unless a name says otherwise."""
 
     # -- the map (`smal.mapping`)
     #: Keyframes in a correlation length: between two of them a view hardly changes, and one further it is new.

@@ -29,15 +29,14 @@ _Stitch = tuple[int, int, tuple[float, float, float]]
 
 def stitched(visual_map: VisualMap) -> VisualMap:
     """Return a map with the places that its drives share; none where there is one drive."""
-    drives = visual_map.drives[visual_map.keyframes]
     found: list[_Stitch] = []
-    names = np.unique(drives)
+    names = np.unique(visual_map.key_drives)
     if names.size > 1:
-        best = _best_of_each_drive(visual_map, drives, names)
+        best = _best_of_each_drive(visual_map, names)
         for one in names:
             for other in names[names != one]:
-                runs = _chained(visual_map, best, drives, int(one), int(other))
-                found.extend(_joined(visual_map, drives, _reachable(visual_map, runs)))
+                runs = _chained(visual_map, best, int(one), int(other))
+                found.extend(_joined(visual_map, _reachable(visual_map, runs)))
     found.sort(key=lambda stitch: stitch[:2])
     return replace(
         visual_map,
@@ -52,7 +51,7 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
     A drive that shares none stays in its own. For people, and for pictures: odometry has drifted on the way.
     """
     poses = visual_map.key_poses.copy()
-    drives = visual_map.drives[visual_map.keyframes]
+    drives = visual_map.key_drives
     one, other = visual_map.stitched.T
     known = np.zeros(len(visual_map.goals), dtype=bool)
     for first in range(len(visual_map.goals)):
@@ -78,8 +77,8 @@ class _Best:
     turned: NDArray[np.float64]
 
 
-def _best_of_each_drive(visual_map: VisualMap, drives: NDArray[np.int32], names: NDArray[np.int32]) -> _Best:
-    count, middle = len(drives), TURNS_DEG.size // 2
+def _best_of_each_drive(visual_map: VisualMap, names: NDArray[np.int32]) -> _Best:
+    count, middle = len(visual_map.keyframes), TURNS_DEG.size // 2
     keyframe = np.full((count, int(names.max()) + 1), -1, dtype=np.intp)
     left, turned = np.zeros(keyframe.shape), np.zeros(keyframe.shape)
     for first in range(0, count, SETTINGS.compared_at_once):
@@ -92,7 +91,7 @@ def _best_of_each_drive(visual_map: VisualMap, drives: NDArray[np.int32], names:
             ]
         )
         for name in names:
-            there = np.flatnonzero(drives == name)
+            there = np.flatnonzero(visual_map.key_drives == name)
             each = cosines[there].reshape(-1, views.shape[0])
             at = each.argmax(axis=0)
             k, p, t = np.unravel_index(at, (there.size, *visual_map.views.shape[1:3]))
@@ -116,11 +115,9 @@ def _peak(values: NDArray[np.float32], at: int) -> float:
     return min(max(middle + 0.5 * (before - after) / curve, 0.0), values.size - 1.0)
 
 
-def _chained(
-    visual_map: VisualMap, best: _Best, drives: NDArray[np.int32], one: int, other: int
-) -> list[list[_Stitch]]:
+def _chained(visual_map: VisualMap, best: _Best, one: int, other: int) -> list[list[_Stitch]]:
     """Return the runs of mutual pairs of two drives that go on in order for a correlation length."""
-    here = np.flatnonzero(drives == one)
+    here = np.flatnonzero(visual_map.key_drives == one)
     there = best.keyframe[here, other]
     back = np.where(there >= 0, best.keyframe[np.maximum(there, 0), one], -1)
     mutual = (there >= 0) & (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
@@ -149,7 +146,7 @@ def _reachable(visual_map: VisualMap, runs: list[list[_Stitch]]) -> list[_Stitch
     return [stitch for run in kept for stitch in run]
 
 
-def _joined(visual_map: VisualMap, drives: NDArray[np.int32], stitches: list[_Stitch]) -> list[_Stitch]:
+def _joined(visual_map: VisualMap, stitches: list[_Stitch]) -> list[_Stitch]:
     """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
 
     Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
@@ -161,7 +158,7 @@ def _joined(visual_map: VisualMap, drives: NDArray[np.int32], stitches: list[_St
     poses, arc = visual_map.key_poses, visual_map.arc[visual_map.keyframes]
     here, there = (np.array([stitch[k] for stitch in stitches]) for k in (0, 1))
     robot = placed(np.array([stitch[2] for stitch in stitches]), poses[there])
-    others = np.flatnonzero(drives == drives[there[0]])
+    others = np.flatnonzero(visual_map.key_drives == visual_map.key_drives[there[0]])
     joined: list[_Stitch] = []
     for k in range(int(here.min()), int(here.max()) + 1):
         near = np.abs(arc[here] - arc[k]) < visual_map.correlation_length

@@ -50,7 +50,7 @@ class VisualMap:
         How far the views from aside are from the keyframe, in the map's unit.
     correlation_length, correlation_rad : float
         Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
-    ratio : float64 array (shares, z)
+    log_ratio : float64 array (shares, z)
     gamma : float
         What views say of places, see `smal.likelihood.Likelihood`.
     movements : float64 array (5, 2)
@@ -80,7 +80,7 @@ class VisualMap:
     aside: float
     correlation_length: float
     correlation_rad: float
-    ratio: NDArray[np.float64]
+    log_ratio: NDArray[np.float64]
     gamma: float
     movements: NDArray[np.float64]
     tick_s: float
@@ -113,7 +113,7 @@ class VisualMap:
     @cached_property
     def likelihood(self) -> Likelihood:
         """What views say of places."""
-        return Likelihood(self.ratio, self.gamma)
+        return Likelihood(self.log_ratio, self.gamma)
 
     @cached_property
     def key_poses(self) -> NDArray[np.float64]:
@@ -121,9 +121,14 @@ class VisualMap:
         return self.poses[self.keyframes]
 
     @cached_property
+    def key_drives(self) -> NDArray[np.int32]:
+        """Drive of each keyframe, (k,)."""
+        return self.drives[self.keyframes]
+
+    @cached_property
     def key_range(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """First and last keyframe of the drive of each keyframe, (k,) and (k,)."""
-        of = self.drives[self.keyframes]
+        of = self.key_drives
         return np.searchsorted(of, of, side="left"), np.searchsorted(of, of, side="right") - 1
 
     @cached_property
@@ -135,7 +140,7 @@ class VisualMap:
     @cached_property
     def key_goals(self) -> NDArray[np.str_]:
         """Where the drive of each keyframe leads, (k,)."""
-        return np.array(self.goals)[self.drives[self.keyframes]]
+        return np.array(self.goals)[self.key_drives]
 
     @cached_property
     def frames(self) -> NDArray[np.intp]:
@@ -169,8 +174,7 @@ class VisualMap:
     def next_cosine(self) -> float:
         """Mean cosine of the views of a keyframe and the next one: below it, a view is new."""
         own = self.views[:, 1, TURNS_DEG.size // 2]
-        of = self.drives[self.keyframes]
-        pairs = (own[1:] * own[:-1]).sum(axis=-1)[of[1:] == of[:-1]]
+        pairs = (own[1:] * own[:-1]).sum(axis=-1)[np.diff(self.key_drives) == 0]
         return float(pairs.mean()) if pairs.size else 0.5
 
 

@@ -157,7 +157,7 @@ class _ByFilter:
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""
-        drives = self._mapped.drives[self._mapped.keyframes]
+        drives = self._mapped.key_drives
         begins = np.flatnonzero(np.diff(drives, prepend=-1))[:_MOST_DRIVES].tolist()
         poses = in_common_axes(self._mapped).astype(np.float32)
         yield {"keyframes": Float32Array.from_numpy(poses), "begins": tuple(begins)}

@@ -30,8 +30,8 @@ _NUMBERS: dict[str, Callable[[float], bool]] = {
 }
 #: Axes of its arrays.
 _AXES = {
-    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1, "ratio": 2,
-    "stitched": 2, "stitch_offsets": 2,
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1,
+    "log_ratio": 2, "stitched": 2, "stitch_offsets": 2,
 }  # fmt: skip
 _WHOLE = ("drives", "keyframes", "stitched")
 
@@ -75,7 +75,7 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
         "blank": one.blank.shape == (one.basis.shape[1],) and float(np.linalg.norm(one.blank)) < 1.01,
         "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
-        "ratio": one.ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.ratio) < 100.0).all()),
+        "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.log_ratio) < 100.0).all()),
         "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,
         "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),

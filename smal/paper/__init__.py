@@ -2,7 +2,7 @@
 
 Read in the order of the paper: `objective` (Eq. 7), `state_matching` (Algorithm 2), `novelty` (Eq. 8),
 `state_space` (Algorithm 1), `action_space` (Algorithm 3), `transitions` (Algorithm 4), `reward`, `policy` (Eq. 13);
-`learning` puts them together to a `model`, `recognition` (Eq. 7 and 9) and `execution` drive by it, `robot` is the two
+`learning` puts them together to a `model`, `recognition` (Eq. 7) and `execution` drive by it, `robot` is the two
 together. How `state_matching` solves Eq. 7 is in `working_set`, `newton` and `duality_gap`. Each file says where it
 departs from the paper, and why.
 

@@ -134,7 +134,7 @@ def smallest_map() -> Model:
         aside=0.4,
         correlation_length=1.0,
         correlation_rad=0.2,
-        ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
+        log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
         gamma=1.0,
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,

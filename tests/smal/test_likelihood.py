@@ -34,15 +34,15 @@ def test_probabilities_are_as_often_right_as_they_say(stands_out: float, tail: f
 def test_a_view_that_stands_out_more_never_speaks_less(here: list[float], seed: int) -> None:
     elsewhere = np.random.default_rng(seed).standard_normal(500)
     found = Likelihood.fit(np.array(here), elsewhere, 1e6, 1.0)
-    assert (np.diff(found.ratio) >= 0.0).all()
-    assert np.isfinite(found.ratio).all()
+    assert (np.diff(found.log_ratio) >= 0.0).all()
+    assert np.isfinite(found.log_ratio).all()
 
 
 def test_the_size_of_the_map_does_not_enter() -> None:
     elsewhere = np.random.default_rng(0).standard_normal(1000)
     one = Likelihood.fit(np.full(20, 8.0), elsewhere, 1e6, 1.0)
     other = Likelihood.fit(np.full(2000, 8.0), np.tile(elsewhere, 64), 1e6, 1.0)
-    np.testing.assert_allclose(one.ratio, other.ratio, atol=1e-9)
+    np.testing.assert_allclose(one.log_ratio, other.log_ratio, atol=1e-9)
 
 
 def test_places_that_look_alike_make_views_say_less() -> None:

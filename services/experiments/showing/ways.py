@@ -47,7 +47,7 @@ class Ways:
 
     def __init__(self, taught: VisualMap) -> None:
         self.map = taught
-        self.of = taught.drives[taught.keyframes]
+        self.of = taught.key_drives
         self.key_poses = in_common_axes(taught)
         first = np.searchsorted(self.of, taught.drives)
         self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
