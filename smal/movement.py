@@ -135,12 +135,12 @@ def turns_ahead(movements: NDArray[np.float64]) -> bool:
     return bool(ahead[[Atom.LEFT, Atom.RIGHT]].max() > 0.5 * ahead[Atom.FORWARD])
 
 
-def dead_reckoning(atoms: NDArray[np.int8], movements: NDArray[np.float64]) -> NDArray[np.float64]:
+def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]) -> NDArray[np.float64]:
     """Add up the usual movements of atoms.
 
     Parameters
     ----------
-    atoms : int8 array (f,)
+    atoms : int array (f,)
     movements : float64 array (5, 2)
         From `atom_movements`.
 

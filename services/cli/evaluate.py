@@ -1,5 +1,6 @@
-"""``smal evaluate``: the paper's experiments in simulation, as a page of results."""
+"""``smal evaluate``: the paper's experiments in simulation, or laps of a real robot, as a page of results."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ from typer import Option
 
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
+from services.cli.progress import Bars
 from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_runs
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
@@ -25,6 +27,10 @@ def evaluate(
     runs: Annotated[
         int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
+    laps: Annotated[
+        Path | None,
+        Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
+    ] = None,
     workers: Annotated[int, Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
     report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
 ) -> None:
@@ -34,8 +40,19 @@ def evaluate(
     OUT/results.json. The whole evaluation takes about an hour on two cores. It can be interrupted at any time: the
     same command goes on where it was, and while it works another one with --report-only shows what there is so far.
 
+    With --laps nothing is simulated: one lap teaches SMAL, which is asked where it is on all others, with and without
+    odometry, beside the nearest taught frame and teach and repeat. It needs three whole laps, which are found where
+    views recur, and takes some minutes.
+
     Example: smal evaluate --out evaluation --quick
+    Example: smal evaluate --out laps --laps tub
     """
+    if laps is not None:
+        for option, given in (("--quick", quick), ("--world", world), ("--runs", runs), ("--report-only", report_only)):
+            if given:
+                raise UsageError(f"{option}: laps of a real robot (--laps) have one size, and no world")
+        typer.echo(f"results: {_evaluate_laps(laps, out)}")
+        return
     if report_only and not out.is_dir():
         raise UsageError(f"--out {out}: there is no such folder, and so nothing to report")
     outputs.make_folder(out, "--out")
@@ -58,3 +75,16 @@ def evaluate(
 
         page = write_page(plan, results)
     typer.echo(f"results: {page}")
+
+
+def _evaluate_laps(source: Path, out: Path) -> Path:
+    """Find the laps, teach on the one in the middle, ask on all others and write the page; return it."""
+    from services.experiments.laps.asking import ask  # noqa: PLC0415 - what follows loads much
+    from services.experiments.laps.report import write_page  # noqa: PLC0415
+    from services.experiments.laps.source import read_laps  # noqa: PLC0415
+
+    with closing(Bars()) as bar:
+        laps = read_laps(source, bar)
+        outputs.make_folder(out, "--out")
+        judged = ask(laps, bar)
+    return write_page(out, source, laps, judged)

@@ -214,6 +214,8 @@ class RecordedImages(Sequence[NDArray[np.uint8]]):
         return len(self.recorded)
 
     def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        if isinstance(index, slice):
+            return RecordedImages(self.recorded[index], self._episode, self._decode)
         try:
             return self._decode(bytes(self.recorded[index]))
         except ValueError as error:

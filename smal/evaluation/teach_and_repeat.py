@@ -46,8 +46,9 @@ FIRST, SURE = 0.1, 0.3
 
 
 class _Route(NamedTuple):
-    """Poses (k, 3) and padded images of the keyframes of one drive."""
+    """Frames, poses (k, 3) and padded images of the keyframes of one drive."""
 
+    frames: list[int]
     poses: NDArray[np.float64]
     images: list[NDArray[np.float32]]
 
@@ -82,6 +83,14 @@ class TeachAndRepeat:
         """Whether it has come to the end of its drive."""
         return self._route is not None and self._index >= len(self._route.poses)
 
+    @property
+    def place(self) -> int | None:
+        """Taught frame of its drive in the middle between its last goal and the next; None while it looks round."""
+        if self._route is None:
+            return None
+        frames = self._route.frames
+        return (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
+
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
         """Take one image, (height, width, 3) RGB, and this episode's odometry (x, y, heading); return what to do."""
         here = np.asarray(odometry, dtype=np.float64)
@@ -112,7 +121,7 @@ class TeachAndRepeat:
             if math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD or frame == len(odometry) - 1:
                 keys.append(frame)
         margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
-        return _Route(odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys])
+        return _Route(keys, odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys])
 
     def _match(self, seen: NDArray[np.float32], taught: NDArray[np.float32]) -> tuple[float, float]:
         """Return how far left of the robot's heading the taught one is, radians, and the correlation then."""

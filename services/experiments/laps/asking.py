@@ -1,0 +1,133 @@
+"""One lap teaches, all others are asked, frame by frame and open loop: every method the same, by one truth."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.experiments.laps.finding import Lap
+from services.experiments.laps.source import JUDGED
+from services.kit.errors import JobError
+from smal.demonstration import Demonstration
+from smal.evaluation.ground_truth import Judgement
+from smal.evaluation.reliability import Reliability
+from smal.evaluation.teach_and_repeat import TeachAndRepeat
+from smal.features import Centering
+from smal.mapping import learn
+from smal.model import Model
+from smal.movement import Atom
+from smal.robot import Localizer
+
+#: Of a lap: what is right is within it, and probabilities are those of being within it.
+WITHIN: Final = 0.1
+#: Above this a robot is lost, and below that sure that it is not.
+LOST, SURE = 0.5, 0.1
+#: What is said of frames (f, 3): the taught frame that each shows, how likely that is, and that the robot is lost. Who
+#: says no frame, or no probability, says NaN.
+Answers = NDArray[np.float64]
+_Method = Callable[[Demonstration], Answers]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Answers (q, 3) to all asked frames, how far they are off as a share of a lap (q,), and what that comes to.
+
+    Of figures, shares of frames have 95 % intervals by laps beside them.
+    """
+
+    answers: Answers
+    off: NDArray[np.float64]
+    reliability: Reliability | None
+    figures: dict[str, float | list[float]]
+
+
+def ask(laps: Sequence[tuple[Demonstration, Lap]], advance: Callable[[str, int, int], None]) -> dict[str, Judged]:
+    """Teach on the first lap, ask on all others, and judge; JobError when nothing can be learned from it."""
+    (taught, _), *asked = laps
+    found = {}
+    for name, method in _methods(taught, partial(advance, "learning")).items():
+        answers = []
+        for done, (drive, _) in enumerate(asked, 1):
+            answers.append(method(drive))
+            advance(f"asking {name}", done, len(asked))
+        found[name] = judge(answers, [lap.shows for _, lap in asked], len(taught.atoms))
+    return found
+
+
+def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: int) -> Judged:
+    """Hold the answers to each lap against its truth, in frames of a taught lap of so many."""
+    said = np.concatenate(answers)
+    frames, likely, lost = said.T
+    off = _apart(frames, np.concatenate(truths), lap)
+    right, probable = off <= WITHIN, not np.isnan(likely).any()
+    shares = {"right within a twentieth": off <= WITHIN / 2.0, "right within a tenth": right}
+    shares |= {"lost": lost > LOST, "wrong and sure": ~right & (lost < SURE)} if probable else {}
+    figures: dict[str, float | list[float]] = {}
+    drawn = np.random.default_rng(0).integers(len(truths), size=(2000, len(truths)))
+    for name, share in shares.items():
+        parts = np.split(share, np.cumsum([len(truth) for truth in truths])[:-1])
+        hits, frames_ = np.array([(part.sum(), len(part)) for part in parts])[drawn].sum(axis=1).T
+        figures |= {name: float(share.mean()), f"{name}, 95 %": np.quantile(hits / frames_, (0.025, 0.975)).tolist()}
+    every = np.ones(len(said), dtype=np.bool_)
+    reliability = Reliability.of(Judgement(likely, every, right, every, every)) if probable else None
+    return Judged(said, off, reliability, figures | ({"calibration error": reliability.error} if reliability else {}))
+
+
+def _apart(frames: NDArray[Any], others: NDArray[Any] | float, lap: int) -> NDArray[np.float64]:
+    """Return how far frames are from others, as a share of a lap: where it ends it begins again; 1 of no frame."""
+    share = np.abs(frames - others) / lap % 1.0
+    return np.where(np.isnan(share), 1.0, np.minimum(share, 1.0 - share))
+
+
+def _methods(taught: Demonstration, progress: Callable[[int, int], None]) -> dict[str, _Method]:
+    """Return the methods by name; those that go by wheels only where the lap has odometry."""
+    found: dict[str, _Method] = {f"nearest {count}": partial(_nearest, taught, count) for count in (1, 5)}
+    try:
+        blind = learn([replace(taught, odometry=None)], JUDGED, progress=progress)
+        found = {"SMAL without odometry": partial(_smal, blind)} | found
+        if taught.odometry is not None:
+            model = learn([taught], JUDGED, progress=progress)
+            repeat = TeachAndRepeat([taught], math.radians(float(model.mapped.scene[0])), told=True)
+            found = {"SMAL": partial(_smal, model)} | found | {"teach and repeat": partial(_repeating, repeat)}
+    except ValueError as error:
+        raise JobError(f"cannot learn from {taught.name}: {error}") from None
+    return found
+
+
+def _smal(model: Model, asked: Demonstration) -> Answers:
+    """Ask the filter, which goes by odometry if the map does."""
+    robot, keyframes, answers = Localizer(model), model.mapped.keyframes, []
+    for frame, raw in enumerate(asked.features):
+        made = [Atom(int(asked.atoms[frame - 1]))] if frame else []
+        belief = robot.observe(raw, None if asked.odometry is None else asked.odometry[frame].tolist(), made)
+        best = int(keyframes[belief.summary(1).keyframes[0]])
+        near = belief.weights[_apart(keyframes[belief.keyframes], best, len(model.mapped.poses)) <= WITHIN].sum()
+        answers.append((best, min((1.0 - belief.lost) * float(near), 1.0), belief.lost))
+    return np.array(answers, dtype=np.float64)
+
+
+def _nearest(taught: Demonstration, window: int, asked: Demonstration) -> Answers:
+    """Take the frame whose window, round the closed lap, has the largest sum of cosines; at first it is shorter."""
+    centering = Centering.fit(taught.features, JUDGED)
+    rows = centering.apply(asked.features) @ centering.apply(taught.features).T
+    for_each = [np.pad(np.roll(rows, back, axis=1), ((back, 0), (0, 0)))[: len(rows)] for back in range(window)]
+    return _only(np.sum(for_each, axis=0).argmax(axis=1))
+
+
+def _repeating(repeat: TeachAndRepeat, asked: Demonstration) -> Answers:
+    """Ask teach and repeat, told that it begins at the first goal, between which goals it is; somebody else drives."""
+    assert asked.images is not None and asked.odometry is not None  # noqa: S101, PT018 - only such laps are asked
+    repeat.reset()
+    places = []
+    for image, pose in zip(asked.images, asked.odometry.tolist(), strict=True):
+        repeat.step(image, pose)
+        places.append(np.nan if repeat.place is None else repeat.place)
+    return _only(np.array(places))
+
+
+def _only(frames: NDArray[Any]) -> Answers:
+    return np.column_stack([frames, np.full(len(frames), np.nan), np.zeros(len(frames))])

@@ -1,0 +1,98 @@
+"""Where laps begin and end, and what each of their frames shows of one of them: offline, with what comes later known.
+
+A frame is a vector of what it shows and of how the robot turns, so that half of a squared distance says how unlike two
+frames are: 0 if they are the same, 1 and more if they have nothing in common.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+Frames = NDArray[np.float64]
+#: Frames of one lap that may pass in a frame of another, and what each costs that is skipped, or stood at.
+FASTEST, STEP_COST = 3, 0.05
+#: The first recurrence of views that is so much of the best one is a lap; later ones are several.
+FIRST: Final = 0.5
+#: A lap, and its first fifth, is at most so unlike another one, and so much more unlike than the median lap.
+UNLIKE, OF_MEDIAN = 0.9, 2.0
+#: Stretches of the drive that are tried as the one that laps are held beside.
+TRIED: Final = 16
+
+
+class Lap(NamedTuple):
+    """A lap: its piece of the drive, its frames from the first to before the last, and what they show."""
+
+    piece: int
+    first: int
+    last: int
+    shows: NDArray[np.intp]
+    """Frame of the first lap that was returned, (last - first,)."""
+    unlike: float
+    """How unlike they are, as frames are."""
+
+
+def find_laps(pieces: Sequence[Frames]) -> list[Lap]:
+    """Return the whole laps in pieces (f, d) of a drive: one in the middle, all others in order; none without any.
+
+    One stretch as long as a lap is held beside the whole drive, again and again: whenever the best alignment passes its
+    end, a lap ends. That is done with some, and again with a lap in the middle of those that the best of them finds.
+    """
+    period = _period(pieces)
+    stretches = [one[at : at + period] for one in pieces for at in range(0, len(one) - period, period // 2 + 1)]
+    if period < 2 or not stretches:
+        return []
+    tried = stretches[:: -(-len(stretches) // TRIED)]
+    best = max((_rounds(pieces, each) for each in tried), key=lambda laps: sum(1.0 - lap.unlike for lap in laps))
+    if not best:
+        return []
+    piece, first, last, *_ = best[len(best) // 2]
+    found = _rounds(pieces, pieces[piece][first:last])
+    others = [lap for lap in found if lap.piece != piece or abs(lap.first - first) >= period // 2]
+    return [Lap(piece, first, last, np.arange(last - first), 0.0), *others]
+
+
+def _period(pieces: Sequence[Frames]) -> int:
+    """Return after how many frames views recur: where their products, which fall at first, rise nearly highest."""
+    longest = max(map(len, pieces))
+    sums, pairs = np.zeros(longest), np.zeros(longest)
+    for one in pieces:
+        power = np.square(np.abs(np.fft.rfft(one, 2 * len(one), axis=0))).sum(axis=1)
+        sums[: len(one)] += np.fft.irfft(power, 2 * len(one))[: len(one)]
+        pairs[: len(one)] += np.arange(len(one), 0, -1)
+    alike = (sums / pairs)[: longest // 2 + 1]
+    rise = alike - np.minimum.accumulate(alike)
+    first = int(np.argmax(rise >= FIRST * rise.max()))
+    return first + int(np.argmax(rise[first : first + first // 2 + 1]))
+
+
+def _rounds(pieces: Sequence[Frames], stretch: Frames) -> list[Lap]:
+    """Return the rounds of a stretch that are like it, or like each other; where the first fifth is not, none began."""
+    found = []
+    for number, piece in enumerate(pieces):
+        where = aligned(piece, stretch)
+        unlike = np.square(piece - stretch[where]).sum(axis=1) / 2.0
+        for first, last in pairwise((np.flatnonzero(np.diff(where) < 0) + 1).tolist()):
+            begin = first + (last - first + 4) // 5
+            costs = unlike[first:last].mean(), unlike[first:begin].mean()
+            found.append(Lap(number, first, last, where[first:last], float(max(costs))))
+    most = min(UNLIKE, OF_MEDIAN * float(np.median([lap.unlike for lap in found] or [0.0])))
+    return [lap for lap in found if lap.unlike <= most]
+
+
+def aligned(frames: Frames, closed: Frames) -> NDArray[np.intp]:
+    """Return which frame of a closed lap (g, d), which begins anew where it ends, each frame (f, d) shows, (f,)."""
+    unlike = cdist(frames, closed, "sqeuclidean") / 2.0
+    came, cost = np.zeros(unlike.shape, dtype=np.intp), unlike[0]
+    for frame in range(1, len(unlike)):
+        ways = np.stack([np.roll(cost, step) + STEP_COST * abs(step - 1) for step in range(FASTEST + 1)])
+        came[frame], cost = ways.argmin(axis=0), ways.min(axis=0) + unlike[frame]
+    where = np.empty(len(unlike), dtype=np.intp)
+    at = int(cost.argmin())
+    for frame in range(len(unlike) - 1, -1, -1):
+        where[frame] = at
+        at = (at - int(came[frame, at])) % len(closed)
+    return where

@@ -1,0 +1,99 @@
+"""Laps out of a tub of donkeycar or of recordings, as a user's robot would have them."""
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.experiments.laps.finding import Frames, Lap, find_laps
+from services.importers.drive import Tally
+from services.importers.job import Job
+from services.importers.run import run
+from services.kit.errors import JobError
+from services.recordings.dataset import Teacher, find_recordings
+from smal.demonstration import Demonstration
+from smal.features import Centering, FeatureSettings, select
+from smal.movement import Atom, dead_reckoning, seen_from
+
+#: Laps are found and aligned by other features than those that are judged; frames have both.
+JUDGED, _FINDING = FeatureSettings(), FeatureSettings.of(("gist", "thumbnail"))
+HELD: Final = FeatureSettings.of((*JUDGED.modalities, *_FINDING.modalities))
+#: Turns that differ by as much as turns scatter make two frames as unlike as views of cosine .75 are.
+_TURN_WEIGHT: Final = 0.25
+
+
+def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tuple[Demonstration, Lap]]:
+    """Find the laps in a tub, which is a folder with a manifest, or in recordings: drives, as `find_laps` orders them.
+
+    Raises UsageError when there is none of these, and JobError when it cannot be read or has less than three laps.
+    """
+    tub, teacher, tally = (source / "manifest.json").is_file(), Teacher(HELD, shortest=2), Tally()
+    with TemporaryDirectory() as folder:
+        if tub:
+            run(Job(format="donkeycar", path=str(source), folder=folder, robot="car", speed=1, turn_rate=1), tally)
+        files = find_recordings([Path(folder) if tub else source])
+        for number, file in enumerate(files):
+            advance("reading", number, len(files))
+            teacher.read(file)
+    remarks = tally.lines() if tub else teacher.teaching.remarks
+    try:
+        laps = laps_of(teacher.teaching.demonstrations, reckoned=tub)
+    except JobError as error:
+        raise JobError("; ".join([f"{source}: {error}", *remarks])) from None
+    sys.stderr.writelines(f"smal: {remark}\n" for remark in remarks)
+    return laps
+
+
+def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[tuple[Demonstration, Lap]]:
+    """Find the laps in pieces of drives with the features `HELD`.
+
+    A way that was reckoned from a tub, which does not say how far a car turns by its steering, is made to turn once
+    round in the median lap.
+    """
+    drives = [one for one in drives if one.images is not None]
+    turns = [_turns(one) for one in drives]
+    laps = find_laps(_frames(drives, turns)) if drives else []
+    if len(laps) < 3:
+        raise JobError(f"views recur in {len(laps)} whole laps; at least 3 are needed")
+    if reckoned:
+        each = [turns[lap.piece][lap.first : lap.last] for lap in laps]
+        round_rad, driven_rad = (abs(float(np.median([of(turn).sum() for turn in each]))) for of in (np.array, np.abs))
+        if round_rad <= driven_rad / 2.0:
+            raise JobError("laps turn to both sides; import it with --speed and --turn-rate, and give that")
+        drives = [_turning(one, math.tau / round_rad) for one in drives]
+    return [(_part(drives[lap.piece], lap.first, lap.last), lap) for lap in laps]
+
+
+def _turns(drive: Demonstration) -> NDArray[np.float64]:
+    """Return how far it turned left after each frame, (f,): radians by its wheels, or 1 where it only was told to."""
+    if drive.odometry is None:
+        return np.where(drive.atoms == Atom.LEFT, 1.0, np.where(drive.atoms == Atom.RIGHT, -1.0, 0.0))
+    turned: NDArray[np.float64] = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, 2]
+    return np.append(turned, 0.0)
+
+
+def _frames(drives: Sequence[Demonstration], turns: Sequence[NDArray[np.float64]]) -> list[Frames]:
+    raw, every = [select(one.features, HELD, _FINDING) for one in drives], np.concatenate(turns)
+    centering, scale = Centering.fit(raw, _FINDING), math.sqrt(2.0 * _TURN_WEIGHT) / max(float(every.std()), 1e-9)
+    both = zip(raw, turns, strict=True)
+    return [np.column_stack([centering.apply(each), scale * (turn - every.mean())]) for each, turn in both]
+
+
+def _turning(drive: Demonstration, times: float) -> Demonstration:
+    """Reckon its way anew, with turns so many times as large."""
+    assert drive.odometry is not None  # noqa: S101 - it was asked for
+    steps = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, [0, 2]] * (1.0, times)
+    return replace(drive, odometry=dead_reckoning(np.arange(len(drive.atoms)), np.vstack([steps, np.zeros(2)])))
+
+
+def _part(drive: Demonstration, first: int, last: int) -> Demonstration:
+    of_frames = {name: getattr(drive, name) for name in ("features", "atoms", "images", "odometry", "ahead")}
+    cut: dict[str, Any] = {name: None if every is None else every[first:last] for name, every in of_frames.items()}
+    cut["features"] = select(cut["features"], HELD, JUDGED)
+    return replace(drive, name=f"{drive.name}, frames {first} to {last - 1}", episode="", successful=True, **cut)
