@@ -1,7 +1,5 @@
 """Pieces of a page of results: one HTML file that needs nothing beside it."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io
@@ -35,7 +33,7 @@ def tiles(values: Mapping[str, str]) -> str:
     return f'<div class="tiles">{cells}</div>'
 
 
-def png(figure: Figure, dpi: int = 110) -> bytes:
+def png(figure: "Figure", dpi: int = 110) -> bytes:
     """Draw a figure as a PNG file."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
@@ -51,13 +49,13 @@ def image(data: bytes, alt: str, kind: str = "png") -> str:
     return f'<img class="wide" src="{data_url}" alt="{html.escape(alt)}">'
 
 
-def titled(figure: Figure, title: str, said: str) -> str:
+def titled(figure: "Figure", title: str, said: str) -> str:
     """Return a figure with its title, which is text, and its caption, which is HTML."""
     picture = image(png(figure), title)
     return f'<figure class="own"><h3>{html.escape(title)}</h3>{picture}<figcaption>{said}</figcaption></figure>'
 
 
-def strip(pictures: Mapping[str, NDArray[np.uint8]]) -> str:
+def strip(pictures: "Mapping[str, NDArray[np.uint8]]") -> str:
     """Show camera images, (height, width, 3) RGB, beside each other, each with what it is."""
     figures = (
         f"<figure>{image(encode_jpeg(shrunk(seen, _FRAME_PX)), said, 'jpeg')}"

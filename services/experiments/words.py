@@ -1,7 +1,5 @@
 """Words that pages and commands share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from smal.features import FeatureSettings

@@ -4,8 +4,6 @@ Teaching is never degraded: the question is what a method does with views that a
 Chance belongs to the episode's seed and the tick, so that every method sees the same damage in the same frames.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

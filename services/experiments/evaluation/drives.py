@@ -1,7 +1,5 @@
 """Drives of the scripted expert in this process, as `smal demonstrate` records and `smal learn` reads them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A detour and a shorter way, a fork, drives that share a stretch and are joined, 
 what was learned can decide: in each, doing what the expert did most often, or last, is wrong.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """What an evaluation runs, as data: `QUICK` and `FULL`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final

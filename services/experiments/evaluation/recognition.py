@@ -4,8 +4,6 @@ Queries are frames of drives that were not learned from, clean or degraded. Ever
 frame the robot is, and how sure it is; that is right if the frame was taken near the true pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ So an evaluation goes on where it was interrupted, plans share what they have in
 code has found out is never taken for this one's.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os

@@ -5,8 +5,6 @@ camera's JPEG here as there, the world waits for the answer to every frame, and 
 frame on. So the same seed gives the same poses (a test says so).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The units of work that a plan comes to: each is a pure function of its fields and of the units that it needs."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time
@@ -83,7 +81,7 @@ class Site:
     camera: tuple[int, int]
 
     @classmethod
-    def of(cls, world: str, camera: tuple[int, int]) -> Site:
+    def of(cls, world: str, camera: tuple[int, int]) -> "Site":
         """Return the site of a world, a name or a path."""
         path = Path(world)
         return cls(world, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "", camera)
@@ -94,7 +92,7 @@ class Unit(ABC):
     """A piece of work that is done once, by any process; ``needs`` are the units whose files it reads."""
 
     site: Site
-    needs: tuple[Unit, ...]
+    needs: tuple["Unit", ...]
 
     @property
     def name(self) -> str:
@@ -131,12 +129,12 @@ def simulation_in(site: Site, shake: float | None = None, variation: str = "day"
 
 
 @lru_cache(maxsize=1)
-def _drives(units: tuple[Teach, ...], folder: Path) -> tuple[Drive, ...]:
+def _drives(units: tuple["Teach", ...], folder: Path) -> tuple[Drive, ...]:
     return tuple(drive_of(load_arrays(unit.file(folder))) for unit in units)
 
 
 @lru_cache(maxsize=2)
-def _paper_model(unit: Learn, folder: Path) -> PaperModel:
+def _paper_model(unit: "Learn", folder: Path) -> PaperModel:
     return PaperModel.load(unit.file(folder))
 
 

@@ -5,8 +5,6 @@ image keeps its number, and what is known of the frames after it (a truth file) 
 in the folder do not count.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

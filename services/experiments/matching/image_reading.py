@@ -5,8 +5,6 @@ transparency is dropped. The orientation that a camera noted in EXIF is ignored 
 may lack it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

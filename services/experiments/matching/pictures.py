@@ -1,7 +1,5 @@
 """Matches of two traverses as a picture, and precision over recall beside it."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

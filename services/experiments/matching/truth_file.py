@@ -6,8 +6,6 @@ references are empty the reference traverse does not show the place. A query wit
 references show several times has several.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from io import StringIO

@@ -1,7 +1,5 @@
 """The drives that a model was taught, found again in recordings: a model keeps features, and no image."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of what was learned, one function each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """What the page of a map shows: the ways, the cost to go, and where the belief was."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from itertools import count

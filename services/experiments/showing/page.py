@@ -1,7 +1,5 @@
 """The page of what a model has learned: one HTML file that needs nothing beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from html import escape
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a model is, in some lines for a terminal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The taught ways of a map: how they lie to each other, where they part and meet, what the filter believes on them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The figures of an evaluation, one function each."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The page of an evaluation: one HTML file that needs nothing beside it, and beside it every figure and number."""
 
-from __future__ import annotations
-
 import json
 import platform
 from collections.abc import Iterator

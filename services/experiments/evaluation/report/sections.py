@@ -1,7 +1,5 @@
 """What the report says of each world, as HTML: recognition, searches, errands, an example."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From what the units found out to the numbers of the report: curves, areas, success rates."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
