@@ -8,5 +8,5 @@ ruff check .
 ruff format --check .
 mypy
 lint-imports
-# In three processes on two cores, since many tests wait; whoever is done takes from what is left to the others.
-python -m pytest -rs -n 3 --dist worksteal "$@"
+# In two processes, for the two cores that it must do with; whoever is done takes from what is left to the other.
+python -m pytest -rs -n 2 --dist worksteal "$@"

@@ -6,7 +6,6 @@ frozen, killed or cut off keeps it from moving on.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import secrets
@@ -15,7 +14,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -91,7 +90,7 @@ def roll(world: str, address: str, log: Path, owner: Connection) -> None:
                 payload, sender = orders.recvfrom(_LARGEST)
                 answer = wheels.take(json.loads(payload), now_s())
                 if answer is not None:
-                    with contextlib.suppress(OSError):  # whoever asked is dead, or does not listen
+                    with suppress(OSError):  # whoever asked is dead, or does not listen
                         orders.sendto(json.dumps(answer).encode(), socket.MSG_DONTWAIT, sender)
 
 
@@ -174,8 +173,9 @@ class FarBase:
         return 0.0
 
     def order(self, atom: Atom, speed: float) -> None:
-        """Have it drive from now on; where the order cannot be sent at once that is an error."""
-        self._orders.send(json.dumps({"order": [atom, speed]}).encode())
+        """Have it drive from now on; an order for which a base that is not heard has no room is lost, as on a line."""
+        with suppress(BlockingIOError):
+            self._orders.send(json.dumps({"order": [atom, speed]}).encode())
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose."""
