@@ -190,15 +190,15 @@ def turn_of_views(
             break
         chosen = same[evenly(same.size, SETTINGS.pairs)].tolist()
         seen = [(images[k], describe(images[k + count]), int(sign[k])) for k in chosen]
-
-        def score(tried: tuple[Camera, float], seen: list[tuple[Image, NDArray[np.float32], int]] = seen) -> float:
-            camera, turn_deg = tried
-            warp = _far(camera).warp
-            return sum(
-                float(y @ describe(warp(image, turn_rad=side * math.radians(turn_deg)))) for image, y, side in seen
+        scores = {
+            (camera, turn_deg): sum(
+                float(y @ describe(_far(camera).warp(image, turn_rad=side * math.radians(turn_deg))))
+                for image, y, side in seen
             )
-
-        camera, turn_deg = max(((camera, turn) for camera in cameras for turn in _TURNS_DEG), key=score)
+            for camera in cameras
+            for turn_deg in _TURNS_DEG
+        }
+        camera, turn_deg = max(scores, key=scores.__getitem__)
         found = camera, math.radians(turn_deg) / count
     return found
 

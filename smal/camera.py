@@ -7,7 +7,7 @@ equidistant (fisheye), whichever predicts its views better (`smal.calibration.fi
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -78,6 +78,23 @@ class Camera:
         """Return the angle from its axis of what it shows so far from the middle, the opposite of `radius`."""
         angles, radii = self._table
         return np.asarray(np.interp(radius, radii, angles))
+
+    def middle(self, shape: tuple[int, ...]) -> tuple[float, float]:
+        """Return the column and the row at which the axis meets an image of this shape (rows, columns)."""
+        rows, columns = shape
+        right, down = self.centre
+        return (columns - 1) / 2.0 + columns * right, (rows - 1) / 2.0 + columns * down
+
+    @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit asks for the same rays hundreds of times
+    def rays(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the direction of each pixel of an image of this shape: right, down, ahead, of length 1."""
+        middle_u, middle_v = self.middle(shape)
+        focal = self.focal * shape[1]
+        v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
+        across, down = (u - middle_u) / focal, (v - middle_v) / focal
+        out = np.maximum(np.hypot(across, down), 1e-9)
+        angle = self.angle(out)
+        return np.sin(angle) * across / out, np.sin(angle) * down / out, np.cos(angle)
 
     @cached_property
     def _table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

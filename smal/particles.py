@@ -69,7 +69,7 @@ class Particles:
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
         apart = self.poses[:, None] - self._map.key_poses[near]
-        far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / self._map.correlation_length**2
+        far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / length**2
         # A turn is covered by the virtual views: it counts for less than the place.
         far += (wrapped(apart[..., 2]) / (3.0 * self._map.correlation_rad)) ** 2
         self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]

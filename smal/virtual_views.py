@@ -1,9 +1,9 @@
 """Views from where nobody drove: a taught image as a camera a little aside, or turned, would have seen it.
 
 One drive shows every place from one pose. A robot that drifts sees it from others, and the paper needs a demonstration
-for each. We warp the taught image instead. A pure turn is exact whatever the scene is. For a step aside
-or ahead we need distances, and take the simplest scene that has any: flat ground under the camera, and everything above
-it at one distance. The camera, its height and that distance are those by which views that were taught predict other
+for each. We warp the taught image instead. A pure turn is exact whatever the scene is. For a step aside or ahead we
+need distances, and take the simplest scene that has any: flat ground under the camera, and everything above it at one
+distance. The camera, its height and that distance are those by which views that were taught predict other
 views of the same drive best (`smal.calibration`), so nobody has to measure them.
 """
 
@@ -62,18 +62,10 @@ class Scene:
         """Return where each pixel of the other view lies in an image of this shape, for `remapped`."""
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
-        rows, columns = shape
-        focal = self.camera.focal * columns
-        middle_u, middle_v = (
-            middle + columns * off
-            for middle, off in zip(((columns - 1) / 2.0, (rows - 1) / 2.0), self.camera.centre, strict=True)
-        )
-        v, u = np.mgrid[0:rows, 0:columns]
-        across, down = (u - middle_u) / focal, (v - middle_v) / focal
-        out = np.maximum(np.hypot(across, down), 1e-9)
-        angle = self.camera.angle(out)
-        # The ray of each pixel, of length 1, in axes of the camera that took the image: right, down, ahead.
-        x, y, z = np.sin(angle) * across / out, np.sin(angle) * down / out, np.cos(angle)
+        focal = self.camera.focal * shape[1]
+        middle_u, middle_v = self.camera.middle(shape)
+        # Of each pixel, in axes of the camera that took the image.
+        x, y, z = self.camera.rays(shape)
         right = math.cos(turn_rad) * x - math.sin(turn_rad) * z
         deep = math.sin(turn_rad) * x + math.cos(turn_rad) * z
         # How far along the ray the ground or the wall is, whichever comes first.
