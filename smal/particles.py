@@ -121,8 +121,7 @@ class Particles:
 
         def at(place: NDArray[np.intp]) -> NDArray[np.float64]:
             mixed = (1.0 - f) * cosines[k, place, t] + f * cosines[k, place, t + 1]
-            scaled: NDArray[np.float64] = mixed / _norm(f, by_turn[k, place, t])
-            return scaled
+            return np.asarray(mixed / _norm(f, by_turn[k, place, t]))
 
         places_alike = (1.0 - f) * by_place[k, p, t] + f * by_place[k, p, t + 1]
         found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, places_alike)
@@ -178,13 +177,11 @@ def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float6
     Views beside each other are never opposite; a damaged map must not divide by zero.
     """
     squared = (1.0 - share) ** 2 + share**2 + 2.0 * share * (1.0 - share) * np.maximum(cosine, -0.5)
-    length: NDArray[np.float64] = np.sqrt(squared)
-    return length
+    return np.asarray(np.sqrt(squared))
 
 
 def systematic(weights: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Draw so many indices by their weights (n,), as evenly as can be (systematic resampling)."""
     edges = np.cumsum(weights, dtype=np.float64)
     marks = (rng.random() + np.arange(count)) / max(count, 1) * edges[-1]
-    found: NDArray[np.intp] = np.minimum(np.searchsorted(edges, marks), len(weights) - 1)
-    return found
+    return np.asarray(np.minimum(np.searchsorted(edges, marks), len(weights) - 1))
