@@ -306,7 +306,7 @@ class Filter:
             every.weights,
             float(self._classes[2] / self._classes.sum()),
             min(every.cosine(seen), 1.0),
-            _least_of_most(every.followed, every.weights),
+            _least_of_most(every.tracked, every.weights),
         )
 
 

@@ -42,7 +42,7 @@ class Particles:
     def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
         self._map = visual_map
         self.keyframes, self.poses = keyframes, poses
-        self.followed = np.zeros(len(poses))
+        self.tracked = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
         #: By how many standard deviations the robot is faster than it is said to be.
         self.pace = np.zeros(len(poses))
@@ -65,7 +65,7 @@ class Particles:
         turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
         middle = self.poses[:, 2] + turn / 2.0
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
-        self.followed += abs(movement.ahead)
+        self.tracked += abs(movement.ahead)
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
         apart = self.poses[:, None] - self._map.key_poses[near]
@@ -143,13 +143,13 @@ class Particles:
             np.concatenate([one.poses for one, _ in sets]),
         )
         made.weights = np.concatenate([one.weights * (share / total) for one, share in sets])
-        made.followed, made.pace = (np.concatenate([getattr(one, n) for one, _ in sets]) for n in ("followed", "pace"))
+        made.tracked, made.pace = (np.concatenate([getattr(one, n) for one, _ in sets]) for n in ("tracked", "pace"))
         made.shares = np.sum([one.shares * (share / total) for one, share in sets], axis=0)
         return made
 
     def keep(self, which: NDArray[np.intp]) -> None:
         """Keep some particles, alike in weight."""
-        self.keyframes, self.poses, self.followed = self.keyframes[which], self.poses[which], self.followed[which]
+        self.keyframes, self.poses, self.tracked = self.keyframes[which], self.poses[which], self.tracked[which]
         self.pace = self.pace[which]
         self.weights = np.full(which.size, 1.0 / which.size)
 

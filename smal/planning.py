@@ -1,18 +1,16 @@
 """What to do: the atom that leads the likely places to the taught way, and along the shortest one to a goal.
 
-The taught drives are a graph: keyframes, what follows each of them, and the places that drives share
-(`smal.stitches`). Dijkstra's algorithm gives every keyframe its cost to go, the time to the nearest goal, and what is
-best to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter
-way is preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over
-drives wants the same. The robot steers in the mean direction of its likely places, each weighted by its probability
-(after QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to
-look.
+The taught drives are a graph: keyframes, what follows each of them, and where drives meet (`smal.stitches`). Dijkstra's
+algorithm gives every keyframe its cost to go, the time to the nearest goal, and which drive to follow from there. So
+drives are joined to ways that nobody drove in one piece, and a belief that is spread over drives wants one thing.
+The robot steers in the mean direction of its likely places, each weighted by its probability (after QMDP, Littman,
+Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +23,7 @@ from smal.settings import SETTINGS
 from smal.visual_map import VisualMap
 
 Kind = Literal["follow", "look_around", "guess", "dead_end", "goal"]
+_SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,8 @@ class Decision:
     Parameters
     ----------
     kind : str
-        "follow": along the taught way; "look_around": turn, since the belief is too wide; "guess": drive all the same,
-        since looking has not helped; "dead_end": stop, since no taught way leads from here to the goal; "goal":
-        arrived, and stop.
+        "follow": along the taught way; "look_around": turn, since places disagree; "guess": drive all the same, since
+        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "goal": stop, arrived.
     atom : Atom
     heading_error_rad : float
         Mean direction to aim at less the heading.
@@ -45,19 +43,6 @@ class Decision:
     kind: Kind
     atom: Atom
     heading_error_rad: float
-
-
-class _Wish(NamedTuple):
-    """What a belief wants: a direction less the heading, and whether its places agree on it and have a way.
-
-    Whether it is likelier than not to have come to the end of a way that leads to the goal, and is sure to be there.
-    """
-
-    error_rad: float
-    clear: bool
-    way: bool
-    ended: bool
-    sure: bool
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -77,14 +62,12 @@ def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
 
 
 def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return the time to the goal from every keyframe (k,), and the keyframe to follow next (k,).
+    """Return the seconds to the goal from every keyframe (k,), and the keyframe to go to next (k,).
 
-    The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
-    which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
-    the time for the turn and the way between the two, and `Settings.go_over_s`. A robot changes drives at the first
-    shared place from which the goal is nearer: at the last one it would be torn between both. So the cost to go falls
-    with every step, and nobody goes in circles.
-    Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
+    The goal is the end of each drive that leads there. Going over to another drive costs the time for the turn and the
+    way between the two, and `Settings.go_over_s`. The robot changes drives at the first place from which the goal is
+    nearer by the other: at the last one it would be torn between both. The cost to go falls with every step, so that
+    nobody goes in circles. Where no way leads to the goal it is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
     of = visual_map.key_drives
@@ -96,13 +79,13 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
     rows = np.concatenate([on + 1, target, np.full(goals.size, count)])
     columns = np.concatenate([on, source, goals])
-    turn_rad, ahead = (float(np.abs(column).max()) for column in visual_map.movements[:, ::-1].T)
-    apart = np.hypot(*offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(offsets[:, 2]) / max(turn_rad, 1e-9)
-    costs = np.concatenate([taken_s, SETTINGS.go_over_s + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
+    ahead, turn_rad = np.maximum(np.abs(visual_map.movements).max(axis=0), 1e-9)
+    ticks = np.hypot(*offsets[:, :2].T) / ahead + np.abs(offsets[:, 2]) / turn_rad
+    costs = np.concatenate([taken_s, SETTINGS.go_over_s + ticks * visual_map.tick_s, np.full(goals.size, 1e-9)])
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
     to_go_s, following = found[0, :-1], previous[0, :-1].astype(np.intp)
-    following = np.where((following == count) | (following < 0), -1, following)
+    following[(following == count) | (following < 0)] = -1
     goes_over_to = of.copy()
     for here in np.argsort(to_go_s):
         then = following[here]
@@ -136,30 +119,27 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
-        of = visual_map.key_drives
-        self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
-        self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
         self._to_go_s, following = cost_to_go(visual_map, goal)
-        self._keyframe, self._offset = self._followed(following)
-        self._leads = visual_map.key_goals[self._keyframe] == goal
+        self._guide, self._offset = self._guides(following)
+        self._leads = visual_map.key_goals[self._guide] == goal
         self.reset()
 
-    def _followed(self, following: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def _guides(self, following: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return for each keyframe the one whose drive is to be followed there, and its own offset from that one."""
-        keyframe, offset = np.arange(len(following)), np.zeros((len(following), 3))
+        guide, offset = np.arange(len(following)), np.zeros((len(following), 3))
         stitch = {(one, other): k for k, (one, other) in enumerate(self._map.stitched.tolist())}
         # What follows is nearer to the goal.
         for start in np.argsort(self._to_go_s).tolist():
             then = int(following[start])
             if (start, then) in stitch:
-                keyframe[start] = keyframe[then]
+                guide[start] = guide[then]
                 offset[start] = placed(self._map.stitch_offsets[stitch[start, then]], offset[then])
-        return keyframe, offset
+        return guide, offset
 
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
-        self._looked_rad = self._guessed_s = self._followed_m = self._pending_rad = 0.0
+        self._looked_rad = self._guessed_s = self._driven = 0.0
         self.done = False
 
     def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:
@@ -171,108 +151,92 @@ class Planner:
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
         delay_s : float, optional
-            Time from the frame to the moment when what is decided begins to move the robot; until then it goes on
-            turning, if it turns, and would turn too far where that is not reckoned with.
+            Time from the frame until what is decided moves the robot; until then it goes on turning, if it turns.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
-        self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
-        wish = self._wish(belief)
-        followed = belief.tracked > SETTINGS.followed * self._map.correlation_length
-        followed |= self._looked_rad >= math.radians(SETTINGS.look_deg)
-        self.done = self.done or (wish.ended and wish.sure and followed)
-        kind = self._kind(wish, belief.lost > 0.5)
-        return Decision(kind, self._atom(kind, wish.error_rad, elapsed_s), wish.error_rad)
-
-    def _wish(self, belief: Belief) -> _Wish:
-        """Return what the belief wants, each place weighted by its probability."""
         directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
-        with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
-        share = float(with_way.sum())
-        mean = complex((with_way * np.exp(1j * directions)).sum()) / max(share, 1e-12)
+        say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
+        mean = complex((say * np.exp(1j * directions)).sum()) / max(float(say.sum()), 1e-12)
+        error_rad = math.atan2(mean.imag, mean.real)
+        lost, has_way = belief.lost > 0.5, float(say.sum()) >= 0.5
+        clear = has_way and not lost and abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
+        looked = self._looked_rad >= math.radians(SETTINGS.look_deg)
+
         leads = self._leads[belief.keyframes]
         at_goal = leads & (to_end < SETTINGS.goal_s * self._map.speed)
-        # Beside or beyond the end by more than views change over, it is not at it.
-        ended = leads & (to_end < self._map.correlation_length)
-        ended &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
         sure = float(belief.weights @ at_goal) * (1.0 - belief.lost) > SETTINGS.arrived
-        clear = abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
-        return _Wish(math.atan2(mean.imag, mean.real), clear, share >= 0.5, float(belief.weights @ ended) > 0.5, sure)
+        # Beside or beyond the end by more than views change over, it is not at it.
+        at_end = leads & (to_end < self._map.correlation_length)
+        at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
+        ended = float(belief.weights @ at_end) > 0.5
+        tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
+        self.done = self.done or (ended and sure and (tracked or looked))
 
-    def _kind(self, wish: _Wish, lost: bool) -> Kind:
-        """Choose what kind of decision is due."""
+        kind: Kind
         if self.done:
-            return "goal"
-        clear = wish.way and wish.clear and not lost
-        if clear and not wish.ended:
-            return "follow"
-        if self._looked_rad < math.radians(SETTINGS.look_deg):
-            return "look_around"
-        if clear:
-            return "follow"
-        return "guess" if wish.way or lost else "dead_end"
+            kind = "goal"
+        elif clear and (looked or not ended):
+            kind = "follow"
+        elif not looked:
+            kind = "look_around"
+        else:
+            kind = "guess" if has_way or lost else "dead_end"
+        pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
+        to_turn_rad = error_rad - pending_rad * _SIDES[self._turning]
+        return Decision(kind, self._atom(kind, to_turn_rad, elapsed_s), error_rad)
 
-    def _atom(self, kind: Kind, error: float, elapsed_s: float) -> Atom:
-        """Choose the atom of a decision."""
-        if kind == "follow":
-            return self._follow(error, elapsed_s)
-        self._followed_m = 0.0
+    def _atom(self, kind: Kind, to_turn_rad: float, elapsed_s: float) -> Atom:
+        """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
+        if kind != "follow":
+            self._driven = 0.0
+        if kind in ("goal", "dead_end"):
+            self._turning = None
+            return Atom.STOP
         if kind == "look_around":
-            return self._look(error, elapsed_s)
+            return self._look(to_turn_rad, elapsed_s)
+        atom = self._steer(to_turn_rad)
         if kind == "guess":
             self._guessed_s += elapsed_s
-            if self._guessed_s >= SETTINGS.guess_s:
-                self._looked_rad = self._guessed_s = 0.0
-            return self._steer(error)
-        self._turning = None
-        return Atom.STOP
-
-    def _follow(self, error: float, elapsed_s: float) -> Atom:
-        """Steer; after a correlation length of way it may look around again.
-
-        Not before: a place that a few views look like would have it turn to and fro for ever.
-        """
-        atom = self._steer(error)
-        self._followed_m += self._map.speed * elapsed_s if atom in self._going else 0.0
-        if self._followed_m > self._map.correlation_length:
+        elif atom in self._going:
+            self._driven += self._map.speed * elapsed_s
+        # Not before: a place that a few views look like would have it turn to and fro for ever.
+        if self._driven > self._map.correlation_length or self._guessed_s >= SETTINGS.guess_s:
             self._looked_rad = self._guessed_s = 0.0
         return atom
 
-    def _look(self, error: float, elapsed_s: float) -> Atom:
+    def _look(self, to_turn_rad: float, elapsed_s: float) -> Atom:
         """Turn to the side of a direction, then to the other; a car does so in bends, and once round in a circle."""
         before = self._looked_rad
         self._looked_rad += self._turn_rad * elapsed_s / self._map.tick_s
         if self._turning is None:
-            self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
+            self._turning = Atom.LEFT if to_turn_rad >= 0.0 else Atom.RIGHT
         if before < math.radians(SETTINGS.look_aside_deg) <= self._looked_rad:
             self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
         return self._turning
 
-    def _steer(self, error: float) -> Atom:
+    def _steer(self, to_turn_rad: float) -> Atom:
         """Turn while the direction is off by more than an atom of turning; drive straight on otherwise."""
-        if self._turning is not None:
-            error -= self._pending_rad if self._turning is Atom.LEFT else -self._pending_rad
-        wanted = Atom.LEFT if error > 0.0 else Atom.RIGHT
-        begins = self._turning is not wanted and abs(error) > self._turn_rad
-        goes_on = self._turning is wanted and abs(error) > self._turn_rad / 2.0
-        self._turning = wanted if begins or goes_on else None
+        wanted = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
+        least = self._turn_rad / 2.0 if self._turning is wanted else self._turn_rad
+        self._turning = wanted if abs(to_turn_rad) > least else None
         return self._turning or Atom.FORWARD
 
     def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""
         taught = self._map
-        followed = self._keyframe[belief.keyframes]
-        key = taught.keyframes[followed]
+        guide = self._guide[belief.keyframes]
+        key, drive = taught.keyframes[guide], taught.key_drives[guide]
         ahead, left, turned = placed(belief.offsets, self._offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
-        start, end = self._start_frame[followed], self._end_frame[followed]
+        start, end = (np.searchsorted(taught.drives, drive, side) for side in ("left", "right"))
         # Another drive's frames, in axes of their own, come before and after.
-        target = np.clip(np.searchsorted(taught.arc, along + self._ahead), start, end)
+        target = np.clip(np.searchsorted(taught.arc, along + self._ahead), start, end - 1)
         # As seen from the keyframe.
         aim_ahead, aim_left, aim_turned = seen_from(taught.poses[target], taught.poses[key]).T
         x, y = aim_ahead - ahead, aim_left - left
         # Near its end a way has a heading, but no point ahead any more.
         near = np.hypot(x, y) < 0.3 * self._ahead
         aim = np.where(near, aim_turned, np.arctan2(y, x))
-        last_ahead, last_left, _ = seen_from(taught.poses[end], taught.poses[key]).T
-        return wrapped(aim - turned), taught.arc[end] - along, np.hypot(last_ahead - ahead, last_left - left)
+        last_ahead, last_left, _ = seen_from(taught.poses[end - 1], taught.poses[key]).T
+        return wrapped(aim - turned), taught.arc[end - 1] - along, np.hypot(last_ahead - ahead, last_left - left)

@@ -115,7 +115,7 @@ class Settings:
     #: half of what is usually called found.
     arrived: float = 0.99
     #: It must have been followed for this way before, or have looked all around: a few views may show another place.
-    followed: float = 2.0
+    tracked: float = 2.0
     goal_s: float = 1.25
 
     # -- stitches
