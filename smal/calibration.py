@@ -17,18 +17,27 @@ from numpy.typing import NDArray
 from smal.camera import Camera
 from smal.demonstration import Image
 from smal.likelihood import Likelihood, gamma_of, standing_out
-from smal.movement import Atom, seen_from, wrapped
+from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG, Scene
+from smal.visual_map import evenly
 
 Describe = Callable[[Image], NDArray[np.float32]]
-#: Turns from one view to another that a fit tries, degrees: those over which views overlap.
-_TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
+#: Turns from one view to another that a fit tries: those over which views overlap.
+_TURNS_RAD = np.radians(np.geomspace(1.0, SETTINGS.overlap_deg, 23)).tolist()
 #: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.
 USUAL_CAMERAS = (
     Camera.of_field(SETTINGS.usual_field_deg),
     Camera.of_field(SETTINGS.usual_wide_field_deg, "equidistant"),
 )
+
+
+class _Pair(NamedTuple):
+    """A frame, another one, and the step from the pose of the first to that of the second: ahead, left, turned."""
+
+    frame: int
+    other: int
+    step: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +50,17 @@ class TaughtFrames:
     centred : float32 array (f, m)
         Centred features of every image, of unit length.
     poses : float64 array (f, 3)
-        x, y and heading in radians, in axes of their own for each drive.
+        x, y and heading in radians, in axes of their own for each drive: by the wheels, or by what atoms usually do.
     drives : int32 array (f,)
         The drive that each frame is of, ascending.
     describe : callable
         Gives the centred features of an image.
-    car : bool
-        Whether the robot goes ahead while it turns.
+    movements : float64 array (5, 2)
+        What each atom does between two frames.
+    odometry : bool
+        Whether poses are by the wheels.
+    camera : Camera, optional
+        The one that was told, or that by which turns were measured.
     """
 
     images: Sequence[Image]
@@ -55,13 +68,14 @@ class TaughtFrames:
     poses: NDArray[np.float64]
     drives: NDArray[np.int32]
     describe: Describe
-    car: bool
+    movements: NDArray[np.float64]
+    odometry: bool = True
+    camera: Camera | None = None
 
     @cached_property
-    def spread(self) -> list[NDArray[np.intp]]:
-        """At most `SETTINGS.most_frames` frames of each drive, all over it."""
-        each = [np.flatnonzero(self.drives == drive) for drive in np.unique(self.drives)]
-        return [frames[evenly(frames.size, SETTINGS.most_frames)] for frames in each]
+    def car(self) -> bool:
+        """Whether the robot goes ahead while it turns."""
+        return turns_ahead(self.movements)
 
     def apart(self, frames: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return distances and angles between frames of one drive, (n, n) each.
@@ -74,43 +88,42 @@ class TaughtFrames:
         turned = heading[:, None] - heading[None, :]
         return np.hypot(across[..., 0], across[..., 1]), np.abs(turned if self.car else wrapped(turned))
 
-    def pairs(self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]) -> list["_Pair"]:
+    def pairs(self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]) -> list[_Pair]:
         """Find for each frame the next one of its drive whose way and turn from it are wanted."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
-            after = np.flatnonzero(self.drives[frame + 1 : frame + 101] == self.drives[frame]) + frame + 1
+            last = frame + 1 + SETTINGS.most_apart
+            after = np.flatnonzero(self.drives[frame + 1 : last] == self.drives[frame]) + frame + 1
             steps = seen_from(self.poses[after], self.poses[frame])
             good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
             if good.size:
-                found.append(_Pair(frame, int(after[good[0]]), *steps[good[0]].tolist()))
+                found.append(_Pair(frame, int(after[good[0]]), tuple(steps[good[0]].tolist())))
         return found
 
-    def best(self, scenes: Sequence[Scene], pairs: Sequence["_Pair"]) -> Scene:
+    def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene under which the first views of pairs predict the second ones best."""
-        some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
-        seen = [(self.images[pair.frame], self.describe(self.images[pair.other]), pair[2:]) for pair in some]
-
-        def score(scene: Scene) -> float:
-            return sum(float(y @ self.describe(scene.warp(image, *step))) for image, y, step in seen)
-
-        # OpenCV lets go of the interpreter's lock.
-        with ThreadPoolExecutor() as pool:
-            return scenes[int(np.argmax(list(pool.map(score, scenes))))]
+        return _best(self.images, self.describe, [(scene, 1.0) for scene in scenes], pairs)[0]
 
 
-class _Pair(NamedTuple):
-    """A frame, another one, and the step from the pose of the first to that of the second."""
+def _best(
+    images: Sequence[Image], describe: Describe, guesses: Sequence[tuple[Scene, float]], pairs: Sequence[_Pair]
+) -> tuple[Scene, float]:
+    """Return the scene and the length of the steps' unit by which first views of pairs predict the second ones best."""
+    some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
+    seen = [(images[pair.frame], describe(images[pair.other]), pair.step) for pair in some]
 
-    frame: int
-    other: int
-    ahead: float
-    left: float
-    turn_rad: float
+    def score(guess: tuple[Scene, float]) -> float:
+        scene, unit = guess
+        return sum(float(y @ describe(scene.warp(image, *(unit * part for part in step)))) for image, y, step in seen)
+
+    # OpenCV lets go of the interpreter's lock.
+    with ThreadPoolExecutor() as pool:
+        return guesses[int(np.argmax(list(pool.map(score, guesses))))]
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most so many of the numbers below a count, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+def _far(camera: Camera) -> Scene:
+    """Return a scene in which only turns change the view."""
+    return Scene(camera, 1.0, 1e6)
 
 
 def fit_camera(frames: TaughtFrames) -> Camera:
@@ -120,39 +133,34 @@ def fit_camera(frames: TaughtFrames) -> Camera:
     ----------
     frames : TaughtFrames
     """
-    turns = frames.pairs(lambda _, turn: turn > math.radians(9))
+    turns = frames.pairs(lambda _, turn: turn > math.radians(SETTINGS.tells_camera_deg))
     if not turns:
         return USUAL_CAMERAS[0]
-    turns.sort(key=lambda pair: math.hypot(pair.ahead, pair.left))
+    turns.sort(key=lambda pair: math.hypot(*pair.step[:2]))
     least = turns[: max(SETTINGS.pairs, len(turns) // 10)]
     cameras = [Camera.of_field(field) for field in SETTINGS.fields_deg]
     cameras += [Camera.of_field(field, "equidistant") for field in SETTINGS.wide_fields_deg]
-    return frames.best([_far(one) for one in cameras], [pair._replace(ahead=0.0, left=0.0) for pair in least]).camera
+    return frames.best(
+        [_far(one) for one in cameras], [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least]
+    ).camera
 
 
-def fit_scene(frames: TaughtFrames, camera: Camera, correlation_length: float) -> Scene:
+def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
     """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best.
 
     Parameters
     ----------
     frames : TaughtFrames
     camera : Camera
-    correlation_length : float
-        Way ahead over which views become unlike, in the unit of the poses.
+    length : float
+        The correlation length.
     """
-    length = correlation_length
-    scene = Scene(camera, length / 3.0, length * 4.0)
-    steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(25)))
+    steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(SETTINGS.tells_scene_deg)))
     if not steps:
-        return scene
+        return Scene(camera, length / 3.0, length * 4.0)
     heights = [length * share for share in SETTINGS.heights]
     scene = frames.best([Scene(camera, h, h * far) for h in heights for far in SETTINGS.distances], steps)
     return frames.best([replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps)
-
-
-def _far(camera: Camera) -> Scene:
-    """Return a scene in which only turns change the view."""
-    return Scene(camera, 1.0, 1e6)
 
 
 def turn_of_views(
@@ -160,8 +168,8 @@ def turn_of_views(
 ) -> tuple[Camera, float] | None:
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
-    First over single atoms, then, more exactly, over as many as turn about 15 degrees. With a wrong focal length the
-    turn is wrong by as much, so that virtual views of the two together fit all the same.
+    First over single atoms, then, more exactly, over as many as turn further. With a wrong focal length the turn is
+    wrong by as much, so that virtual views of the two together fit all the same.
 
     Parameters
     ----------
@@ -182,24 +190,16 @@ def turn_of_views(
     # After the last frame of a drive comes another one's first.
     made[np.cumsum([len(one) for one in atoms]) - 1] = Atom.STOP
     sign = (made == Atom.LEFT).astype(int) - (made == Atom.RIGHT).astype(int)
+    guesses = [(_far(camera), turn_rad) for camera in cameras for turn_rad in _TURNS_RAD]
     found = None
     for _ in range(2):
-        count = 1 if found is None else max(1, round(math.radians(15.0) / found[1]))
+        count = 1 if found is None else max(1, round(math.radians(SETTINGS.tells_turn_deg) / found[1]))
         same = np.flatnonzero(np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count)
         if not same.size:
             break
-        chosen = same[evenly(same.size, SETTINGS.pairs)].tolist()
-        seen = [(images[k], describe(images[k + count]), int(sign[k])) for k in chosen]
-        scores = {
-            (camera, turn_deg): sum(
-                float(y @ describe(_far(camera).warp(image, turn_rad=side * math.radians(turn_deg))))
-                for image, y, side in seen
-            )
-            for camera in cameras
-            for turn_deg in _TURNS_DEG
-        }
-        camera, turn_deg = max(scores, key=scores.__getitem__)
-        found = camera, math.radians(turn_deg) / count
+        turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
+        scene, turn_rad = _best(images, describe, guesses, turns)
+        found = scene.camera, turn_rad / count
     return found
 
 
@@ -222,22 +222,70 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     ValueError
         No drive goes anywhere, or all images look the same.
     """
-    way, cosine = _turns_undone(frames, camera) if frames.car else (np.empty(0), np.empty(0))
-    distances: list[NDArray[Any]] = [way]
-    cosines: list[NDArray[Any]] = [cosine]
-    distant: list[NDArray[Any]] = []
-    for some in frames.spread:
-        apart, angle = frames.apart(some)
+    ways, cosines, distant, curves = [], [], [], []
+    for drive in np.unique(frames.drives):
+        every = np.flatnonzero(frames.drives == drive)
+        some = every[evenly(every.size, SETTINGS.most_frames)]
+        apart, turned = frames.apart(some)
         alike = frames.centred[some] @ frames.centred[some].T
-        same = (angle < math.radians(SETTINGS.same_deg)) & (apart < SETTINGS.reach * apart.max())
-        distances.append(apart[same])
+        near = apart < SETTINGS.reach * apart.max()
+        same = near & (turned < math.radians(SETTINGS.same_deg))
+        ways.append(apart[same])
         cosines.append(alike[same])
         distant.append(alike[apart >= 0.1 * apart.max()])
+        curves.append(some[np.argwhere(np.triu(near & ~same & (turned < math.radians(SETTINGS.overlap_deg))))])
+    if frames.car:
+        way, cosine = _turns_undone(frames, camera, np.concatenate(curves))
+        ways, cosines = [way, *ways], [cosine, *cosines]
     unrelated = float(np.concatenate(distant).mean())
-    length = _half_way(np.concatenate(distances), np.concatenate(cosines), unrelated)
+    way, cosine = np.concatenate(ways), np.concatenate(cosines)
+    reach = float(way.max(initial=0.0))
+    if reach <= 0.0:
+        raise ValueError("the robot does not move in any demonstration")
     if not frames.centred.any():
         raise ValueError("all images of the demonstrations look the same")
-    return length, unrelated
+    edges = np.linspace(0.0, reach, 100)
+    where = np.digitize(way, edges[1:-1])
+    count = np.bincount(where, minlength=99)
+    mean = np.bincount(where, cosine, minlength=99)[count > 0] / count[count > 0]
+    return _half_way(((edges[:-1] + edges[1:]) / 2.0)[count > 0], mean, 1.0, unrelated), unrelated
+
+
+def _turns_undone(
+    frames: TaughtFrames, camera: Camera, pairs: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compare frames, the first as it would have been seen with the second's heading: distances, cosines."""
+    first, second = pairs[evenly(len(pairs), SETTINGS.most_pairs)].T
+    steps = frames.poses[second] - frames.poses[first]
+
+    def cosine(one: int, other: int, turn_rad: float) -> float:
+        return float(frames.describe(_far(camera).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
+
+    with ThreadPoolExecutor() as pool:
+        cosines = list(pool.map(cosine, first.tolist(), second.tolist(), wrapped(steps[:, 2]).tolist()))
+    return np.hypot(*steps[:, :2].T), np.array(cosines)
+
+
+def correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
+    """Measure the turn after which a view is half as alike as it can be, radians: at least the step of the views.
+
+    Parameters
+    ----------
+    views : float32 array (k, 3, turns, r)
+        Of unit length.
+    unrelated : float
+        Mean cosine of unrelated views.
+    """
+    middle = TURNS_DEG.size // 2
+    mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
+    mean = (mean[middle:] + mean[middle::-1]) / 2.0
+    turn_deg = _half_way(TURNS_DEG[middle:], mean, float(mean[0]), unrelated)
+    return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
+
+
+def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: float, unrelated: float) -> float:
+    """Return how far it is to where falling cosines are half way from the best one to that of unrelated views."""
+    return float(np.interp(-(best + unrelated) / 2.0, -np.minimum.accumulate(cosines), far))
 
 
 def likelihood_of_views(
@@ -265,24 +313,24 @@ def likelihood_of_views(
     """
     count, middle = len(views), TURNS_DEG.size // 2
     own = views[:, 1, middle]
-    reference = own[evenly(count, SETTINGS.reference)]
+    sample = own[evenly(count, SETTINGS.reference)]
     every = views.reshape(-1, views.shape[-1])
     step_deg = float(TURNS_DEG[1] - TURNS_DEG[0])
-    here, elsewhere, neighbours, chains = [], [], [], []
+    here, elsewhere, neighbours = [], [], []
+    chains: list[NDArray[Any]] = [np.empty((2, 0), dtype=views.dtype)]
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
-        cosines = every @ own[k]
-        z = standing_out(cosines, reference @ own[k]).reshape(views.shape[:3])
+        z = standing_out(every @ own[k], sample @ own[k]).reshape(views.shape[:3])
         steps = seen_from(poses, poses[k])
         far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > 4.0 * length)
         elsewhere.append(z[far].ravel())
-        for other in (k - 1, k + 1):
-            if 0 <= other < count and drives[other] == drives[k]:
-                turn = middle - round(math.degrees(steps[other, 2]) / step_deg)
-                if 0 <= turn < TURNS_DEG.size:
-                    here.append(float(z[other, 1, turn]))
-                    neighbours.append(float(views[other, 1, turn] @ own[k]))
-        if k + 1 < count and drives[k + 1] == drives[k]:
-            after = standing_out(own @ own[k + 1], reference @ own[k + 1])
+        beside = [other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]]
+        for other in beside:
+            turn = middle - round(math.degrees(steps[other, 2]) / step_deg)
+            if 0 <= turn < TURNS_DEG.size:
+                here.append(float(z[other, 1, turn]))
+                neighbours.append(float(views[other, 1, turn] @ own[k]))
+        if k + 1 in beside:
+            after = standing_out(own @ own[k + 1], sample @ own[k + 1])
             on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
             chains.append(np.stack([z[on, 1, middle], after[on + 1]]))
     if not here:
@@ -294,40 +342,7 @@ def likelihood_of_views(
     apart = np.concatenate(elsewhere)
     if not apart.size:
         apart = np.random.default_rng(0).standard_normal(10_000)
-    pairs = np.concatenate(chains, axis=1) if chains else np.empty((2, 0))
+    pairs = np.concatenate(chains, axis=1)
     told = pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all())
     correlation = float(np.corrcoef(pairs)[0, 1]) if told else 0.5
     return Likelihood.fit(np.array(here), apart, independent, gamma_of(float(np.mean(neighbours)), correlation))
-
-
-def _turns_undone(frames: TaughtFrames, camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare frames in curves, the first as it would have been seen with the second's heading: distances, cosines."""
-    found = []
-    for some in frames.spread:
-        distance, angle = frames.apart(some)
-        curved = (angle >= math.radians(SETTINGS.same_deg)) & (angle < math.radians(SETTINGS.overlap_deg))
-        one, other = np.nonzero(np.triu(curved & (distance < SETTINGS.reach * distance.max())))
-        found.append(np.stack([some[one], some[other]], axis=1))
-    pairs = np.concatenate(found)
-    first, second = pairs[evenly(len(pairs), SETTINGS.most_pairs)].T
-    turns = wrapped(frames.poses[second, 2] - frames.poses[first, 2])
-
-    def cosine(one: int, other: int, turn_rad: float) -> float:
-        return float(frames.describe(_far(camera).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
-
-    with ThreadPoolExecutor() as pool:
-        cosines = list(pool.map(cosine, first.tolist(), second.tolist(), turns.tolist()))
-    return np.hypot(*(frames.poses[second, :2] - frames.poses[first, :2]).T), np.array(cosines)
-
-
-def _half_way(distances: NDArray[np.float64], cosines: NDArray[np.float64], unrelated: float) -> float:
-    """Return the distance at which the mean cosine has fallen half way from 1 to that of unrelated views."""
-    reach = float(distances.max(initial=0.0))
-    if reach <= 0.0:
-        raise ValueError("the robot does not move in any demonstration")
-    edges = np.linspace(0.0, reach, 100)
-    where = np.digitize(distances, edges[1:-1])
-    count = np.bincount(where, minlength=99)
-    mean = np.bincount(where, cosines, minlength=99)[count > 0] / count[count > 0]
-    middle = ((edges[:-1] + edges[1:]) / 2.0)[count > 0]
-    return float(np.interp(-(1.0 + unrelated) / 2.0, -np.minimum.accumulate(mean), middle))

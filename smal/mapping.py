@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from scipy.linalg import eigh
 
 from smal.calibration import (
     USUAL_CAMERAS,
-    Describe,
     TaughtFrames,
     correlation_length,
-    evenly,
+    correlation_turn,
     fit_camera,
     fit_scene,
     likelihood_of_views,
@@ -28,27 +27,13 @@ from smal.camera import Camera
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
-from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
+from smal.movement import Atom, atom_movements, dead_reckoning
 from smal.settings import SETTINGS
 from smal.stitches import stitched
 from smal.virtual_views import TURNS_DEG, Maps, Scene, remapped
-from smal.visual_map import VisualMap, unit
+from smal.visual_map import VisualMap, evenly, unit
 
 Progress = Callable[[int, int], None]
-
-
-class _Way(NamedTuple):
-    """Where the drives went, one after the other: by the wheels, or by what atoms usually do.
-
-    Poses are (f, 3), drives (f,) the number of each frame's; movements (5, 2) what each atom does between two frames.
-    The camera is the one that was told, or that by which turns were measured.
-    """
-
-    poses: NDArray[np.float64]
-    drives: NDArray[np.int32]
-    movements: NDArray[np.float64]
-    odometry: bool
-    camera: Camera | None
 
 
 def learn(
@@ -81,37 +66,30 @@ def learn(
     features = FeatureSettings() if features is None else features
     whole = _usable(demonstrations, features, tick_s)
     taught = [drive for _, drive in whole]
-    images = ImageChain([one.images for one in taught if one.images is not None])
     centering = Centering.fit([one.features for one in taught], features)
-    centred = np.concatenate([centering.apply(one.features) for one in taught])
-
-    def describe(image: Image) -> NDArray[np.float32]:
-        return centering.apply(extract(image, features))
-
-    way = _way(taught, images, tick_s, describe)
-    frames = TaughtFrames(images, centred, way.poses, way.drives, describe, turns_ahead(way.movements))
-    camera = way.camera or fit_camera(frames)
+    frames = _frames(taught, centering, tick_s)
+    camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
     aside = SETTINGS.aside * length
     scene = fit_scene(frames, camera, length)
-    keyframes = _choose_keyframes(way.poses, way.drives, length)
-    views, basis = _make_views(images, keyframes, scene, aside, describe, progress)
-    likelihood = likelihood_of_views(views, way.poses[keyframes], way.drives[keyframes], length)
+    keyframes = _choose_keyframes(frames.poses, frames.drives, length)
+    views, basis = _make_views(frames, keyframes, scene, aside, progress)
+    likelihood = likelihood_of_views(views, frames.poses[keyframes], frames.drives[keyframes], length)
     visual_map = VisualMap(
-        poses=way.poses,
-        drives=way.drives,
+        poses=frames.poses,
+        drives=frames.drives,
         keyframes=keyframes,
         basis=basis,
         views=views,
-        blank=unit(describe(np.full_like(images[0], 128)) @ basis),
+        blank=unit(frames.describe(np.full_like(frames.images[0], 128)) @ basis),
         aside=aside,
         correlation_length=length,
-        correlation_rad=_correlation_turn(views, unrelated),
+        correlation_rad=correlation_turn(views, unrelated),
         log_ratio=likelihood.log_ratio,
         gamma=likelihood.gamma,
-        movements=way.movements,
+        movements=frames.movements,
         tick_s=tick_s,
-        odometry=way.odometry,
+        odometry=frames.odometry,
         scene=np.array([camera.field_deg, scene.height, scene.distance]),
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
@@ -185,13 +163,19 @@ def _usable(
     return whole
 
 
-def _way(taught: Sequence[Demonstration], images: Sequence[Image], tick_s: float, describe: Describe) -> _Way:
+def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:
+    """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
+    images = ImageChain([one.images for one in taught if one.images is not None])
+    centred = np.concatenate([centering.apply(one.features) for one in taught])
     camera = next((one.camera for one in taught if one.camera is not None), None)
     atoms = [one.atoms for one in taught]
-    wheels = [one.odometry for one in taught if one.odometry is not None]
-    odometry = len(wheels) == len(taught)
+
+    def describe(image: Image) -> NDArray[np.float32]:
+        return centering.apply(extract(image, centering.settings))
+
+    ways = [np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None]
+    odometry = len(ways) == len(taught)
     if odometry:
-        ways = [np.asarray(one, dtype=np.float64) for one in wheels]
         movements = atom_movements(ways, atoms)
     else:
         cameras = USUAL_CAMERAS if camera is None else (camera,)
@@ -201,7 +185,7 @@ def _way(taught: Sequence[Demonstration], images: Sequence[Image], tick_s: float
         movements = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
         ways = [dead_reckoning(one, movements) for one in atoms]
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
-    return _Way(np.concatenate(ways), drives, movements, odometry, camera)
+    return TaughtFrames(images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera)
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
@@ -215,59 +199,45 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
-def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
-    """Measure the turn after which a view is half as alike as it can be, radians: at least the step of the views."""
-    middle = TURNS_DEG.size // 2
-    mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
-    mean = (mean[middle:] + mean[middle::-1]) / 2.0
-    half = (float(mean[0]) + unrelated) / 2.0
-    turn_deg = float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:]))
-    return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
-
-
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:
+    """Take the first and last frame of each drive, and all that are far or turned from the one before."""
+    ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
-    for frame in range(len(poses)):
-        first = frame == 0 or drives[frame] != drives[frame - 1]
-        last = frame == len(poses) - 1 or drives[frame] != drives[frame + 1]
-        if not (first or last):
-            moved = poses[frame] - poses[chosen[-1]]
-            far = math.hypot(moved[0], moved[1]) >= length / SETTINGS.views_a_length
-            if not far and abs(math.remainder(moved[2], math.tau)) < math.radians(SETTINGS.spacing_deg):
+    for frame, pose in enumerate(poses):
+        if not (ends[frame] or ends[frame + 1]):
+            x, y, turned = (pose - poses[chosen[-1]]).tolist()
+            far = math.hypot(x, y) >= length / SETTINGS.views_a_length
+            if not far and abs(math.remainder(turned, math.tau)) < math.radians(SETTINGS.spacing_deg):
                 continue
         chosen.append(frame)
     return np.array(chosen, dtype=np.int32)
 
 
 def _make_views(
-    images: Sequence[Image],
-    keyframes: NDArray[np.int32],
-    scene: Scene,
-    aside: float,
-    describe: Describe,
-    progress: Progress,
+    frames: TaughtFrames, keyframes: NDArray[np.int32], scene: Scene, aside: float, progress: Progress
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
     lefts = (-aside, 0.0, aside)
 
     # Drives may be of cameras of different sizes.
     @cache
-    def maps_of(shape: tuple[int, ...]) -> list[list[Maps]]:
-        return [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in lefts]
+    def maps_of(shape: tuple[int, ...]) -> list[Maps]:
+        return [scene.maps(shape, 0.0, left, math.radians(turn)) for left in lefts for turn in TURNS_DEG]
 
     def views_of(frame: int) -> NDArray[np.float32]:
-        image = images[frame]
-        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps_of(image.shape[:2])])
+        image = frames.images[frame]
+        return np.stack([frames.describe(remapped(image, one)) for one in maps_of(image.shape[:2])])
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     with ThreadPoolExecutor() as pool:
         each = len(lefts) * TURNS_DEG.size
         sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
         made = dict(zip(sample, pool.map(views_of, sample), strict=True))
-        basis = _components(np.concatenate(list(made.values())).reshape(-1, len(describe(images[0]))))
+        basis = _components(np.concatenate(list(made.values())))
 
         def kept(frame: int) -> NDArray[np.float32]:
-            return unit((made[frame] if frame in made else views_of(frame)) @ basis)
+            rows = made[frame] if frame in made else views_of(frame)
+            return unit(rows.reshape(len(lefts), TURNS_DEG.size, -1) @ basis)
 
         views = []
         for done, view in enumerate(pool.map(kept, keyframes.tolist()), 1):

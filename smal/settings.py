@@ -55,8 +55,14 @@ class Settings:
     #: Heights of the camera that are tried, and distances of the scene over that height.
     heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
     distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
-    #: Pairs of views that a fit looks at: more change nothing that is seen.
+    #: Pairs of views that a fit looks at: more change nothing that is seen; and frames between the two at most.
     pairs: int = 24
+    most_apart: int = 100
+    #: A larger turn tells the camera; a step that is turned by less tells the scene; atoms that turn by so much
+    #: together tell how far one turns.
+    tells_camera_deg: float = 9.0
+    tells_scene_deg: float = 25.0
+    tells_turn_deg: float = 15.0
     #: How fast robots turn, where no drive turns and nothing else tells.
     usual_turn_deg_s: float = 45.0
 

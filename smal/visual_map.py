@@ -16,7 +16,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.calibration import evenly
 from smal.files.map_file import check_map
 from smal.likelihood import Likelihood
 from smal.movement import Atom, Movement
@@ -183,3 +182,8 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
     return scaled
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most so many of the numbers below a count, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

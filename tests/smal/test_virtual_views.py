@@ -73,7 +73,7 @@ def fitted(room: Room, one: Drive, seen_by: Camera = CAMERA, told: Camera | None
     def describe(image: Image) -> NDArray[np.float32]:
         return centering.apply(extract(image, COLOR))
 
-    frames = TaughtFrames(images, centering.apply(raw), one.poses, drives, describe, car=False)
+    frames = TaughtFrames(images, centering.apply(raw), one.poses, drives, describe, np.zeros((5, 2)))
     return fit_scene(frames, told or fit_camera(frames), 0.6)
 
 
