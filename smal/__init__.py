@@ -1,9 +1,9 @@
 """Teach a robot a way by driving it once; then it goes there by itself, from its camera and its wheels.
 
-Read in this order: `mapping` makes a `model` of drives (`demonstration`): the `visual_map` of `virtual_views`, as a
-`camera` would see them, with what `calibration` measures and the `stitches` between drives. `filter` follows the robot
-over the map: `particles` are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels
-say. `planning` says what to do, and `robot` puts the two together.
+Read in this order: `mapping` makes a `model` of drives (`demonstration`): a map of how the way looks to a `camera`,
+with what `calibration` measures and the `stitches` between drives. `filter` follows the robot over the map: `particles`
+are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels say. `planning` says what
+to do, and `robot` puts the two together. Tuned numbers are in `settings`.
 
 Beside it are `paper`, everything of Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA
 2017), with a `Robot` of its own; `place_recognition`, which matches two traverses; and `evaluation`.
@@ -13,15 +13,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from smal.demonstration import Demonstration
-    from smal.features import FeatureSettings, extract
-    from smal.filter import Belief
-    from smal.mapping import fit, learn
-    from smal.model import Model
-    from smal.movement import Atom
-    from smal.paper.state_matching import Solution, solve
-    from smal.planning import Decision
-    from smal.robot import Robot
+    from smal.demonstration import Demonstration as Demonstration
+    from smal.features import FeatureSettings as FeatureSettings
+    from smal.features import extract as extract
+    from smal.filter import Belief as Belief
+    from smal.mapping import fit as fit
+    from smal.mapping import learn as learn
+    from smal.model import Model as Model
+    from smal.movement import Atom as Atom
+    from smal.paper.state_matching import Solution as Solution
+    from smal.paper.state_matching import solve as solve
+    from smal.planning import Decision as Decision
+    from smal.robot import Robot as Robot
 
 _FILES = {
     "Atom": "movement",
@@ -37,20 +40,7 @@ _FILES = {
     "learn": "mapping",
     "solve": "paper.state_matching",
 }
-__all__ = [
-    "Atom",
-    "Belief",
-    "Decision",
-    "Demonstration",
-    "FeatureSettings",
-    "Model",
-    "Robot",
-    "Solution",
-    "extract",
-    "fit",
-    "learn",
-    "solve",
-]
+__all__ = list(_FILES)
 
 
 def __getattr__(name: str) -> object:

@@ -14,13 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.camera import Camera
-from smal.demonstration import Image
+from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.likelihood import Likelihood, gamma_of, standing_out
+from smal.model import evenly
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG, Scene
-from smal.visual_map import evenly
 
 Describe = Callable[[Image], NDArray[np.float32]]
 #: Turns from one view to another that a fit tries: those over which views overlap.
@@ -276,11 +274,10 @@ def correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
     unrelated : float
         Mean cosine of unrelated views.
     """
-    middle = TURNS_DEG.size // 2
-    mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
-    mean = (mean[middle:] + mean[middle::-1]) / 2.0
-    turn_deg = _half_way(TURNS_DEG[middle:], mean, float(mean[0]), unrelated)
-    return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
+    mean = np.einsum("kr,ktr->t", views[:, 1, STRAIGHT], views[:, 1]) / len(views)
+    mean = (mean[STRAIGHT:] + mean[STRAIGHT::-1]) / 2.0
+    turn_deg = _half_way(TURNS_DEG[STRAIGHT:], mean, float(mean[0]), unrelated)
+    return math.radians(max(turn_deg, STEP_DEG))
 
 
 def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: float, unrelated: float) -> float:
@@ -311,11 +308,9 @@ def likelihood_of_views(
     ValueError
         No keyframe has a neighbour.
     """
-    count, middle = len(views), TURNS_DEG.size // 2
-    own = views[:, 1, middle]
+    count, own = len(views), views[:, 1, STRAIGHT]
     sample = own[evenly(count, SETTINGS.reference)]
     every = views.reshape(-1, views.shape[-1])
-    step_deg = float(TURNS_DEG[1] - TURNS_DEG[0])
     here, elsewhere, neighbours = [], [], []
     chains: list[NDArray[Any]] = [np.empty((2, 0), dtype=views.dtype)]
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
@@ -325,14 +320,14 @@ def likelihood_of_views(
         elsewhere.append(z[far].ravel())
         beside = [other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]]
         for other in beside:
-            turn = middle - round(math.degrees(steps[other, 2]) / step_deg)
+            turn = STRAIGHT - round(math.degrees(steps[other, 2]) / STEP_DEG)
             if 0 <= turn < TURNS_DEG.size:
                 here.append(float(z[other, 1, turn]))
                 neighbours.append(float(views[other, 1, turn] @ own[k]))
         if k + 1 in beside:
             after = standing_out(own @ own[k + 1], sample @ own[k + 1])
             on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
-            chains.append(np.stack([z[on, 1, middle], after[on + 1]]))
+            chains.append(np.stack([z[on, 1, STRAIGHT], after[on + 1]]))
     if not here:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"

@@ -8,10 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.camera import Camera
+from smal.camera import Camera, Image
 
-#: RGB, uint8 (height, width, 3).
-Image = NDArray[np.uint8]
 #: Where drives lead that do not say so.
 USUAL_GOAL = "victim"
 #: What names of goals are: letters, digits, and what may stand between them.

@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
 from smal.likelihood import scale
+from smal.model import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
 from smal.particles import HIDES, Particles, View, systematic
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,8 +261,7 @@ class Filter:
         weights = prior[:, None] * says
         drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
         keyframes, turns = np.divmod(drawn, TURNS_DEG.size)
-        half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
-        scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), self._map.aside, half)
+        scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), self._map.aside, math.radians(STEP_DEG) / 2.0)
         # They are drawn by all that the view says, of which a part alone is new.
         rest = (new / says).ravel()[drawn]
         scouts.weights, scouts.shares = rest / rest.sum(), shares

@@ -23,15 +23,13 @@ from smal.calibration import (
     likelihood_of_views,
     turn_of_views,
 )
-from smal.camera import Camera
-from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
+from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
+from smal.demonstration import USUAL_GOAL, Demonstration, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
-from smal.model import Model
+from smal.model import Model, VisualMap, evenly, unit
 from smal.movement import Atom, atom_movements, dead_reckoning
 from smal.settings import SETTINGS
 from smal.stitches import stitched
-from smal.virtual_views import TURNS_DEG, Maps, Scene, remapped
-from smal.visual_map import VisualMap, evenly, unit
 
 Progress = Callable[[int, int], None]
 

@@ -1,14 +1,181 @@
-"""What a robot goes by: the features of a frame, and the visual map of the taught ways, as one file."""
+"""What a robot goes by: the map (keyframes, their virtual views, how alike views are) and the features of a frame.
 
-from dataclasses import dataclass
+A keyframe is a taught frame together with how its place looks from beside and turned (`smal.camera.Scene`). Keyframes
+are a fifth of the correlation length apart, the way over which views become half as alike as they can be, so that
+between two of them a view hardly changes. No length here is in ticks: a robot that drives faster, or a camera with
+another rate, has the same map. Views are kept as their principal components, so that thousands of them fit a decision's
+time. `smal.mapping` makes the map of drives.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import STRAIGHT
 from smal.features import Centering, FeatureSettings
-from smal.files.map_file import content_of_map, parts_of_map
+from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
-from smal.visual_map import VisualMap
+from smal.likelihood import Likelihood
+from smal.movement import Atom, Movement
+from smal.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class VisualMap:
+    """Taught ways, and how they look.
+
+    Poses are x, y and heading in radians in axes of their own for each drive, by its odometry; lengths are in metres,
+    or in units of one forward atom where a drive has no odometry.
+
+    Parameters
+    ----------
+    poses : float64 array (f, 3)
+        Of every taught frame.
+    drives : int32 array (f,)
+        Which demonstration it is of, ascending.
+    keyframes : int32 array (k,)
+        Taught frames that are keyframes, ascending; the first and last frame of every drive are among them.
+    basis : float32 array (m, r)
+        Components of centred features.
+    views : float32 array (k, 3, turns, r)
+        Components of each keyframe's views, of unit length: from `aside` to the right, from there, from the left; each
+        turned by `TURNS_DEG`.
+    blank : float32 array (r,)
+        Components of a picture that shows nothing, of unit length.
+    aside : float
+        How far the views from aside are from the keyframe, in the map's unit.
+    correlation_length, correlation_rad : float
+        Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
+    log_ratio : float64 array (shares, z)
+    gamma : float
+        What views say of places, see `smal.likelihood.Likelihood`.
+    movements : float64 array (5, 2)
+        What each atom does between two frames (`smal.movement.atom_movements`).
+    tick_s : float
+        Time between two taught frames.
+    odometry : bool
+        Whether poses are of odometry, or the usual movements of atoms added up.
+    scene : float64 array (3,)
+        Field of view in degrees, height of the camera and distance of what it sees, for people.
+    goals : tuple of str
+        Where each drive leads.
+    names : tuple of tuples of str
+        Demonstrations that each drive is made of, in order: several where frames between them were lost.
+    stitched : int32 array (s, 2)
+        Pairs of keyframes of different drives that show one place (`smal.stitches`), ascending.
+    stitch_offsets : float64 array (s, 3)
+        Of the first one as seen from the second one: ahead, left, turned left in radians.
+    """
+
+    poses: NDArray[np.float64]
+    drives: NDArray[np.int32]
+    keyframes: NDArray[np.int32]
+    basis: NDArray[np.float32]
+    views: NDArray[np.float32]
+    blank: NDArray[np.float32]
+    aside: float
+    correlation_length: float
+    correlation_rad: float
+    log_ratio: NDArray[np.float64]
+    gamma: float
+    movements: NDArray[np.float64]
+    tick_s: float
+    odometry: bool
+    scene: NDArray[np.float64]
+    goals: tuple[str, ...]
+    names: tuple[tuple[str, ...], ...]
+    stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
+    stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+
+    def __post_init__(self) -> None:
+        check_map(self)
+
+    @cached_property
+    def flat_views(self) -> NDArray[np.float32]:
+        """Every view as a row, (k * 3 * turns, r)."""
+        return np.ascontiguousarray(self.views.reshape(-1, self.views.shape[-1]))
+
+    @cached_property
+    def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Cosines of views that lie beside each other: by turn (k, 3, turns - 1), and by place (k, 2, turns)."""
+        views = self.views
+        return (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1), (views[:, 1:] * views[:, :-1]).sum(axis=-1)
+
+    @cached_property
+    def reference(self) -> NDArray[np.intp]:
+        """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
+        return evenly(len(self.keyframes), SETTINGS.reference)
+
+    @cached_property
+    def likelihood(self) -> Likelihood:
+        """What views say of places."""
+        return Likelihood(self.log_ratio, self.gamma)
+
+    @cached_property
+    def key_poses(self) -> NDArray[np.float64]:
+        """Poses of the keyframes, (k, 3)."""
+        return self.poses[self.keyframes]
+
+    @cached_property
+    def key_drives(self) -> NDArray[np.int32]:
+        """Drive of each keyframe, (k,)."""
+        return self.drives[self.keyframes]
+
+    @cached_property
+    def key_range(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First and last keyframe of the drive of each keyframe, (k,) and (k,)."""
+        of = self.key_drives
+        return np.searchsorted(of, of, side="left"), np.searchsorted(of, of, side="right") - 1
+
+    @cached_property
+    def arc(self) -> NDArray[np.float64]:
+        """Way driven until each frame, all drives one after the other, (f,)."""
+        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
+        return np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives) == 0, steps, 0.0))])
+
+    @cached_property
+    def key_goals(self) -> NDArray[np.str_]:
+        """Where the drive of each keyframe leads, (k,)."""
+        return np.array(self.goals)[self.key_drives]
+
+    @cached_property
+    def frames(self) -> NDArray[np.intp]:
+        """Frames of each drive, (d,)."""
+        return np.bincount(self.drives)
+
+    @property
+    def speed(self) -> float:
+        """Nominal speed, in the map's unit a second; 0 if nobody drove ahead."""
+        return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
+
+    def lengths(self, movement: Movement) -> float:
+        """How much a movement changes the view, in correlation lengths."""
+        return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.correlation_rad))
+
+    def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
+        return unit(centred @ self.basis)
+
+    def cosines(self, components: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the cosine of a frame's components (r,) with every view, (k, 3, turns)."""
+        found: NDArray[np.float32] = self.flat_views @ components
+        return found.reshape(self.views.shape[:3])
+
+    def sampled(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return those of the cosines (k, 3, turns) that say what elsewhere looks like."""
+        sample: NDArray[np.float32] = cosines[self.reference, 1, STRAIGHT]
+        return sample
+
+    @cached_property
+    def next_cosine(self) -> float:
+        """Mean cosine of the views of a keyframe and the next one: below it, a view is new."""
+        own = self.views[:, 1, STRAIGHT]
+        pairs = (own[1:] * own[:-1]).sum(axis=-1)[np.diff(self.key_drives) == 0]
+        return float(pairs.mean()) if pairs.size else 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,3 +228,15 @@ class Model(Stored):
         """Make it of what a file says."""
         mean = arrays.pop("mean")
         return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)))
+
+
+def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scale vectors (..., r) to unit length; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
+    return scaled
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most so many of the numbers below a count, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

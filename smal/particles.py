@@ -6,11 +6,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import STEP_DEG, TURNS_DEG
 from smal.likelihood import ANY_DAY, SHARES, over
+from smal.model import VisualMap
 from smal.movement import MotionNoise, Movement, seen_from, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 
 
 class View(NamedTuple):
@@ -110,8 +110,7 @@ class Particles:
         offsets = self.offsets()
         by_turn, by_place = self._map.neighbour_cosines
         k = self.keyframes
-        step = float(TURNS_DEG[1] - TURNS_DEG[0])
-        turned = (np.degrees(offsets[:, 2]) - TURNS_DEG[0]) / step
+        turned = (np.degrees(offsets[:, 2]) - TURNS_DEG[0]) / STEP_DEG
         inside = np.clip(turned, 0.0, TURNS_DEG.size - 1)
         t = np.minimum(inside.astype(np.intp), TURNS_DEG.size - 2)
         f = inside - t
@@ -131,7 +130,7 @@ class Particles:
             np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0) / length,
         )
         turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
-        return found, beyond, turned_beyond * math.radians(step) / self._map.correlation_rad
+        return found, beyond, turned_beyond * math.radians(STEP_DEG) / self._map.correlation_rad
 
     @classmethod
     def joined(cls, *sets: tuple["Particles", float]) -> "Particles":

@@ -18,9 +18,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from smal.filter import Belief
+from smal.model import VisualMap
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
-from smal.visual_map import VisualMap
 
 Kind = Literal["follow", "look_around", "guess", "dead_end", "goal"]
 _SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}

@@ -45,7 +45,7 @@ class Settings:
     most_frames: int = 1000
     most_pairs: int = 500
 
-    # -- the camera and the scene (`smal.virtual_views`)
+    # -- the camera and the scene (`smal.camera`)
     #: Fields of view that are tried, of rectilinear and of equidistant lenses: those of cameras on robots; and those
     #: that are assumed where nothing tells how far it sees.
     fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import STEP_DEG, STRAIGHT
 from smal.likelihood import ANY_DAY, standing_out
+from smal.model import VisualMap
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 
 #: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
 _Stitch = tuple[int, int, tuple[float, float, float]]
@@ -78,11 +78,11 @@ class _Best:
 
 
 def _best_of_each_drive(visual_map: VisualMap, names: NDArray[np.int32]) -> _Best:
-    count, middle = len(visual_map.keyframes), TURNS_DEG.size // 2
+    count = len(visual_map.keyframes)
     keyframe = np.full((count, int(names.max()) + 1), -1, dtype=np.intp)
     left, turned = np.zeros(keyframe.shape), np.zeros(keyframe.shape)
     for first in range(0, count, SETTINGS.compared_at_once):
-        views = visual_map.views[first : first + SETTINGS.compared_at_once, 1, middle]
+        views = visual_map.views[first : first + SETTINGS.compared_at_once, 1, STRAIGHT]
         cosines = (visual_map.flat_views @ views.T).reshape(*visual_map.views.shape[:3], -1)
         ratio = np.stack(
             [
@@ -100,8 +100,8 @@ def _best_of_each_drive(visual_map: VisualMap, names: NDArray[np.int32]) -> _Bes
                     grid = cosines[there[k[row]], :, :, row]
                     keyframe[first + row, name] = there[k[row]]
                     left[first + row, name] = (_peak(grid[:, t[row]], int(p[row])) - 1.0) * visual_map.aside
-                    turn = _peak(grid[p[row]], int(t[row])) - middle
-                    turned[first + row, name] = math.radians(turn * float(TURNS_DEG[1] - TURNS_DEG[0]))
+                    turn = _peak(grid[p[row]], int(t[row])) - STRAIGHT
+                    turned[first + row, name] = math.radians(turn * STEP_DEG)
     return _Best(keyframe, left, turned)
 
 
@@ -192,9 +192,7 @@ def _off(visual_map: VisualMap, one: _Stitch, other: _Stitch) -> tuple[float, fl
         turns += float(np.abs(wrapped(np.diff(steps[:, 2]))).sum())
     # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
     heading = math.sqrt(
-        math.radians(SETTINGS.drift_deg) ** 2 * way / length
-        + (noise.turn * turns) ** 2
-        + math.radians(TURNS_DEG[1] - TURNS_DEG[0]) ** 2
+        math.radians(SETTINGS.drift_deg) ** 2 * way / length + (noise.turn * turns) ** 2 + math.radians(STEP_DEG) ** 2
     )
     distance = math.hypot(noise.pace * way, heading * float(np.hypot(*by_one[:2])), length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)

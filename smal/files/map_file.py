@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.camera import TURNS_DEG
 from smal.demonstration import GOAL_NAME
 from smal.files.stored import Content
 from smal.likelihood import GRID, SHARES
 from smal.movement import Atom
-from smal.virtual_views import TURNS_DEG
 
 if TYPE_CHECKING:
-    from smal.visual_map import VisualMap
+    from smal.model import VisualMap
 
 #: What numbers of a map can be.
 _LONGEST = 1e6

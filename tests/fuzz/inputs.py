@@ -22,15 +22,14 @@ from mcap.writer import CompressionType, Writer
 from schemas.base import Strict
 from services.recordings.sink import partial_of
 from services.recordings.writer import EpisodeWriter
+from smal.camera import TURNS_DEG
 from smal.features import Centering, FeatureSettings
 from smal.files import container
 from smal.files.stored import FORMAT_VERSION
 from smal.likelihood import GRID, SHARES
-from smal.model import Model
+from smal.model import Model, VisualMap
 from smal.paper.model import Model as PaperModel
 from smal.paper.transitions import NO_ACTION, learn_transitions
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 from tests.services.recordings.recorded_messages import applied, event, observation
 
 CHECKSUM_BYTES = 32

@@ -11,16 +11,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.camera import Camera
+from smal.camera import Camera, Scene
 from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
 from smal.mapping import learn
+from smal.model import VisualMap
 from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
 from smal.settings import SETTINGS
-from smal.virtual_views import Scene
-from smal.visual_map import VisualMap
 
 #: What describes frames: HOG as well takes ten times as long.
 COLOR = FeatureSettings(("color",), (1.0,))

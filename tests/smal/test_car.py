@@ -10,9 +10,9 @@ import pytest
 
 from smal.features import Centering, extract
 from smal.filter import Filter
+from smal.model import VisualMap
 from smal.movement import STILL, Atom, Movement, dead_reckoning
 from smal.planning import Planner
-from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, from_beside, taught
 
 ROOM = Room()

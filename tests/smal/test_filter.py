@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smal.camera import TURNS_DEG
 from smal.features import extract
 from smal.filter import Belief, Filter
+from smal.model import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smal.camera import TURNS_DEG
 from smal.filter import Belief, Filter
 from smal.likelihood import GRID, SHARES
+from smal.model import VisualMap
 from smal.movement import Atom
 from smal.planning import Planner, cost_to_go
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     START,
     TICK,

@@ -10,11 +10,11 @@ import pytest
 
 from smal.features import Centering
 from smal.filter import Filter
+from smal.model import VisualMap
 from smal.movement import placed, seen_from
 from smal.planning import Planner
 from smal.settings import SETTINGS
 from smal.stitches import in_common_axes, stitched
-from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     SCENE,
     START,

@@ -7,10 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from smal.calibration import TaughtFrames, fit_camera, fit_scene, turn_of_views
-from smal.camera import Camera
-from smal.demonstration import Image
+from smal.camera import Camera, Image, Scene
 from smal.features import Centering, extract
-from smal.virtual_views import Scene
 from tests.smal.synthetic_world import (
     CAMERA,
     CAMERA_HEIGHT,

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from smal import mapping
+from smal.camera import TURNS_DEG
 from smal.demonstration import Demonstration
 from smal.features import extract
 from smal.files.map_file import content_of_map
+from smal.model import VisualMap
 from smal.settings import SETTINGS
-from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
 ROOM = Room()

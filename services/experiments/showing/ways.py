@@ -10,11 +10,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from smal.demonstration import Demonstration
-from smal.model import Model
+from smal.model import Model, VisualMap
 from smal.movement import placed, seen_from
 from smal.robot import Localizer
 from smal.stitches import in_common_axes
-from smal.visual_map import VisualMap
 
 
 @dataclass(frozen=True)

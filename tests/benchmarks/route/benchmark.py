@@ -13,11 +13,10 @@ import numpy as np
 
 from smal.features import Centering, FeatureSettings
 from smal.likelihood import GRID, SHARES
-from smal.model import Model
+from smal.model import Model, VisualMap
 from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS
-from smal.visual_map import VisualMap
 from tests.benchmarks.reporting import Parser, say, table, verdict
 
 SPACING_M, FRAME_M, LIMIT_MS = 0.4, 0.2, 20.0
