@@ -42,6 +42,19 @@ class Console:
     def wait_for(self, pattern: str) -> None:
         eventually(lambda: re.search(pattern, self.output))
 
+    def press_until(self, keys: bytes, pattern: str, unless: str) -> None:
+        """Press again as often as the program refuses, as a person does on a machine that is too slow to answer."""
+        presses = 0
+
+        def done() -> bool:
+            nonlocal presses
+            if len(re.findall(unless, self.output)) == presses:
+                presses += 1
+                self.type(keys)
+            return re.search(pattern, self.output) is not None
+
+        eventually(done)
+
     def tell_releases(self) -> None:
         """Answer, as a terminal does that knows the kitty keyboard protocol."""
         self.wait_for(r"\x1b\[>11u\x1b\[\?1004h\x1b\[\?u")

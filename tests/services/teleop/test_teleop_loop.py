@@ -63,7 +63,7 @@ def test_kill_9_of_the_teleoperation_while_it_drives(robot: Robot, open_console:
     # Who sits down again is told, and goes on when they say so; no sooner.
     again = open_console()
     again.wait_for(r"robot: stop \(it had lost you; r resumes\)")
-    again.type(b"\x1b[119u\x1b[119;1:3ur")
-    again.wait_for(r"robot: stop \(nobody drives\)")
+    again.type(b"\x1b[119u\x1b[119;1:3u")
+    again.press_until(b"r", r"robot: stop \(nobody drives\)", unless=r"no operator answers in time")
     assert robot.wheels.stands_s - killed_s <= STAND_WITHIN_S, "the key that was pressed before moved nothing"
     drive(again, robot)
