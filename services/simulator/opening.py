@@ -22,12 +22,14 @@ def open_simulation(
     shake: float | None = None,
     variation: str = "day",
     task: tuple[Pose, Pose] | None = None,
+    clouds_seed: int | None = None,
 ) -> Simulation:
     """Load a world by name or path, and put its robot into it.
 
     The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass. `task` is a start
-    and where the victim lies, those of the world if not given. Raises WorldError where the world cannot be used,
-    UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
+    and where the victim lies, those of the world if not given; `clouds_seed` gives a day of the same light other
+    clouds. Raises WorldError where the world cannot be used, UnavailableError where this machine lacks what is needed,
+    ValueError where the variation is unknown.
     """
     conditions = variation_named(variation)
     there = load_world(world)
@@ -39,4 +41,5 @@ def open_simulation(
         from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
         wheels = PhysicalBase(there.place)
-    return Simulation(there, replace(camera, light=conditions.light), wheels, shake=shake, variation=conditions)
+    light = conditions.light if clouds_seed is None else replace(conditions.light, clouds_seed=clouds_seed)
+    return Simulation(there, replace(camera, light=light), wheels, shake=shake, variation=conditions)

@@ -9,8 +9,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
-from services.expert.driver import DRIVE_TICKS, RouteDriver
+from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.kit.jpeg import decode_jpeg
 from services.recordings.dataset import RecordedImages
 from services.robot.messages import rounded
@@ -39,12 +40,15 @@ class Drive:
     poses: NDArray[np.float64]
 
 
-def views_of_expert(simulation: Simulation, seed: int, via: Via = ()) -> Iterator[tuple[SimulatedView, Atom | None]]:
+def views_of_expert(
+    simulation: Simulation, seed: int, via: Via = (), purpose: Purpose = "drive"
+) -> Iterator[tuple[SimulatedView, Atom | None]]:
     """Have the expert drive to the victim, by way of some places; yield each view and what is done at it.
 
     The last view is that of the victim, with `Atom.STOP`; one at which the drive has failed has None.
     """
-    request = ResetRequest(seed=seed, purpose="drive", driver="expert", max_ticks=DRIVE_TICKS)
+    most_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
+    request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=most_ticks)
     episode, expert = LockstepEpisode(simulation, request), _expert(simulation, via)
     while True:
         view = episode.view
@@ -66,20 +70,25 @@ def _expert(simulation: Simulation, via: Via) -> RouteDriver:
     return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
 
 
-def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via = ()) -> dict[str, NDArray[Any]]:
+def drive(
+    simulation: Simulation, features: FeatureSettings, seed: int, via: Via = (), purpose: Purpose = "drive"
+) -> dict[str, NDArray[Any]]:
     """Have the expert drive once; return the arrays of which `drive_of` makes a drive.
 
-    ValueError when it did not reach the victim: `smal learn` leaves out such a drive.
+    ValueError when it did not reach the victim: `smal learn` leaves out such a drive. A recovery need not.
     """
-    rows = []
-    for view, atom in views_of_expert(simulation, seed, via):
-        if atom is None:
+    rows, reached = [], False
+    for view, atom in views_of_expert(simulation, seed, via, purpose):
+        reached = atom is not None
+        if not reached and purpose == "drive":
             raise ValueError(f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim")
         pose = view.pose.x, view.pose.y, view.pose.heading
-        rows.append((extract(view.image, features), atom, rounded(view.odometry)[:3], pose, view.jpeg))
+        rows.append((extract(view.image, features), atom or Atom.STOP, rounded(view.odometry)[:3], pose, view.jpeg))
     described, atoms, odometry, poses, jpegs = zip(*rows, strict=True)
     return {
         "seed": np.array(seed),
+        "reached": np.array(reached),
+        "recovery": np.array(purpose == "recovery"),
         "features": np.stack(described),
         "atoms": np.array(atoms, dtype=np.int8),
         "odometry": np.array(odometry),
@@ -91,13 +100,16 @@ def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via
 
 def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
     """Return the drive that arrays of `drive` are."""
-    name = f"drive-{held['seed']}"
+    recovery = bool(held["recovery"])
+    name = f"{'recovery' if recovery else 'drive'}-{held['seed']}"
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
     images = RecordedImages(jpegs, name, decode_jpeg)
     made = Demonstration(
         name,
         held["features"],
         held["atoms"],
+        successful=bool(held["reached"]),
+        recovery=recovery,
         images=images,
         odometry=held["odometry"],
         camera=Camera.of_field(FIELD_OF_VIEW_DEG),

@@ -12,11 +12,13 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
 from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
 from services.experiments.evaluation.errands import TASKS, run_errand
 from services.experiments.evaluation.plan import (
+    CLOUDS_SEED,
     QUERY_SEED,
     RUN_SEED,
     RUNS,
@@ -123,9 +125,12 @@ class Unit(ABC):
 
 
 @lru_cache(maxsize=4)
-def simulation_in(site: Site, shake: float | None = None, variation: str = "day") -> Simulation:
+def simulation_in(
+    site: Site, shake: float | None = None, variation: str = "day", clouds_seed: int | None = None
+) -> Simulation:
     """Open a world."""
-    return open_simulation(site.world, CameraSettings(*site.camera), shake=shake, variation=variation)
+    camera = CameraSettings(*site.camera)
+    return open_simulation(site.world, camera, shake=shake, variation=variation, clouds_seed=clouds_seed)
 
 
 @lru_cache(maxsize=1)
@@ -143,10 +148,11 @@ class Teach(Unit):
     """Have the expert drive."""
 
     seed: int
+    purpose: Purpose = "drive"
 
     def do(self, folder: Path) -> Finding:
         """Save the drive."""
-        made = drive(simulation_in(self.site), FEATURES, self.seed)
+        made = drive(simulation_in(self.site), FEATURES, self.seed, purpose=self.purpose)
         save_arrays(self.file(folder), **made)
         return {"frames": len(made["poses"]), "file": True}
 
@@ -228,7 +234,9 @@ class Searches(Unit):
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
         taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
-        simulation, driver = simulation_in(self.site, how.shake, trial.variation), self._driver(taught, folder)
+        # No day has the clouds of the one of teaching.
+        simulation = simulation_in(self.site, how.shake, trial.variation, CLOUDS_SEED + self.which)
+        driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))
         found, shown = [], False
@@ -294,22 +302,24 @@ def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
     """Yield the units of a world that the report is about."""
     site = Site.of(world.world, plan.camera)
 
-    def teaching(drives: int, which: int = 0) -> tuple[Teach, ...]:
-        return tuple(Teach(site, (), TEACHING_SEED + which * drives + k) for k in range(drives))
+    def teaching(drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:
+        first = TEACHING_SEED + which * drives
+        from_route = tuple(Teach(site, (), first + k, "recovery") for k in range(recoveries))
+        return tuple(Teach(site, (), first + k) for k in range(drives)) + from_route
 
-    def learned(drives: int, length: int, which: int = 0) -> tuple[Learn]:
-        return (Learn(site, teaching(drives, which), length),)
+    def learned(taught: tuple[Teach, ...], length: int) -> tuple[Learn]:
+        return (Learn(site, taught, length),)
 
     for trial in world.trials:
         length = {"smal": 0, "paper": trial.length}.get(trial.controller)
         for which in range(trial.sets):
-            model = () if length is None else learned(trial.drives, length, which)
-            needs = (*teaching(trial.drives, which), *model)
+            taught = teaching(trial.drives, which, trial.recoveries)
+            needs = (*taught, *(() if length is None else learned(taught, length)))
             yield Searches(site, needs, trial, which, plan.patience, world.criterion)
     queries = tuple(Query(site, (), world.recognized, QUERY_SEED + k) for k in range(world.queries))
     if queries:
         for recognizer in world.recognizers:
-            model = learned(world.drives, recognizer.length) if recognizer.eq9 else ()
+            model = learned(teaching(world.drives), recognizer.length) if recognizer.eq9 else ()
             needs = (*teaching(world.drives), *queries, *model)
             for name in world.recognized:
                 yield Recognize(site, needs, recognizer, name, world.criterion)

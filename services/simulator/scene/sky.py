@@ -1,4 +1,4 @@
-"""The picture of the sky and of what lies at the horizon, the same in every run."""
+"""The picture of the sky and of what lies at the horizon: clouds are of a day, the skyline is the same on all."""
 
 from typing import Final
 
@@ -20,12 +20,12 @@ _TREES: Final = np.array([86.0, 104.0, 78.0])
 
 def paint_sky(seed: int, light: Daylight) -> Picture:
     """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
-    rng = np.random.default_rng(seed)
+    rng, clouds = np.random.default_rng(seed), np.random.default_rng([seed, light.clouds_seed])
     elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
     up = np.clip(elevation / 90.0, 0, 1)[..., None]
     horizon, zenith = np.array(light.horizon), np.array(light.zenith)
     sky = horizon + (zenith - horizon) * up**0.55
-    cloud = np.clip(light.clouds * _clouds(rng, elevation), 0, 1)[..., None]
+    cloud = np.clip(light.clouds * _clouds(clouds, elevation), 0, 1)[..., None]
     # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.
     tint = horizon / _FAIR_HORIZON
     picture = sky * (1 - cloud) + _CLOUDS * tint * cloud

@@ -71,8 +71,8 @@ def search_section(found: WorldResults, examples: Sequence[Path], put: Put) -> I
         yield put(
             f"drives-{name}",
             figures.found_by_drives(successes, f"Searches that find the victim, {name}"),
-            "The same drives and starts for all; no recoveries. Bars are Wilson's 95 % intervals. Starts were not used "
-            "in teaching.",
+            "The same drives and starts for all; the paper's scheme has five recoveries a drive as well. Bars are "
+            "Wilson's 95 % intervals. Starts were not used in teaching.",
         )
     if len({one.trial.length for one in successes if one.trial.controller == "paper"}) > 1:
         yield put(
