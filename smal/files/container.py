@@ -1,13 +1,18 @@
 """One file of JSON and arrays: no pickle, nothing executed, every byte under a checksum.
 
 Layout: 8 bytes magic, format version (uint32), length of the header (uint64), both little endian; the header in
-UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}); the arrays one after the other, C order, little
-endian; 32 bytes SHA-256 of all that went before.
+UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}), filled up with spaces to a multiple of 8 bytes; the
+arrays one after the other, those of the largest items first, so that all are aligned, C order, little endian; 32 bytes
+SHA-256 of all that went before.
+
+Arrays are not copied to memory but mapped: all processes of a machine share those of one file, and what is not looked
+at is not read. A file is therefore replaced, never written to (`replacing`).
 """
 
 import hashlib
 import json
 import math
+import mmap
 import os
 import struct
 import tempfile
@@ -21,13 +26,13 @@ from numpy.typing import NDArray
 
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
-#: Most bytes of a model: room for 64,000 template frames of the usual features, 100 minutes of driving. While a
-#: service loads one it holds the file and its arrays, and its container has 4 GiB.
-LARGEST = 2**31
+_ALIGNED = 8
+#: Most bytes of a model: the map of 150 km.
+LARGEST = 2**33
 #: Most bytes of its header, which takes 30 times as much memory once it is understood; a demonstration has 100 in it.
 LARGEST_HEADER = 2**24
 _MOST_AXES = 8
-_DTYPES = {name: np.dtype(name) for name in ("<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
+_DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
 
 
 class ModelError(ValueError):
@@ -103,9 +108,8 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
         if size > LARGEST:
             raise NoModelError(f"{name}: too large for a model: {size} bytes, at most {LARGEST}")
         header_size = _header_size(file, name, version)
-        file.seek(0)
-        content = file.read(size)
-        body, digest = memoryview(content)[:-32], content[-32:]
+        content = memoryview(mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ))
+        body, digest = content[:-32], bytes(content[-32:])
         if hashlib.sha256(body).digest() != digest:
             raise ModelError(f"{name}: truncated or altered: its checksum does not match")
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
@@ -155,12 +159,14 @@ def _header_size(file: IO[bytes], name: str, version: int) -> int:
 
 def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
     """Return the bytes of the file one after the other, except its checksum."""
-    stored = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    in_order = sorted(arrays.items(), key=lambda item: -item[1].itemsize)
+    stored = {name: np.ascontiguousarray(array) for name, array in in_order}
     table = [[name, array.dtype.str, list(array.shape)] for name, array in stored.items()]
     unknown = [row for row in table if row[1] not in _DTYPES]
     if unknown:
         raise TypeError(f"arrays of this type are not stored in a model: {unknown}")
     header = json.dumps({"meta": meta, "arrays": table}, allow_nan=False).encode()
+    header += b" " * (-(_FIXED.size + len(header)) % _ALIGNED)
     return [_FIXED.pack(MAGIC, version, len(header)), header, *(array.reshape(-1).data for array in stored.values())]
 
 
@@ -174,8 +180,7 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
             raise ValueError(f"no shape of an array: {str(shape)[:100]}")
         kind, count = _DTYPES[dtype], math.prod(shape)
         array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
-        # A copy, because the offset is not aligned, and products with unaligned arrays copy them every time.
-        arrays[name] = array.reshape(shape).copy()
+        arrays[name] = array.reshape(shape)
         at += array.nbytes
     if at != len(body):
         raise ValueError("its arrays do not fill the file")
