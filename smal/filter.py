@@ -13,13 +13,13 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
   the last pose that was sure, half anywhere, drawn by what the view says. When it has become the likelier one, the two
   become one.
 
-The paper instead matches the last l frames anew at every decision (Eq. 7 and 9, `smal.paper.recognition`). That has no
-memory, so that alikeness longer than l frames cannot be resolved.
+The paper instead matches the last l frames anew at every decision (`smal.paper.recognition`): without a memory, places
+that look alike for longer than l frames are not told apart.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,38 @@ class Belief:
         return Belief(keys[order], mean[order], kept, self.lost, self.cosine, self.tracked)
 
 
+class _Odds(NamedTuple):
+    """Of the tracked particles; of those that jumped; of the scouts that will be sent; of being lost."""
+
+    tracked: float
+    jumped: float
+    sent: float
+    lost: float
+
+
+class Newness:
+    """How much of a view the ones before have not told, 0 to 1.
+
+    It is new against the last one that was counted in full, by its looks or by the way since, whichever is more: many
+    small changes make one new view; one that comes back, or noise while the robot stands, makes none.
+    """
+
+    def __init__(self, visual_map: VisualMap) -> None:
+        self._map = visual_map
+        self._counted = np.zeros(visual_map.basis.shape[1], dtype=np.float32)
+        self._used, self.step = 0.0, np.zeros(3)
+
+    def of(self, components: NDArray[np.float32]) -> float:
+        """Return it of the next view (r,), and count that."""
+        likelihood = self._map.likelihood
+        same = min(likelihood.correlation(float(components @ self._counted)), self._map.expected(self.step))
+        new = (1.0 - same) / (1.0 + same)
+        newness, self._used = max(new - self._used, 0.0), max(new, self._used)
+        if same < max(likelihood.correlation(self._map.next_cosine), 1e-3):
+            self._counted, self._used, self.step = components, 0.0, np.zeros(3)
+        return newness
+
+
 class Filter:
     """Follows the robot from frame to frame.
 
@@ -99,24 +131,21 @@ class Filter:
     def reset(self) -> None:
         """Forget everything, for a new episode."""
         self._rng = np.random.default_rng(self._seed)
-        self._tracked: Particles | None = None
+        keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
+        aside = max(self._map.aside, SETTINGS.start_s * self._map.speed)
+        self._tracked = self._beside(keyframes, np.zeros(keyframes.size), aside, SETTINGS.first_turn_deg)
         self._jumped: Particles | None = None
-        #: Probability of each class: the tracked particles are right; jumped to where the others are; it is lost.
-        self._classes = np.array([SETTINGS.first[0], 0.0, SETTINGS.first[2]])
-        #: Probability of the scouts that the next view sends.
-        self._to_send = SETTINGS.first[1]
-        self._last = self._counted = np.zeros(self._map.basis.shape[1], dtype=np.float32)
-        self._used = 0.0
-        # Steps since the last view that was counted in full, and since the last view.
-        self._step = self._since = np.zeros(3)
+        at_start, anywhere, lost = SETTINGS.first
+        self._odds = _Odds(at_start, 0.0, anywhere, lost)
+        self._newness = Newness(self._map)
+        self._started = False
+        #: The last view that told something, and the step from there.
+        self._last, self._since = np.zeros(self._map.basis.shape[1], dtype=np.float32), np.zeros(3)
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
 
     def observe(
-        self,
-        raw_features: NDArray[Any],
-        movement: Movement = STILL,
-        noise: MotionNoise = BY_ODOMETRY,
+        self, raw_features: NDArray[Any], movement: Movement = STILL, noise: MotionNoise = BY_ODOMETRY
     ) -> Belief:
         """Take one frame.
 
@@ -139,64 +168,35 @@ class Filter:
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
             raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
         components = self._map.described(self._centering.apply(raw_features))
-        if self._tracked is not None:
-            step = np.array([movement.ahead, 0.0, movement.turn_rad])
-            self._step, self._since = placed(step, self._step), placed(step, self._since)
+        step = np.array([movement.ahead, 0.0, movement.turn_rad])
+        if self._started:
+            self._since, self._newness.step = placed(step, self._since), placed(step, self._newness.step)
         seen = self._seen(components)
-        if self._tracked is None:
-            self._tracked = self._at_starts()
-        else:
+        if self._started:
             self._jump(components, seen, movement)
-            for particles in (self._tracked, self._jumped):
-                if particles is not None:
-                    particles.move(movement, noise, seen.newness, self._rng)
-            self._move_sure(movement)
+            for particles in filter(None, (self._tracked, self._jumped)):
+                particles.move(movement, noise, seen.newness, self._rng)
+            if self._sure is not None:
+                drive, pose, way = self._sure
+                self._sure = drive, placed(step, pose), way + abs(movement.ahead)
+        self._started = True
         if seen.newness > 0.0:
             self._last, self._since = components, np.zeros(3)
             self._weigh(seen)
+            self._note_sure()
         return self._belief(seen)
 
-    def _weigh(self, seen: View) -> None:
-        """Weigh all by a view, and send scouts."""
-        assert self._tracked is not None
-        tracked, jumped, lost = map(float, self._classes)
-        tracked *= self._tracked.update(seen, self._rng)
-        if self._jumped is not None:
-            jumped *= self._jumped.update(seen, self._rng)
-        sent, likelihood = self._scouts(seen)
-        scouts, self._to_send = self._to_send * likelihood, 0.0
-        self._jumped = sent if self._jumped is None else self._drawn((self._jumped, jumped), (sent, scouts))
-        jumped += scouts
-        if jumped > tracked:
-            self._tracked = self._drawn((self._tracked, tracked), (self._jumped, jumped))
-            self._jumped, tracked, jumped = None, tracked + jumped, 0.0
-        self._classes = np.array([tracked, jumped, lost]) / (tracked + jumped + lost)
-        self._note_sure()
-
     def _seen(self, components: NDArray[np.float32]) -> View:
-        """Compare a view with those of the map, and say how much of it is new.
+        """Compare a view with those of the map.
 
-        It is new against the last one that was counted in full, by how it looks or by how far the robot is from there,
-        whichever is more: many small changes make one new view; one that comes back, or noise while the robot stands,
-        makes none. What looks like nothing more than like any place, or is the same to the bit, shows no place.
+        What looks like nothing more than like any place, or is the same to the bit, shows no place.
         """
         cosines = self._map.cosines(components)
         middle, spread = scale(self._map.sampled(cosines))
-        same_picture = self._tracked is not None and np.array_equal(components, self._last)
-        if not components.any() or components @ self._map.blank > cosines.max() or same_picture:
+        nothing = not components.any() or components @ self._map.blank > cosines.max()
+        if nothing or np.array_equal(components, self._last):
             return View(cosines, middle, 0.0, 0.0)
-        likelihood = self._map.likelihood
-        same = min(likelihood.correlation(float(components @ self._counted)), self._expected(self._step))
-        new = (1.0 - same) / (1.0 + same)
-        newness, self._used = max(new - self._used, 0.0), max(new, self._used)
-        if same < max(likelihood.correlation(self._map.next_cosine), 1e-3):
-            self._counted, self._used, self._step = components, 0.0, np.zeros(3)
-        return View(cosines, middle, spread, newness)
-
-    def _expected(self, step: NDArray[np.float64]) -> float:
-        """Return how far two views should say the same that are a step apart (ahead, left, turn)."""
-        lengths = self._map.lengths(Movement(math.hypot(step[0], step[1]), math.remainder(step[2], math.tau)))
-        return math.pow(self._map.likelihood.correlation(self._map.next_cosine), SETTINGS.views_a_length * lengths)
+        return View(cosines, middle, spread, self._newness.of(components))
 
     def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> None:
         """Take from the particles the probability that goes to where the wheels do not lead.
@@ -204,49 +204,46 @@ class Filter:
         With every new view a little; much more where it does not look like the one just before, though the robot has
         hardly moved. Without views the wheels alone are believed less and less.
         """
-        assert self._tracked is not None
-        likelihood = self._map.likelihood
+        tracked, jumped, sent, lost = self._odds
         if seen.spread == 0.0:
             kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
-            self._classes = np.append(
-                kept * self._classes[:2], self._classes[2] + (1.0 - kept) * self._classes[:2].sum()
-            )
+            self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped))
             return
-        expected = self._expected(self._since)
-        like_last = float(likelihood.of(seen.stands_out(components @ self._last)))
+        like_last = float(self._map.likelihood.of(seen.stands_out(components @ self._last)))
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
         visible = 1.0 - float(self._tracked.shares[0])
-        rise = visible * math.expm1(max(-expected * like_last, 0.0))
+        rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
         jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
-        _, anywhere, lost = SETTINGS.first
-        out, back = lost / (anywhere + lost), SETTINGS.back * seen.newness
-        tracked, jumped, off = map(float, self._classes)
-        gone, found = (tracked + jumped) * jump, off * back
-        self._classes = np.array([tracked * (1.0 - jump), jumped * (1.0 - jump), off - found + gone * out])
-        self._to_send += gone * (1.0 - out) + found
+        _, anywhere, nowhere = SETTINGS.first
+        out, back = nowhere / (anywhere + nowhere), SETTINGS.back * seen.newness
+        gone, found = (tracked + jumped) * jump, lost * back
+        kept = 1.0 - jump
+        self._odds = _Odds(
+            tracked * kept, jumped * kept, sent + (gone * (1.0 - out) + found), lost - found + gone * out
+        )
 
-    def _at_starts(self) -> Particles:
-        keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
-        aside = max(self._map.aside, SETTINGS.start_s * self._map.speed)
-        return self._beside(keyframes, np.zeros(SETTINGS.particles), aside, math.radians(SETTINGS.first_turn_deg))
-
-    def _beside(
-        self, keyframes: NDArray[np.intp], turns: NDArray[np.float64], aside: float, spread_rad: float
-    ) -> Particles:
-        """Scatter particles about keyframes."""
-        spread = np.array([aside, aside, spread_rad])
-        poses = self._map.key_poses[keyframes] + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
-        poses[:, 2] += turns
-        made = Particles(self._map, keyframes, poses)
-        made.pace = self._rng.standard_normal(len(poses))
-        return made
+    def _weigh(self, seen: View) -> None:
+        """Weigh all by a view, and send scouts."""
+        tracked, jumped, sent, lost = self._odds
+        tracked *= self._tracked.update(seen, self._rng)
+        if self._jumped is not None:
+            jumped *= self._jumped.update(seen, self._rng)
+        scouts, likelihood = self._scouts(seen)
+        sent *= likelihood
+        if self._jumped is not None:
+            scouts = Particles.joined((self._jumped, jumped), (scouts, sent)).resampled(self._rng)
+        self._jumped, jumped = scouts, jumped + sent
+        if jumped > tracked:
+            self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped)).resampled(self._rng)
+            self._jumped, tracked, jumped = None, tracked + jumped, 0.0
+        total = tracked + jumped + lost
+        self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
 
     def _scouts(self, seen: View) -> tuple[Particles, float]:
         """Draw particles by what one view says: half of them near the last sure pose, half from everywhere.
 
         The second value is the likelihood of the view there.
         """
-        assert self._tracked is not None
         shares = self._tracked.shares
         z = seen.stands_out(seen.cosines[:, 1])
         says = self._map.likelihood.mixed(shares, z, 1.0)
@@ -261,22 +258,26 @@ class Filter:
         weights = prior[:, None] * says
         drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
         keyframes, turns = np.divmod(drawn, TURNS_DEG.size)
-        scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), self._map.aside, math.radians(STEP_DEG) / 2.0)
+        scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0)
         # They are drawn by all that the view says, of which a part alone is new.
         rest = (new / says).ravel()[drawn]
         scouts.weights, scouts.shares = rest / rest.sum(), shares
         return scouts, float((prior[:, None] * new).sum())
 
-    def _drawn(self, *sets: tuple[Particles, float]) -> Particles:
-        """Draw one set of particles from several, each of which has a share."""
-        together = Particles.joined(*sets)
-        together.keep(systematic(together.weights, SETTINGS.particles, self._rng))
-        return together
+    def _beside(
+        self, keyframes: NDArray[np.intp], turns: NDArray[np.float64], aside: float, turned_deg: float
+    ) -> Particles:
+        """Scatter particles about keyframes."""
+        spread = np.array([aside, aside, math.radians(turned_deg)])
+        poses = self._map.key_poses[keyframes] + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
+        poses[:, 2] += turns
+        made = Particles(self._map, keyframes, poses)
+        made.pace = self._rng.standard_normal(len(poses))
+        return made
 
     def _note_sure(self) -> None:
         """Remember the pose if it is sure: one place on one drive."""
         tracked = self._tracked
-        assert tracked is not None
         drives = self._map.key_drives[tracked.keyframes]
         drive = int(drives[tracked.weights.argmax()])
         there = tracked.weights * (drives == drive)
@@ -284,33 +285,21 @@ class Filter:
         heading = math.atan2(there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2]))
         pose = np.array([x, y, heading])
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
-        if self._classes[0] * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
+        if self._odds.tracked * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
-    def _move_sure(self, movement: Movement) -> None:
-        if self._sure is not None:
-            drive, pose, way = self._sure
-            moved = placed(np.array([movement.ahead, 0.0, movement.turn_rad]), pose)
-            self._sure = (drive, moved, way + abs(movement.ahead))
-
     def _belief(self, seen: View) -> Belief:
-        assert self._tracked is not None
-        sets = [(self._tracked, float(self._classes[0]))]
-        if self._jumped is not None:
-            sets.append((self._jumped, float(self._classes[1])))
-        every = Particles.joined(*sets)
+        tracked, jumped, _, lost = self._odds
+        others = [] if self._jumped is None else [(self._jumped, jumped)]
+        every = Particles.joined((self._tracked, tracked), *others)
+        # Nine tenths of the weight are not below.
+        order = np.argsort(every.tracked)
+        least = min(int(np.searchsorted(np.cumsum(every.weights[order]), 0.1)), order.size - 1)
         return Belief(
             every.keyframes,
             every.offsets(),
             every.weights,
-            float(self._classes[2] / self._classes.sum()),
+            lost / (tracked + jumped + lost),
             min(every.cosine(seen), 1.0),
-            _least_of_most(every.tracked, every.weights),
+            float(every.tracked[order[least]]),
         )
-
-
-def _least_of_most(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Return what nine tenths of the weight are not below."""
-    order = np.argsort(values)
-    first = int(np.searchsorted(np.cumsum(weights[order]), 0.1))
-    return float(values[order[min(first, values.size - 1)]])

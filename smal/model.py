@@ -156,6 +156,11 @@ class VisualMap:
         """How much a movement changes the view, in correlation lengths."""
         return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.correlation_rad))
 
+    def expected(self, step: NDArray[np.float64]) -> float:
+        """Return how far two views that are a step (ahead, left, turned) apart should say the same, 0 to 1."""
+        lengths = self.lengths(Movement(math.hypot(step[0], step[1]), math.remainder(step[2], math.tau)))
+        return math.pow(self.likelihood.correlation(self.next_cosine), SETTINGS.views_a_length * lengths)
+
     def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
         return unit(centred @ self.basis)

@@ -1,7 +1,7 @@
 """Particles: poses beside taught keyframes, and how probable each of them is."""
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ class Particles:
         self.weights, shares = joint.sum(axis=0) / total, joint.sum(axis=1) / total
         self.shares = shares + (shares @ _CHANGES - shares) * seen.newness
         if (self.weights**2).sum() > 2.0 / len(self.weights):
-            self.keep(systematic(self.weights, len(self.weights), rng))
+            self.resampled(rng)
         return total
 
     def cosine(self, seen: View) -> float:
@@ -136,21 +136,21 @@ class Particles:
     def joined(cls, *sets: tuple["Particles", float]) -> "Particles":
         """Put sets together, each of which has a share."""
         total = max(sum(share for _, share in sets), 1e-300)
-        made = cls(
-            sets[0][0]._map,
-            np.concatenate([one.keyframes for one, _ in sets]),
-            np.concatenate([one.poses for one, _ in sets]),
-        )
+        names = ("keyframes", "poses", "tracked", "pace")
+        keyframes, poses, tracked, pace = (np.concatenate([getattr(one, name) for one, _ in sets]) for name in names)
+        made = cls(sets[0][0]._map, keyframes, poses)
+        made.tracked, made.pace = tracked, pace
         made.weights = np.concatenate([one.weights * (share / total) for one, share in sets])
-        made.tracked, made.pace = (np.concatenate([getattr(one, n) for one, _ in sets]) for n in ("tracked", "pace"))
         made.shares = np.sum([one.shares * (share / total) for one, share in sets], axis=0)
         return made
 
-    def keep(self, which: NDArray[np.intp]) -> None:
-        """Keep some particles, alike in weight."""
-        self.keyframes, self.poses, self.tracked = self.keyframes[which], self.poses[which], self.tracked[which]
-        self.pace = self.pace[which]
+    def resampled(self, rng: np.random.Generator) -> Self:
+        """Keep as many as usual, drawn by their weights, alike in weight."""
+        which = systematic(self.weights, SETTINGS.particles, rng)
+        self.keyframes, self.poses = self.keyframes[which], self.poses[which]
+        self.tracked, self.pace = self.tracked[which], self.pace[which]
         self.weights = np.full(which.size, 1.0 / which.size)
+        return self
 
 
 #: Probability that something hides a new view, if it did not hide the one before.
