@@ -27,7 +27,7 @@ from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.demonstration import USUAL_GOAL, Demonstration, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model, VisualMap, evenly, unit
-from smal.movement import Atom, atom_movements, dead_reckoning
+from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
 from smal.stitches import stitched
 
@@ -201,13 +201,9 @@ def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], len
     """Take the first and last frame of each drive, and all that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
-    for frame, pose in enumerate(poses):
-        if not (ends[frame] or ends[frame + 1]):
-            x, y, turned = (pose - poses[chosen[-1]]).tolist()
-            far = math.hypot(x, y) >= length / SETTINGS.views_a_length
-            if not far and abs(math.remainder(turned, math.tau)) < math.radians(SETTINGS.spacing_deg):
-                continue
-        chosen.append(frame)
+    for frame in np.flatnonzero(leads_on(poses, drives, length)):
+        if ends[frame] or ends[frame + 1] or not shows_same(poses[frame, None], poses[chosen[-1]], length)[0]:
+            chosen.append(int(frame))
     return np.array(chosen, dtype=np.int32)
 
 

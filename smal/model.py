@@ -20,7 +20,7 @@ from smal.features import Centering, FeatureSettings
 from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood
-from smal.movement import Atom, Movement
+from smal.movement import Atom, Movement, leads_on
 from smal.settings import SETTINGS
 
 
@@ -133,9 +133,11 @@ class VisualMap:
 
     @cached_property
     def arc(self) -> NDArray[np.float64]:
-        """Way driven until each frame, all drives one after the other, (f,)."""
-        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
-        return np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives) == 0, steps, 0.0))])
+        """Way to drive until each frame, all drives one after the other, (f,): without what led nowhere."""
+        on = leads_on(self.poses, self.drives, self.correlation_length)
+        steps = np.hypot(*np.diff(self.poses[on, :2], axis=0).T)
+        way = np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives[on]) == 0, steps, 0.0))])
+        return np.asarray(way[np.cumsum(on) - 1])
 
     @cached_property
     def key_goals(self) -> NDArray[np.str_]:

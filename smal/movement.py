@@ -88,6 +88,32 @@ def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray
     return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1)
 
 
+def shows_same(poses: NDArray[np.float64], pose: NDArray[np.float64], length: float) -> NDArray[np.bool_]:
+    """Tell where a view is hardly another one than at a pose (3,): poses (f, 3), length that of correlation."""
+    moved = poses - pose
+    near = np.hypot(*moved[:, :2].T) < length / SETTINGS.views_a_length
+    return np.asarray(near & (np.abs(wrapped(moved[:, 2])) < math.radians(SETTINGS.spacing_deg)))
+
+
+def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.bool_]:
+    """Tell which frames a robot is to pass, (f,).
+
+    What lies between two frames that show the same led nowhere: a wrong turn and its correction, a way and back.
+    """
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    on = np.zeros(len(poses), dtype=np.bool_)
+    frame = 0
+    while frame < len(poses):
+        on[frame] = True
+        end = np.searchsorted(drives, drives[frame], "right")
+        end = min(end, np.searchsorted(way, way[frame] + SETTINGS.mended * length, "right"))
+        same = shows_same(poses[frame + 1 : end], poses[frame], length)
+        last = int(np.flatnonzero(same).max(initial=-1))
+        frame += 1 if same[: last + 1].all() else last + 1
+    return on
+
+
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
     """Measure what each atom does between two frames.
 

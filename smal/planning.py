@@ -72,16 +72,18 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     count = len(visual_map.keyframes)
     of = visual_map.key_drives
     on = np.flatnonzero(of[:-1] == of[1:])
-    taken_s = np.diff(visual_map.keyframes)[on] * visual_map.tick_s
     goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & (visual_map.key_goals == goal))
     source, target = visual_map.stitched.T
-    offsets = visual_map.stitch_offsets
+    steps = np.diff([visual_map.arc[visual_map.keyframes], np.unwrap(visual_map.key_poses[:, 2])])[:, on]
+    aside, turned = visual_map.stitch_offsets[:, :2], visual_map.stitch_offsets[:, 2]
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
     rows = np.concatenate([on + 1, target, np.full(goals.size, count)])
     columns = np.concatenate([on, source, goals])
     ahead, turn_rad = np.maximum(np.abs(visual_map.movements).max(axis=0), 1e-9)
-    ticks = np.hypot(*offsets[:, :2].T) / ahead + np.abs(offsets[:, 2]) / turn_rad
-    costs = np.concatenate([taken_s, SETTINGS.go_over_s + ticks * visual_map.tick_s, np.full(goals.size, 1e-9)])
+    way, turns = np.append(steps[0], np.hypot(*aside.T)), np.abs(np.append(steps[1], turned))
+    costs = (way / ahead + turns / turn_rad) * visual_map.tick_s
+    costs[on.size :] += SETTINGS.go_over_s
+    costs = np.maximum(np.append(costs, np.zeros(goals.size)), 1e-9)
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
     to_go_s, following = found[0, :-1], previous[0, :-1].astype(np.intp)

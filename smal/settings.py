@@ -17,6 +17,8 @@ class Settings:
     views_a_length: int = 5
     #: Or turned by so much: of the nearest keyframe a robot is then turned by about one virtual view at most.
     spacing_deg: float = 12.0
+    #: Over this way wheels tell whether a person came back to where they were, and mended what they did.
+    mended: float = 4.0
     #: Virtual views are taken as far aside as two steps from keyframe to keyframe.
     aside: float = 0.4
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays

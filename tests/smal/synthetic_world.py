@@ -110,10 +110,11 @@ def _sampled(texture: Image, u: NDArray[np.float64], v: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True)
 class Drive:
-    """Poses (f, 3) and the atoms (f,) made after them."""
+    """Poses (f, 3), the atoms (f,) made after them, and how many metres its wheels take for one."""
 
     poses: Pose
     atoms: NDArray[np.int8]
+    wheels: float = 1.0
 
     def movements(self) -> list[Movement]:
         return [Movement.between(*pair) for pair in zip(self.poses[:-1], self.poses[1:], strict=True)]
@@ -122,16 +123,16 @@ class Drive:
 def drive(
     start: Sequence[float] = START, way: Sequence[tuple[float, float]] = WAY, rate_hz: float = 10.0, speed: float = 1.0
 ) -> Drive:
-    """Drive straight and turn on the spot, by turns, at so many frames a second and so many times the usual speed."""
+    """Drive straight or back and turn on the spot, by turns, at so many frames a second and times the usual speed."""
     x, y, heading = start
     poses, atoms = [(x, y, heading)], []
     for metres, degrees in way:
-        steps = round(metres / SPEED / speed * rate_hz)
+        steps = round(abs(metres) / SPEED / speed * rate_hz)
         for _ in range(steps):
             x += metres / steps * math.cos(heading)
             y += metres / steps * math.sin(heading)
             poses.append((x, y, heading))
-        atoms += [Atom.FORWARD] * steps
+        atoms += [Atom.FORWARD if metres > 0.0 else Atom.BACKWARD] * steps
         turns = round(abs(math.radians(degrees)) / TURN_RAD_S / speed * rate_hz)
         for _ in range(turns):
             heading += math.radians(degrees) / turns
@@ -186,7 +187,7 @@ def taught(
                     raw[k],
                     one.atoms,
                     images=images[k],
-                    odometry=one.poses if odometry else None,
+                    odometry=one.poses * (one.wheels, one.wheels, 1.0) if odometry else None,
                     ahead=ahead,
                 )
                 for k, one in enumerate(drives)

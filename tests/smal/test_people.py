@@ -1,0 +1,56 @@
+"""Taught by people: what they did wrong and mended is not repeated, and how long they took does not matter."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.filter import Filter
+from smal.movement import Atom, dead_reckoning, leads_on, shows_same
+from smal.planning import Planner
+from tests.smal.synthetic_world import SCENE, START, Drive, Room, drive, driven, taught
+
+LENGTH_M = 2.0
+MOVEMENTS = np.array([[0.0, 0.0], [0.05, 0.0], [-0.05, 0.0], [0.0, 0.08], [0.0, -0.08]])
+#: Into a wrong way, back out of it, and on; to the wrong side; too far, and back.
+MISTAKES = {
+    "wrong way": ((1.2, 70.0), (0.5, 0.0), (-0.5, -70.0), (1.3, 0.0)),
+    "wrong side": ((1.2, 70.0), (0.0, -70.0), (1.3, 0.0)),
+    "too far": ((1.9, 0.0), (-0.7, 0.0), (1.3, 0.0)),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_that_was_mended_is_not_repeated(mistake: str) -> None:
+    straight = drive(START, ((2.5, 0.0),))
+    wrong = drive(START, MISTAKES[mistake])
+    found, centering = taught(Room(), wrong, scene=SCENE)
+    planner = Planner(found)
+    pose = driven(Filter(found, centering), planner, Room(), START, round(1.2 * len(straight.poses)))
+    assert planner.done
+    assert math.hypot(*(pose - straight.poses[-1])[:2]) < 0.25
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(Atom), st.integers(1, 20)), min_size=1, max_size=7))
+def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(keys: list[tuple[Atom, int]]) -> None:
+    atoms = np.repeat([key for key, _ in keys], [frames for _, frames in keys])
+    poses = dead_reckoning(atoms, MOVEMENTS)
+    on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), LENGTH_M)
+    way = poses[on]
+    assert on[0]
+    assert on[-1]
+    assert all(shows_same(after[None], before, LENGTH_M)[0] for before, after in itertools.pairwise(way))
+    for first in range(len(way)):
+        same = np.flatnonzero(shows_same(way[first:], way[first], LENGTH_M))
+        assert same.size == same[-1] + 1
+
+
+def test_who_pauses_teaches_no_longer_way() -> None:
+    usual = drive(START, ((2.5, 0.0),))
+    stands = Drive(np.insert(usual.poses, 20, usual.poses[[20] * 100], axis=0), np.insert(usual.atoms, 20, [0] * 100))
+    costs = [Planner(taught(Room(), each, scene=SCENE)[0])._to_go_s[0] for each in (usual, stands)]
+    assert costs[1] == pytest.approx(costs[0], rel=0.05)
