@@ -1,18 +1,18 @@
-"""Where taught drives share a place, and how the robot seen from one of them stands in the other.
+"""Where taught drives meet, and how the robot seen from one of them stands in the other.
 
-The paper shares states between demonstrations where sequences of frames are alike (Algorithm 1); without that its graph
-is a set of chains, on which no decision can be taken. We share places: two keyframes of different drives are one place
-where each is the other's likeliest view, more alike than unrelated places, and so are their neighbours, in order, for
-a whole correlation length. The virtual view that fits best tells how the one stands to the other, as exactly as virtual
-views are dense; by the wheels what all pairs about a place tell becomes one.
+The paper shares states between demonstrations where sequences of frames are alike (Algorithm 1). We share keyframes:
+two of different drives show one place where each is the other's likeliest view, more alike than unrelated places, and
+so are their neighbours, in order, for a whole correlation length. The virtual view that fits best tells how the one
+stands to the other; by the wheels what all pairs about a place tell becomes one.
 
-Two corners of a town may look alike for longer than that. So the wheels have to allow it: once two drives share their
-longest stretch, it is known how their axes lie to each other, and from there both drives must lead to whatever else
-they share, as far as their odometry can be trusted.
+Two corners of a town may look alike for longer than that. So the wheels have to allow it: the longest stretch that two
+drives share tells how their axes lie to each other, and from there both must lead to whatever else they share, as far
+as their odometry can be trusted.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +24,23 @@ from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.settings import SETTINGS
 
 #: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
-_Stitch = tuple[int, int, tuple[float, float, float]]
+_Stitch = tuple[int, int, list[float]]
+_Indices = NDArray[np.intp]
 
 
 def stitched(visual_map: VisualMap) -> VisualMap:
     """Return a map with the places that its drives share; none where there is one drive."""
+    if len(visual_map.goals) == 1:
+        return visual_map
     found: list[_Stitch] = []
-    names = np.unique(visual_map.key_drives)
-    if names.size > 1:
-        best = _best_of_each_drive(visual_map, names)
-        for one in names:
-            for other in names[names != one]:
-                runs = _chained(visual_map, best, int(one), int(other))
-                found.extend(_joined(visual_map, _reachable(visual_map, runs)))
+    best, offsets = _best_of_each_drive(visual_map)
+    for one, other in permutations(range(len(visual_map.goals)), 2):
+        there = best[:, other]
+        # Where a robot at each keyframe of the one drive is in the axes of the other.
+        robot = placed(offsets[:, other], visual_map.key_poses[there])
+        kept = _reachable(visual_map, _runs(visual_map, best, one, other), there, robot)
+        if kept:
+            found.extend(_joined(visual_map, np.concatenate(kept), there, robot))
     found.sort(key=lambda stitch: stitch[:2])
     return replace(
         visual_map,
@@ -68,41 +72,26 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
     return poses
 
 
-@dataclass(frozen=True, eq=False)
-class _Best:
-    """For each keyframe and drive: the likeliest keyframe there (-1: none is likely), and how it stands to it."""
-
-    keyframe: NDArray[np.intp]
-    left: NDArray[np.float64]
-    turned: NDArray[np.float64]
-
-
-def _best_of_each_drive(visual_map: VisualMap, names: NDArray[np.int32]) -> _Best:
-    count = len(visual_map.keyframes)
-    keyframe = np.full((count, int(names.max()) + 1), -1, dtype=np.intp)
-    left, turned = np.zeros(keyframe.shape), np.zeros(keyframe.shape)
-    for first in range(0, count, SETTINGS.compared_at_once):
-        views = visual_map.views[first : first + SETTINGS.compared_at_once, 1, STRAIGHT]
-        cosines = (visual_map.flat_views @ views.T).reshape(*visual_map.views.shape[:3], -1)
-        ratio = np.stack(
-            [
-                visual_map.likelihood.mixed(ANY_DAY, standing_out(each, visual_map.sampled(each)), 1.0)
-                for each in np.moveaxis(cosines, -1, 0)
-            ]
-        )
-        for name in names:
-            there = np.flatnonzero(visual_map.key_drives == name)
-            each = cosines[there].reshape(-1, views.shape[0])
-            at = each.argmax(axis=0)
-            k, p, t = np.unravel_index(at, (there.size, *visual_map.views.shape[1:3]))
-            for row in range(views.shape[0]):
-                if ratio[row, there[k[row]], p[row], t[row]] > 1.0:
-                    grid = cosines[there[k[row]], :, :, row]
-                    keyframe[first + row, name] = there[k[row]]
-                    left[first + row, name] = (_peak(grid[:, t[row]], int(p[row])) - 1.0) * visual_map.aside
-                    turn = _peak(grid[p[row]], int(t[row])) - STRAIGHT
-                    turned[first + row, name] = math.radians(turn * STEP_DEG)
-    return _Best(keyframe, left, turned)
+def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.float64]]:
+    """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
+    shape, drives, each = visual_map.views.shape[:3], visual_map.key_drives, range(len(visual_map.goals))
+    best, offsets = np.full((shape[0], len(each)), -1, dtype=np.intp), np.zeros((shape[0], len(each), 3))
+    firsts = np.searchsorted(drives, each)
+    for start in range(0, shape[0], SETTINGS.compared_at_once):
+        views = visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT]
+        some = (visual_map.flat_views @ views.T).reshape(*shape, -1)
+        for here, cosines in enumerate(np.moveaxis(some, -1, 0), start):
+            z = standing_out(cosines, visual_map.sampled(cosines))
+            likely = visual_map.likelihood.mixed(ANY_DAY, z, 1.0) > 1.0
+            for drive, first in zip(each, firsts, strict=True):
+                there = cosines[drives == drive]
+                k, p, t = map(int, np.unravel_index(there.argmax(), there.shape))
+                if likely[first + k, p, t]:
+                    best[here, drive] = first + k
+                    left = (_peak(there[k, :, t], p) - 1.0) * visual_map.aside
+                    turned = math.radians((_peak(there[k, p], t) - STRAIGHT) * STEP_DEG)
+                    offsets[here, drive] = 0.0, left, turned
+    return best, offsets
 
 
 def _peak(values: NDArray[np.float32], at: int) -> float:
@@ -115,84 +104,72 @@ def _peak(values: NDArray[np.float32], at: int) -> float:
     return min(max(middle + 0.5 * (before - after) / curve, 0.0), values.size - 1.0)
 
 
-def _chained(visual_map: VisualMap, best: _Best, one: int, other: int) -> list[list[_Stitch]]:
-    """Return the runs of mutual pairs of two drives that go on in order for a correlation length."""
+def _runs(visual_map: VisualMap, best: _Indices, one: int, other: int) -> list[_Indices]:
+    """Return the runs of mutual pairs of two drives that go on in order for a correlation length: keyframes of one."""
     here = np.flatnonzero(visual_map.key_drives == one)
-    there = best.keyframe[here, other]
-    back = np.where(there >= 0, best.keyframe[np.maximum(there, 0), one], -1)
-    mutual = (there >= 0) & (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
+    there = best[here, other]
+    back = np.where(there >= 0, best[there, one], -1)
+    mutual = (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
     goes_on = mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= SETTINGS.advance)
-    breaks = np.flatnonzero(~goes_on) + 1
-    runs = np.split(np.arange(here.size), breaks)
-    return [
-        [
-            (int(here[k]), int(there[k]), (0.0, float(best.left[here[k], other]), float(best.turned[here[k], other])))
-            for k in run
-        ]
-        for run in runs
-        if run.size > SETTINGS.views_a_length
-    ]
+    runs = np.split(here, np.flatnonzero(~goes_on) + 1)
+    return [run for run in runs if run.size > SETTINGS.views_a_length]
 
 
-def _reachable(visual_map: VisualMap, runs: list[list[_Stitch]]) -> list[_Stitch]:
-    """Return the stitches of those runs to which both drives lead from the longest one, as the wheels tell."""
-    kept: list[list[_Stitch]] = []
+def _reachable(
+    visual_map: VisualMap, runs: list[_Indices], there: _Indices, robot: NDArray[np.float64]
+) -> list[_Indices]:
+    """Return those runs to which both drives lead from the longest one, as the wheels tell."""
+    kept: list[_Indices] = []
     for run in sorted(runs, key=len, reverse=True):
-        pairs = [(there, here) for other in kept for there in (other[0], other[-1]) for here in (run[0], run[-1])]
-        apart = [_off(visual_map, *pair) for pair in pairs]
+        pairs = [(known, new) for other in kept for known in (other[0], other[-1]) for new in (run[0], run[-1])]
+        apart = [_off(visual_map, there, robot, *pair) for pair in pairs]
         # From the nearest stretch, where the least of drifting has happened.
         if not apart or min(apart)[1] < SETTINGS.trusted:
             kept.append(run)
-    return [stitch for run in kept for stitch in run]
+    return kept
 
 
-def _joined(visual_map: VisualMap, stitches: list[_Stitch]) -> list[_Stitch]:
-    """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
-
-    Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
-    the other as the mean of the stitches says. With each stitch by itself the way that is to be followed would jump
-    from one keyframe to the next, and the robot turn to and fro.
-    """
-    if not stitches:
-        return []
-    poses, arc = visual_map.key_poses, visual_map.arc[visual_map.keyframes]
-    here, there = (np.array([stitch[k] for stitch in stitches]) for k in (0, 1))
-    robot = placed(np.array([stitch[2] for stitch in stitches]), poses[there])
-    others = np.flatnonzero(visual_map.key_drives == visual_map.key_drives[there[0]])
-    joined: list[_Stitch] = []
-    for k in range(int(here.min()), int(here.max()) + 1):
-        near = np.abs(arc[here] - arc[k]) < visual_map.correlation_length
-        if not ((here[near] <= k).any() and (here[near] >= k).any()):
-            continue
-        turns = robot[near, 2] - poses[here[near], 2]
-        turn = turns[0] + np.mean(wrapped(turns - turns[0]))
-        # A rigid movement of the axes: where their origin goes, by each stitch.
-        frame = np.array([*poses[k, :2], 0.0])
-        moved = placed(seen_from(poses[here[near]], frame), np.array([0.0, 0.0, turn]))
-        pose = np.append(np.mean(robot[near, :2] - moved[:, :2], axis=0), poses[k, 2] + turn)
-        beside = others[(others >= there[near].min()) & (others <= there[near].max())]
-        nearest = int(beside[np.hypot(*(poses[beside] - pose)[:, :2].T).argmin()])
-        ahead, left, turned = seen_from(pose, poses[nearest]).tolist()
-        joined.append((k, nearest, (ahead, left, turned)))
-    return joined
-
-
-def _off(visual_map: VisualMap, one: _Stitch, other: _Stitch) -> tuple[float, float]:
+def _off(
+    visual_map: VisualMap, there: _Indices, robot: NDArray[np.float64], one: int, other: int
+) -> tuple[float, float]:
     """Return the way between two stitches, and by how many standard deviations of odometry the drives disagree."""
     noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
     poses, length = visual_map.key_poses, visual_map.correlation_length
-    here, there = (placed(np.array(stitch[2]), poses[stitch[1]]) for stitch in (one, other))
-    by_one = seen_from(poses[other[0]], poses[one[0]])
-    by_other = seen_from(there, here)
+    by_one, by_other = seen_from(poses[other], poses[one]), seen_from(robot[other], robot[one])
     off, turned = by_other[:2] - by_one[:2], float(wrapped(by_other[2:] - by_one[2:])[0])
     way, turns = 0.0, 0.0
-    for first, last in (sorted((one[0], other[0])), sorted((one[1], other[1]))):
-        steps = poses[first : last + 1]
-        way += float(np.hypot(*np.diff(steps[:, :2], axis=0).T).sum())
-        turns += float(np.abs(wrapped(np.diff(steps[:, 2]))).sum())
+    for first, last in (sorted((one, other)), sorted((there[one], there[other]))):
+        steps = np.diff(poses[first : last + 1], axis=0)
+        way += float(np.hypot(*steps[:, :2].T).sum())
+        turns += float(np.abs(wrapped(steps[:, 2])).sum())
     # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
     heading = math.sqrt(
         math.radians(SETTINGS.drift_deg) ** 2 * way / length + (noise.turn * turns) ** 2 + math.radians(STEP_DEG) ** 2
     )
     distance = math.hypot(noise.pace * way, heading * float(np.hypot(*by_one[:2])), length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)
+
+
+def _joined(visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArray[np.float64]) -> list[_Stitch]:
+    """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
+
+    Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
+    the other as the mean of the stitches says. With each stitch by itself the way that is to be followed would jump
+    from one keyframe to the next, and the robot turn to and fro.
+    """
+    poses, arc = visual_map.key_poses, visual_map.arc[visual_map.keyframes]
+    others = np.flatnonzero(visual_map.key_drives == visual_map.key_drives[there[here[0]]])
+    joined: list[_Stitch] = []
+    for k in range(int(here.min()), int(here.max()) + 1):
+        near = here[np.abs(arc[here] - arc[k]) < visual_map.correlation_length]
+        if not ((near <= k).any() and (near >= k).any()):
+            continue
+        turns = robot[near, 2] - poses[near, 2]
+        turn = turns[0] + np.mean(wrapped(turns - turns[0]))
+        # A rigid movement of the axes: where their origin goes, by each stitch.
+        moved = placed(seen_from(poses[near], np.array([*poses[k, :2], 0.0])), np.array([0.0, 0.0, turn]))
+        pose = np.append(np.mean(robot[near, :2] - moved[:, :2], axis=0), poses[k, 2] + turn)
+        beside = others[(others >= there[near].min()) & (others <= there[near].max())]
+        nearest = int(beside[np.hypot(*(poses[beside] - pose)[:, :2].T).argmin()])
+        joined.append((k, nearest, seen_from(pose, poses[nearest]).tolist()))
+    return joined
