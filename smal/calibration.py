@@ -125,12 +125,7 @@ def _far(camera: Camera) -> Scene:
 
 
 def fit_camera(frames: TaughtFrames) -> Camera:
-    """Find the camera by how a turn moves what it sees: of turns, those with the least way; the usual one without any.
-
-    Parameters
-    ----------
-    frames : TaughtFrames
-    """
+    """Find the camera by how turns, those with the least way, move what it sees; without any it is a usual one."""
     turns = frames.pairs(lambda _, turn: turn > math.radians(SETTINGS.tells_camera_deg))
     if not turns:
         return USUAL_CAMERAS[0]
@@ -144,15 +139,7 @@ def fit_camera(frames: TaughtFrames) -> Camera:
 
 
 def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
-    """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best.
-
-    Parameters
-    ----------
-    frames : TaughtFrames
-    camera : Camera
-    length : float
-        The correlation length.
-    """
+    """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best."""
     steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(SETTINGS.tells_scene_deg)))
     if not steps:
         return Scene(camera, length / 3.0, length * 4.0)
@@ -166,8 +153,8 @@ def turn_of_views(
 ) -> tuple[Camera, float] | None:
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
-    First over single atoms, then, more exactly, over as many as turn further. With a wrong focal length the turn is
-    wrong by as much, so that virtual views of the two together fit all the same.
+    First over single atoms, then, more exactly, over several. With a wrong focal length the turn is wrong by as much,
+    so that virtual views of the two together fit all the same.
 
     Parameters
     ----------
@@ -202,18 +189,7 @@ def turn_of_views(
 
 
 def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, float]:
-    """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones.
-
-    Parameters
-    ----------
-    frames : TaughtFrames
-    camera : Camera
-        Used only if the robot is a car.
-
-    Returns
-    -------
-    (float, float)
-        That way, in the unit of the poses, and the mean cosine of unrelated views.
+    """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones; and the latter.
 
     Raises
     ------
@@ -265,14 +241,9 @@ def _turns_undone(
 
 
 def correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
-    """Measure the turn after which a view is half as alike as it can be, radians: at least the step of the views.
+    """Return the turn (radians) after which views (k, 3, turns, r) are half as alike as they can be: a step at least.
 
-    Parameters
-    ----------
-    views : float32 array (k, 3, turns, r)
-        Of unit length.
-    unrelated : float
-        Mean cosine of unrelated views.
+    Half way is to the mean cosine of unrelated views.
     """
     mean = np.einsum("kr,ktr->t", views[:, 1, STRAIGHT], views[:, 1]) / len(views)
     mean = (mean[STRAIGHT:] + mean[STRAIGHT::-1]) / 2.0
@@ -288,25 +259,11 @@ def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: flo
 def likelihood_of_views(
     views: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
 ) -> Likelihood:
-    """Measure on the views of keyframes what views say of places.
+    """Measure on the views of keyframes (k, 3, turns, r), of unit length, what views say of places.
 
-    Each keyframe's own view is looked at as if it were a robot's, from which the keyframe itself is left out:
-    its neighbours show the same place, what is more than four correlation lengths away on the same drive another one.
-    Without such places (a short drive in one room) elsewhere is what a normal distribution says.
-
-    Parameters
-    ----------
-    views : float32 array (k, 3, turns, r)
-        Of unit length.
-    poses : float64 array (k, 3)
-    drives : int32 array (k,)
-    length : float
-        The correlation length.
-
-    Raises
-    ------
-    ValueError
-        No keyframe has a neighbour.
+    Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is more than
+    four correlation lengths away on the same drive another one. Without such places (a short drive in one room)
+    elsewhere is what a normal distribution says. ValueError if no keyframe has a neighbour.
     """
     count, own = len(views), views[:, 1, STRAIGHT]
     sample = own[evenly(count, SETTINGS.reference)]

@@ -62,7 +62,14 @@ def learn(
         No such drive, or none that goes anywhere; features that do not fit, or that need depth.
     """
     features = FeatureSettings() if features is None else features
-    whole = _usable(demonstrations, features, tick_s)
+    check_features(demonstrations, features.size)
+    if features.needs != {"color"}:
+        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
+    if not (math.isfinite(tick_s) and tick_s > 0.0):
+        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
+    whole = drives_to_goals(demonstrations)
+    if not whole:
+        raise ValueError("no drive reached the goal and has images")
     taught = [drive for _, drive in whole]
     centering = Centering.fit([one.features for one in taught], features)
     frames = _frames(taught, centering, tick_s)
@@ -135,30 +142,18 @@ def demonstrations_of(
 ) -> list[Demonstration]:
     """Describe the images of drives; see `fit`."""
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
-    taught = []
-    for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True)):
-        described = np.stack([extract(image, features) for image in images])
-        way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
-        made = np.asarray(atoms, dtype=np.int8)
-        taught.append(
-            Demonstration(f"drive-{number}", described, made, images=images, odometry=way, goal=goal, camera=camera)
+    return [
+        Demonstration(
+            f"drive-{number}",
+            np.stack([extract(image, features) for image in images]),
+            np.asarray(atoms, dtype=np.int8),
+            images=images,
+            odometry=np.asarray(odometry[0], dtype=np.float64) if odometry else None,
+            goal=goal,
+            camera=camera,
         )
-    return taught
-
-
-def _usable(
-    demonstrations: Sequence[Demonstration], features: FeatureSettings, tick_s: float
-) -> list[tuple[tuple[str, ...], Demonstration]]:
-    """Check what is to be learned from; return the whole drives, each with the names of its parts."""
-    check_features(demonstrations, features.size)
-    if features.needs != {"color"}:
-        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
-    if not (math.isfinite(tick_s) and tick_s > 0.0):
-        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
-    whole = drives_to_goals(demonstrations)
-    if not whole:
-        raise ValueError("no drive reached the goal and has images")
-    return whole
+        for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True))
+    ]
 
 
 def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,9 +116,7 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
 
 
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
-    """Measure what each atom does between two frames.
-
-    The median over all frames of the demonstrations, which a wheel that slips for a moment does not move.
+    """Measure what each atom does between two frames: the median, which a wheel that slips for a moment does not move.
 
     Parameters
     ----------
@@ -133,47 +132,31 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
         mirror, backward is the opposite of forward, and a car that never drove straight on does so as fast as it turns.
         Else it is still.
     """
-    found: dict[int, list[tuple[float, float]]] = {int(atom): [] for atom in Atom}
-    for way, made in zip(poses, atoms, strict=True):
-        for before, after, atom in zip(way[:-1], way[1:], made[:-1].tolist(), strict=True):
-            step = Movement.between(before, after)
-            found[atom].append((step.ahead, step.turn_rad))
-    table = np.array([np.median(found[int(atom)], axis=0) if found[int(atom)] else (0.0, 0.0) for atom in Atom])
-    if not found[Atom.FORWARD] and not found[Atom.BACKWARD]:
-        found[Atom.FORWARD] = found[Atom.LEFT] + found[Atom.RIGHT]
-        table[Atom.FORWARD, 0] = np.median([ahead for ahead, _ in found[Atom.FORWARD] or [(0.0, 0.0)]])
+    made = np.concatenate([each[:-1] for each in atoms])
+    steps = [Movement.between(*pair) for way in poses for pair in pairwise(way)]
+    told = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
+    found = {atom: told[made == atom] for atom in Atom}
+    table = np.array([np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()])
+    if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
+        found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]
+        table[Atom.FORWARD, 0] = np.median(bends[:, 0]) if len(bends) else 0.0
     for one, other, mirror in ((Atom.LEFT, Atom.RIGHT, (1.0, -1.0)), (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0))):
         for this, opposite in ((one, other), (other, one)):
-            if not found[this] and found[opposite]:
+            if not len(found[this]) and len(found[opposite]):
                 table[this] = table[opposite] * mirror
     return table
 
 
 def turns_ahead(movements: NDArray[np.float64]) -> bool:
-    """Tell whether the robot is a car, which goes ahead in turning: nearer to its way straight on than to none.
-
-    Parameters
-    ----------
-    movements : float64 array (5, 2)
-        From `atom_movements`.
-    """
+    """Tell by `atom_movements` (5, 2) if the robot is a car, which in turning goes over half its way straight on."""
     ahead = np.abs(movements[:, 0])
     return bool(ahead[[Atom.LEFT, Atom.RIGHT]].max() > 0.5 * ahead[Atom.FORWARD])
 
 
 def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Add up the usual movements of atoms.
+    """Add up what atoms (f,) usually do (`atom_movements`, (5, 2)): x, y and heading of every frame, (f, 3).
 
-    Parameters
-    ----------
-    atoms : int array (f,)
-    movements : float64 array (5, 2)
-        From `atom_movements`.
-
-    Returns
-    -------
-    float64 array (f, 3)
-        x, y and heading of every frame, from (0, 0, 0); a turn is made half before the way ahead and half after.
+    From (0, 0, 0); a turn is made half before the way ahead and half after.
     """
     ahead, turn = movements[atoms[:-1]].T
     heading = np.concatenate([[0.0], np.cumsum(turn)])
