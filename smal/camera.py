@@ -146,20 +146,9 @@ class Scene:
     distance: float
 
     def warp(self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0) -> Image:
-        """Return what is seen from a pose beside the one at which an image was taken.
+        """Return what is seen from ahead and left of where an image (height, width, 3) was taken, and turned left.
 
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-        ahead, left : float
-            Where the other pose is, in the unit of the scene.
-        turn_rad : float
-            How far it is turned left.
-
-        Returns
-        -------
-        uint8 array (height, width, 3)
-            What the image does not show repeats its border.
+        Lengths are in the unit of the scene. What the image does not show repeats its border.
         """
         return remapped(image, self.maps(image.shape[:2], ahead, left, turn_rad))
 

@@ -85,13 +85,7 @@ class Demonstration:
 
 
 def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
-    """Check that there are demonstrations, with so many features a frame.
-
-    Raises
-    ------
-    ValueError
-        There is none, or one has another number of features.
-    """
+    """Raise ValueError if there is no demonstration, or one has not so many features a frame."""
     if not demonstrations:
         raise ValueError("there is no demonstration to learn from")
     for one in demonstrations:

@@ -5,8 +5,8 @@ turned; or that the robot is nowhere near what was taught. A particle filter (Go
 Burgard and Fox 2005, chapters 4 and 8) keeps it:
 
 * *Prediction* moves every particle by what the wheels say (or by what the atom usually does), with noise.
-* *Update* weighs it by what the view says of its place (`smal.likelihood`), for as much of the view as is new. A place
-  elsewhere has the likelihood 1, and so has "lost": whether the robot is lost is a matter of probability.
+* *Update* weighs it by what the view says of its place (`smal.likelihood`), for as much of the view as is new. "Lost"
+  has the likelihood 1, as a place elsewhere has.
 * A *jump* is the one thing that the wheels do not tell: the robot was carried, or the filter follows a wrong place.
   It may happen with every new view, and is the likelier the less a view looks like the one just before.
 * A second set of particles is where the robot is if it has jumped. Scouts join it with every view: half of them near

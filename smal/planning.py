@@ -100,19 +100,7 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
 
 
 class Planner:
-    """Turns beliefs into atoms.
-
-    Parameters
-    ----------
-    visual_map : VisualMap
-    goal : str, optional
-        Where to go; may be left out where all drives lead to one goal.
-
-    Raises
-    ------
-    ValueError
-        No drive leads to the goal, or none is named where there are several.
-    """
+    """Turns beliefs into atoms that lead to a goal; see `chosen_goal` for the one that is meant."""
 
     def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
         self._map = visual_map

@@ -21,14 +21,10 @@ class Place:
 
     Parameters
     ----------
-    drive : int
-        Which of the drives that the map holds.
-    frame : int
-        Taught frame, counted over all drives of the map.
-    ahead, left : float
-        Of the robot as seen from there, metres (or forward atoms, without odometry).
-    turned_rad : float
-        How far the robot is turned left against it.
+    drive, frame : int
+        Of the map; frames are counted over all its drives.
+    ahead, left, turned_rad : float
+        Of the robot as seen from there: metres (or forward atoms, without odometry), and radians to the left.
     probability : float
         Of being beside that frame, given that the robot is not lost.
     """
@@ -49,7 +45,6 @@ class Localizer:
     model : Model
     seed : int
         Of the filter's noise.
-
 
     Attributes
     ----------
@@ -82,8 +77,8 @@ class Localizer:
         raw_features : array (m,)
             From `smal.features.extract`.
         odometry : (x, y, heading in radians), optional
-            Pose by the wheels at the frame; does not count where the drives had none, since it has another unit than
-            the map. A frame without it, and without atoms, says nothing of the movement: the next pose does.
+            Pose by the wheels at the frame; does not count where the drives had none: the map then has another unit.
+            A frame without it, and without atoms, says nothing of the movement: the next pose does.
         atoms : sequence of Atom
             Made since the frame before, for equal parts of the time; they count where there is no odometry.
         elapsed_s : float, optional
@@ -139,8 +134,7 @@ class Robot:
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
         self._map = model.mapped
-        self._localizer = Localizer(model, seed)
-        self._planner = Planner(self._map, goal)
+        self._localizer, self._planner = Localizer(model, seed), Planner(model.mapped, goal)
         self.reset()
 
     def reset(self) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
-from smal.place_recognition.as_published import match_as_in_the_paper
 from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
+from smal.place_recognition.paper_matching import match_as_in_the_paper
 from smal.place_recognition.places import match_places
 from smal.place_recognition.seqslam import match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses

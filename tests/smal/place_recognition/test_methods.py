@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from smal import solve
 from smal.features import FeatureSettings
 from smal.paper.phase import matched_phase
-from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
+from smal.place_recognition.paper_matching import LAMBDA_SCALE, match_as_in_the_paper
 from tests.smal.place_recognition.traverses import Road, Walk, unit
 
 N, FIRST, LAST = 100, 20, 80
