@@ -99,7 +99,8 @@ def shows_same(poses: NDArray[np.float64], pose: NDArray[np.float64], length: fl
 def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.bool_]:
     """Tell which frames a robot is to pass, (f,).
 
-    What lies between two frames that show the same led nowhere: a wrong turn and its correction, a way and back.
+    What lies before a frame that came back to what another one shows led nowhere: a wrong turn and its correction, a
+    way and back. What went round something did not come back: it is further from there than half of its way.
     """
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     way = np.concatenate([[0.0], np.cumsum(steps)])
@@ -109,9 +110,12 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
         on[frame] = True
         end = np.searchsorted(drives, drives[frame], "right")
         end = min(end, np.searchsorted(way, way[frame] + SETTINGS.mended * length, "right"))
-        same = shows_same(poses[frame + 1 : end], poses[frame], length)
-        last = int(np.flatnonzero(same).max(initial=-1))
-        frame += 1 if same[: last + 1].all() else last + 1
+        later, since = poses[frame + 1 : end], way[frame + 1 : end] - way[frame]
+        apart = np.hypot(*(later - poses[frame])[:, :2].T)
+        # Who turns on the spot creeps ahead a little.
+        back = shows_same(later, poses[frame], length) & (apart < np.maximum(since, 0.1 * length) / 2.0)
+        last = int(np.flatnonzero(back).max(initial=-1))
+        frame += 1 if back[: last + 1].all() else last + 1
     return on
 
 

@@ -44,9 +44,20 @@ def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(keys: list[tuple
     assert on[0]
     assert on[-1]
     assert all(shows_same(after[None], before, LENGTH_M)[0] for before, after in itertools.pairwise(way))
+    steps = np.hypot(*np.diff(way[:, :2], axis=0).T)
     for first in range(len(way)):
-        same = np.flatnonzero(shows_same(way[first:], way[first], LENGTH_M))
-        assert same.size == same[-1] + 1
+        same = shows_same(way[first + 1 :], way[first], LENGTH_M)
+        apart = np.hypot(*(way[first + 1 :] - way[first])[:, :2].T)
+        back = np.flatnonzero(same & (apart < np.cumsum(steps[first:]) / 2.0))
+        assert same[: back.max(initial=-1) + 1].all()
+
+
+def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
+    turn, ahead = [Atom.LEFT] * 10, [Atom.FORWARD] * 4
+    atoms = [*ahead, *turn, *ahead, *[Atom.RIGHT] * 20, *ahead, *turn, *ahead, Atom.STOP]
+    poses = dead_reckoning(np.array(atoms), MOVEMENTS)
+    on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), 5.0)
+    assert poses[on, 1].max() == pytest.approx(poses[:, 1].max())
 
 
 def test_who_pauses_teaches_no_longer_way() -> None:
