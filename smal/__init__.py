@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from smal.movement import Atom as Atom
     from smal.paper.state_matching import Solution as Solution
     from smal.paper.state_matching import solve as solve
+    from smal.place_recognition.matching import match as match
     from smal.planning import Decision as Decision
     from smal.robot import Robot as Robot
 
@@ -38,6 +39,7 @@ _FILES = {
     "extract": "features",
     "fit": "mapping",
     "learn": "mapping",
+    "match": "place_recognition.matching",
     "solve": "paper.state_matching",
 }
 __all__ = list(_FILES)

@@ -1,4 +1,4 @@
-"""``smal match``: which frame of one image folder shows the place of each frame of another."""
+"""``smal match``: which frame of one traverse shows the place of each frame of another, or one before it."""
 
 import time
 from contextlib import closing
@@ -11,9 +11,17 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.progress import Bars
-from services.experiments.matching.image_folder import ImageFolder, Traverse, describe_frames, list_folder
-from services.experiments.matching.report import Quality, Result, as_json, as_text, in_folders, title_of
-from services.experiments.matching.truth_file import read_truth
+from services.experiments.matching.page import judging_page
+from services.experiments.matching.report import Quality, Result, as_g2o, as_json, as_text, in_sources, title_of
+from services.experiments.matching.sources import Source, open_source
+from services.experiments.matching.traverse import Traverse, describe_frames
+from services.experiments.matching.truth_file import (
+    gps_positions,
+    read_positions,
+    read_truth,
+    truth_by_names,
+    truth_by_positions,
+)
 from services.experiments.words import counted
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth
@@ -22,6 +30,8 @@ from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
+#: Loops are kept that are right so often, unless told otherwise: a wrong one bends a whole map.
+_LOOP_PRECISION: Final = 0.99
 _METHODS: Final = "; ".join(
     f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()
@@ -29,8 +39,8 @@ _METHODS: Final = "; ".join(
 
 
 def match(
-    reference_dir: Annotated[Path, Argument(metavar="REFERENCE_DIR", help="Images of the traverse that is known.")],
-    query_dir: Annotated[Path, Argument(metavar="QUERY_DIR", help="Images of the traverse to be recognized.")],
+    reference: Annotated[Path, Argument(metavar="REFERENCES", help="The traverse that is known; see above.")],
+    query: Annotated[Path | None, Argument(metavar="[QUERIES]", help="The traverse to be recognized.")] = None,
     name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,
@@ -39,60 +49,88 @@ def match(
     tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
     precision: Annotated[float | None, Option(min=0.0, max=1.0, help="Keep as many as are right so often.")] = None,
     reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
-    query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERY_DIR.")] = None,
-    truth: Annotated[Path | None, Option(metavar="CSV", help="What is right; see above.")] = None,
+    query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERIES.")] = None,
+    truth: Annotated[str | None, Option(metavar="CSV|names|gps", help="What is right; see above.")] = None,
+    poses: Annotated[
+        tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files; see above.")
+    ] = None,
+    radius: Annotated[float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")] = None,
+    loops: Annotated[
+        Path | None, Option(metavar="FILE", help="Match REFERENCES with itself; write edges of g2o.")
+    ] = None,
     json_file: options.JsonFile = None,
     plot: Annotated[Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")] = None,
+    page: Annotated[Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")] = None,
 ) -> None:
-    """Find for every image of one folder the image of another that was taken at the same place.
+    """Find for every image of one traverse the image of another that was taken at the same place.
 
-    Frames are a folder's images in natural order (img2 before img10), counted from 0. Any format and size that OpenCV
-    reads will do, grey or with 16 bits as well. An image that cannot be read is skipped and keeps its number.
+    A traverse is a folder of images in natural order (img2 before img10), a video, or a recording of SMAL (.mcap); its
+    frames count from 0. Any format and size that OpenCV reads will do, grey or with 16 bits as well. An image that
+    cannot be read is skipped and keeps its number. Features are kept in $XDG_CACHE_HOME/smal (~/.cache/smal, at most
+    2 GB), so that the next run with the same images takes seconds.
 
     The score of smal is the probability that the match is right, to --tolerance frames (by default as far as references
     look alike, with --truth half of what usually is right). So --precision .99 keeps as many matches as are right in 99
     of 100 cases, and leaves out places that no reference shows. Scores of the other methods order the matches of one
     run, no more; their first queries have no match, as long as no window of --length frames ends there.
 
-    What all images of a folder have in common, as its light, is taken away (but by paper and image), and smal looks at
-    all queries before it answers: the more there are, the better it works. With --online LAG it answers a query by
+    What all images of a traverse have in common, as its light, is taken away (but by paper and image), and smal looks
+    at all queries before it answers: the more there are, the better it works. With --online LAG it answers a query by
     those up to LAG frames later: 0 as soon as it is seen.
 
-    Depth images have 16 bits, in millimetres; --reference-depth has one for each of REFERENCE_DIR, in the same order.
+    --loops FILE needs no QUERIES: each frame is matched with those long before it, at --precision .99. FILE gets an
+    edge of g2o for each: EDGE_SE2 EARLIER LATER 0 0 0, information the score for x and y, 0 for the heading.
+
+    Depth images have 16 bits, in millimetres; --reference-depth has one for each of REFERENCES, in the same order.
 
     The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
     (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
-    shows has the row 7,, and one without a row is not judged. It adds the area under the precision-recall curve (auc)
-    and the recall at 100 % precision, both with 95 % intervals and of what is left; how far probabilities are off the
-    share that is right (expected calibration error); and how often a known query is told from an unknown one.
+    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place,
+    --truth gps those within --radius metres by EXIF, and --poses by two files with the columns frame, x_m, y_m. It adds
+    the area under the precision-recall curve (auc) and the recall at 100 % precision, both with 95 % intervals and of
+    what is left; how far probabilities are off the share that is right (expected calibration error); and how often a
+    known query is told from an unknown one.
+
+    --page FILE shows the matches as images, the 200 most doubtful ones, first of all those; say there which are right,
+    and save a file for --truth.
 
     The JSON has all of this; the names of frames, read or not; and "matches", one for each query frame: {"query",
     "reference", "score", "unknown"}, reference null and score 0 where there is none, unknown the probability that no
     reference shows the query.
 
-    Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png
+    Examples: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png;
+    smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps --radius 5;
+    smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops loops.g2o
     """
-    probable = {"--tolerance": tolerance, "--online": online, "--precision": precision}
+    probable = {"--tolerance": tolerance, "--online": online, "--precision": precision, "--loops": loops}
     method = _method_of(name, length, modalities, probable)
     settings = MatchSettings(modalities or method.features, length or method.length, tolerance, online)
-    folders = [one for one in (reference_dir, query_dir, reference_depth, query_depth) if one is not None]
-    _check_outputs(json_file, plot, [] if truth is None else [truth], folders)
-    known, asked = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
+    settings = replace(settings, loops=loops is not None)
+    precision = _LOOP_PRECISION if loops is not None and precision is None else precision
+    if (query is None) != settings.loops:
+        raise UsageError("QUERIES: missing; --loops FILE does without" if query is None else "--loops: has no QUERIES")
+    read = [one for one in (reference, query, reference_depth, query_depth) if one is not None]
+    told = [Path(truth)] if truth else [*(poses or ())]
+    files = {"--json": json_file, "--loops": loops, "--page": page, "--plot": plot}
+    _check_outputs(files, [*told, *read], read)
+    known = open_source(reference, "REFERENCES")
+    asked = known if query is None else open_source(query, "QUERIES")
+    query_depth = reference_depth if settings.loops else query_depth
     named = (("--reference-depth", reference_depth, known), ("--query-depth", query_depth, asked))
     depths = [_depth_folder(settings.features, *one) for one in named]
-    expected = None if truth is None else read_truth(truth, len(asked.frames), len(known.frames))
+    expected = _truth(truth, poses, radius, tolerance or 0, known, asked)
     if expected is not None and method.probable and tolerance is None:
         settings = replace(settings, tolerance=expected.tolerance)
     began_s = time.perf_counter()
     references = describe_frames(known, settings.features, depths[0], "reading references")
-    queries = describe_frames(asked, settings.features, depths[1], "reading queries")
+    queries = references if query is None else describe_frames(asked, settings.features, depths[1], "reading queries")
     read_s = time.perf_counter()
-    for one in (references, queries):
+    for one in (references, queries)[: 1 if settings.loops else 2]:
         one.say_skipped()
         if one.numbers.size < settings.length:
             few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
-            raise JobError(f"{one.folder.path}: {few}; choose a shorter --length")
-    found = in_folders(_match(method, references, queries, settings), references, queries)
+            raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
+    found = in_sources(_match(method, references, queries, settings), references, queries)
     matches = found if tau is None else found.above(tau)
     matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
@@ -100,23 +138,48 @@ def match(
     unsure = int(found.matched.sum() - matches.matched.sum())
     chosen: dict[str, object] = {"method": name, "length": settings.length if method.any_length else None}
     chosen |= {"tolerance": settings.tolerance, "online": online, "tau": tau, "precision": precision}
-    result = Result(chosen, settings, references, queries, matches, unsure, quality, seconds)
+    result = Result(chosen, settings, references, queries, matches, unsure, quality, seconds, method.probable)
     written: list[Path] = []
     try:
-        if json_file is not None:
-            outputs.write_json(json_file, "--json", as_json(result))
-            written.append(json_file)
-        if plot is not None:
-            _draw(plot, result, expected)
-            written.append(plot)
+        for option, path in files.items():
+            if path is not None:
+                _write(option, path, result, expected)
+                written.append(path)
     finally:
         # Also where a file cannot be written: the figures have cost their time.
         for line in as_text(result, written):
             typer.echo(line)
 
 
+def _truth(
+    truth: str | None,
+    poses: tuple[Path, Path] | None,
+    radius: float | None,
+    tolerance: int,
+    known: Source,
+    asked: Source,
+) -> IntervalTruth | None:
+    """Read what is right, if it is told: a table, or names or positions of frames."""
+    if (by_radius := truth == "gps" or poses is not None) != (radius is not None):
+        raise UsageError("--radius: is missing" if by_radius else "--radius: belongs to --truth gps and to --poses")
+    if truth is not None and poses is not None:
+        raise UsageError("--poses: --truth says already what is right; give one of them")
+    if known is asked and (by_radius or truth == "names"):
+        raise UsageError("--loops: every frame is near itself and named so; --truth takes a file")
+    if radius is not None and poses is not None:
+        here, there = (
+            read_positions(one, len(source.frames)) for one, source in zip(poses, (known, asked), strict=True)
+        )
+        return truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
+    if radius is not None:
+        return truth_by_positions(*gps_positions(known, asked), radius, f"--truth gps, within {radius:g} m")
+    if truth == "names":
+        return truth_by_names(known.frames, asked.frames, tolerance)
+    return None if truth is None else read_truth(Path(truth), len(asked.frames), len(known.frames))
+
+
 def _method_of(
-    name: str, length: int | None, modalities: FeatureSettings | None, probable: dict[str, float | None]
+    name: str, length: int | None, modalities: FeatureSettings | None, probable: dict[str, float | Path | None]
 ) -> Method:
     """Take a method of the table; options that only those with probabilities know are given by their names."""
     if name not in METHODS:
@@ -133,23 +196,23 @@ def _method_of(
     return method
 
 
-def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
-    for path, option in ((json_file, "--json"), (plot, "--plot")):
+def _check_outputs(files: dict[str, Path | None], read: list[Path], folders: list[Path]) -> None:
+    given = {option: path for option, path in files.items() if path is not None}
+    for option, path in given.items():
         outputs.check_file(path, option, read, folders)
-    if plot is None:
-        return
-    if plot.suffix.lower() not in _PLOT_FORMATS:
+        same = [other for other, one in given.items() if other < option and one.resolve() == path.resolve()]
+        if same:
+            raise UsageError(f"{option} {path}: is also the file of {same[0]}; give another name")
+    if (plot := files["--plot"]) is not None and plot.suffix.lower() not in _PLOT_FORMATS:
         raise UsageError(f"--plot {plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}")
-    if json_file is not None and json_file.resolve() == plot.resolve():
-        raise UsageError(f"--plot {plot}: is also the file of --json; give another name")
 
 
-def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: ImageFolder) -> ImageFolder | None:
+def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: Source) -> Source | None:
     if path is None or "depth" not in features.needs:
         if path is not None or "depth" in features.needs:
             raise UsageError(f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it")
         return None
-    folder = list_folder(path, option)
+    folder = open_source(path, option)
     if (count := len(folder.frames)) != len(colour.frames):
         raise UsageError(f"{option} {path}: has {count} images, and {colour.path} has {len(colour.frames)}")
     return folder
@@ -163,15 +226,20 @@ def _match(method: Method, references: Traverse, queries: Traverse, settings: Ma
                 references.features, queries.features, settings, lambda done: bars("matching", done, sizes[0])
             )
         except ValueError as error:
-            raise JobError(f"cannot match these folders: {error}") from None
+            raise JobError(f"cannot match these traverses: {error}") from None
         except MemoryError:
             raise JobError("matching {} and {} frames takes more memory than there is".format(*sizes)) from None
 
 
-def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
+def _write(option: str, path: Path, result: Result, truth: IntervalTruth | None) -> None:
+    texts = {"--json": as_json, "--loops": as_g2o, "--page": judging_page}
+    if option != "--plot":
+        with outputs.writing(path, option) as file:
+            file.write(texts[option](result).encode())
+        return
     from services.experiments.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
 
-    count = len(result.references.folder.frames)
+    count = len(result.references.source.frames)
     figure = draw_matches(result.matches, count, truth, result.quality, title_of(result))
-    with outputs.writing(plot, "--plot") as file:
-        figure.savefig(file, dpi=150, format=plot.suffix[1:].lower())
+    with outputs.writing(path, option) as file:
+        figure.savefig(file, dpi=150, format=path.suffix[1:].lower())

@@ -58,7 +58,7 @@ def titled(figure: "Figure", title: str, said: str) -> str:
 def strip(pictures: "Mapping[str, NDArray[np.uint8]]") -> str:
     """Show camera images, (height, width, 3) RGB, beside each other, each with what it is."""
     figures = (
-        f"<figure>{image(encode_jpeg(shrunk(seen, _FRAME_PX)), said, 'jpeg')}"
+        f"<figure>{image(encode_jpeg(shrunk(seen, min(_FRAME_PX, seen.shape[1]))), said, 'jpeg')}"
         f"<figcaption>{html.escape(said)}</figcaption></figure>"
         for said, seen in pictures.items()
     )

@@ -40,7 +40,7 @@ class Centering:
             raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod
-    def fit(cls, raw: NDArray[np.float32] | Sequence[NDArray[np.float32]], settings: FeatureSettings) -> Self:
+    def fit(cls, raw: NDArray[Any] | Sequence[NDArray[Any]], settings: FeatureSettings) -> Self:
         """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
         parts = [raw] if isinstance(raw, np.ndarray) else raw
         wrong = [part.shape for part in parts if part.ndim != 2 or part.shape[1] != settings.size]

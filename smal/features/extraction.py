@@ -1,6 +1,10 @@
 """From the images of a frame to a raw feature vector."""
 
-from typing import Any
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +13,23 @@ from smal.features import color
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
 from smal.features.settings import FeatureSettings
+
+#: Each holds one decoded image, 300 MB of the largest that OpenCV is allowed to decode.
+_WORKERS: Final = min(4, os.cpu_count() or 1)
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+
+def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
+    """Yield what a function makes of each item, in order; threads are a few items ahead."""
+    waiting = deque[Future[Answer]]()
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > 2 * _WORKERS:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
 
 def extract(

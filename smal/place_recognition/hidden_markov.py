@@ -5,14 +5,15 @@ rare, and what runs off the end of the references is nowhere among them. Frames 
 """
 
 import math
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterator
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 Array = NDArray[np.float32]
+Seen = NDArray[Any]
 
 #: References to one query, forwards; the same again backwards.
 SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
@@ -31,40 +32,49 @@ class Chain:
 
     def __init__(self, references: int) -> None:
         self._shape = 2 * len(SPEEDS), references
-        self._speeds = np.kron(np.eye(2), _changes()).astype(np.float32)
-        advances = [sign * speed for sign in (1, -1) for speed in SPEEDS]
-        moves = [_moved(references, advance) for advance in advances]
-        self._move = sparse.block_diag(moves, format="csr", dtype=np.float32)
+        stays = 1.0 - _JUMP - _LEAVES
+        self._speeds = (stays * np.kron(np.eye(2), _changes())).astype(np.float32)
+        moves = [_moved(references, sign * speed) for sign in (1, -1) for speed in SPEEDS]
+        # With a row and a column of zeros for "none".
+        self._move = sparse.block_diag([*moves, [[0.0]]], format="csr", dtype=np.float32)
         self._unmove = self._move.T.tocsr()
-        self._stays = np.float32(1.0 - _JUMP - _LEAVES)
         # What does not stay among the references has left them.
-        stays = self._speeds.T @ (self._unmove @ np.ones(self._move.shape[0], np.float32)).reshape(self._shape)
-        self._leaves = _LEAVES + self._stays * (1.0 - stays.ravel())
+        ones = np.ones(self._move.shape[0], np.float32)
+        self._leaves = 1.0 - _JUMP - self._mixed(self._speeds.T, self._unmove @ ones)[:-1]
 
     def first(self) -> Array:
         """Return the belief before the first query."""
-        states = self._move.shape[0]
+        states = self._move.shape[0] - 1
         return np.append(np.full(states, (1.0 - _FIRST_NONE) / states), _FIRST_NONE).astype(np.float32)
 
     def ahead(self, belief: Array) -> Array:
-        """Return the belief at the next query, before it is seen."""
-        places, none = belief[:-1], belief[-1]
-        spread = (_JUMP * places.sum() + _RETURNS * none) / places.size
-        moved = self._stays * (self._move @ (self._speeds @ places.reshape(self._shape)).ravel()) + spread
-        return np.append(moved, (1.0 - _RETURNS) * none + self._leaves @ places)
+        """Return the belief, of sum 1, at the next query, before it is seen."""
+        none = belief[-1]
+        after = self._move @ self._mixed(self._speeds, belief)
+        after += (_JUMP * (1.0 - none) + _RETURNS * none) / (belief.size - 1)
+        after[-1] = (1.0 - _RETURNS) * none + self._leaves @ belief[:-1]
+        return after
 
     def back(self, message: Array) -> Array:
         """Return what a message about the next query says about this one: the adjoint of `ahead`."""
-        places, none = message[:-1], message[-1]
-        mean = places.mean()
-        moved = (self._speeds.T @ (self._unmove @ places).reshape(self._shape)).ravel()
-        there = self._stays * moved + (_JUMP * mean + self._leaves * none)
-        return np.append(there, (1.0 - _RETURNS) * none + _RETURNS * mean)
+        none, mean = message[-1], message[:-1].mean()
+        before = self._mixed(self._speeds.T, self._unmove @ message)
+        before[:-1] += _JUMP * mean + self._leaves * none
+        before[-1] = (1.0 - _RETURNS) * none + _RETURNS * mean
+        return before
 
     def seen(self, belief: Array, ratios: Array) -> Array:
         """Weigh a belief by what a query says, and scale it to a sum of 1."""
-        weighed = np.append((belief[:-1].reshape(self._shape) * ratios).ravel(), belief[-1])
-        return np.asarray(weighed / weighed.sum(), dtype=np.float32)
+        weighed = belief.copy()
+        weighed[:-1].reshape(self._shape)[:] *= ratios
+        weighed /= weighed.sum()
+        return weighed
+
+    def _mixed(self, speeds: Array, belief: Array) -> Array:
+        """Return a belief, or a message, after a change of speeds; of none nothing."""
+        mixed = np.zeros_like(belief)
+        np.matmul(speeds, belief[:-1].reshape(self._shape), out=mixed[:-1].reshape(self._shape))
+        return mixed
 
     def at_references(self, belief: Array) -> tuple[Array, float]:
         """Return the probabilities of the references (n,), and that none shows the query."""
@@ -91,14 +101,13 @@ def _moved(references: int, advance: float) -> sparse.dia_array:
     return sparse.dia_array((np.repeat(shares, references).reshape(2, -1), (-whole, -whole - 1)), (references,) * 2)
 
 
-def smoothed(chain: Chain, z: Array, ratios: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Return the probabilities of the references (q, n) given all queries, and of none (q,): forward-backward.
+def smoothed(chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]) -> Iterator[tuple[int, Array, float]]:
+    """Yield each query, the probabilities of the references (n,) given all queries, and of none: forward-backward.
 
-    Queries (q, n) say what the likelihood ratios of their rows are, here against elsewhere. Of the beliefs, which are
-    many times as large, only some are kept, and those between them are computed again.
+    Of what was seen, (q, n), `ratios` says what the likelihood ratios are, here against elsewhere. The last comes
+    first. Of the beliefs, which are many times as large, only some are kept, and those between computed again.
     """
-    block = math.isqrt(len(z) - 1) + 1
-    there, none = np.empty_like(z), np.empty(len(z), np.float32)
+    block = math.isqrt(len(seen) - 1) + 1
 
     def forward(belief: Array, rows: Array) -> list[Array]:
         """Return the beliefs at some queries, of the one before the first of them is seen."""
@@ -108,12 +117,11 @@ def smoothed(chain: Chain, z: Array, ratios: Callable[[Array], Array]) -> tuple[
         return found
 
     before = [chain.first()]
-    for start in range(0, len(z) - block, block):
-        before.append(chain.ahead(forward(before[-1], ratios(z[start : start + block]))[-1]))
+    for start in range(0, len(seen) - block, block):
+        before.append(chain.ahead(forward(before[-1], ratios(seen[start : start + block]))[-1]))
     message = np.ones_like(before[0])
     for number in reversed(range(len(before))):
-        start, rows = number * block, ratios(z[number * block : (number + 1) * block])
+        start, rows = number * block, ratios(seen[number * block : (number + 1) * block])
         for place, belief in reversed(list(enumerate(forward(before[number], rows)))):
-            there[start + place], none[start + place] = chain.at_references(belief * message)
+            yield start + place, *chain.at_references(belief * message)
             message = chain.back(chain.seen(message, rows[place]))
-    return there, none

@@ -15,17 +15,21 @@ from smal.place_recognition.places import match_places
 from smal.place_recognition.seqslam import match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses
 
-Features = NDArray[np.float32]
+Features = NDArray[np.float32] | NDArray[np.float16]
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What can be chosen of a method: features, frames l of a window, and of `smal` what `match_places` says."""
+    """What can be chosen of a method: features, frames l of a window, and of `smal` what `match_places` says.
+
+    For loops the queries are the references.
+    """
 
     features: FeatureSettings
     length: int = 1
     tolerance: int | None = None
     lag: int | None = None
+    loops: bool = False
 
 
 #: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows of both.
@@ -58,8 +62,11 @@ class Method:
 
 
 def _smal(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    centred = centre_traverses(references, queries, settings.features, causal=settings.lag is not None)
-    return match_places(*centred, settings.tolerance, settings.lag, progress)
+    if settings.loops:
+        centred = (Centering.fit(references, settings.features).apply(references),) * 2
+    else:
+        centred = centre_traverses(references, queries, settings.features, causal=settings.lag is not None)
+    return match_places(*centred, settings.tolerance, settings.lag, progress, loops=settings.loops)
 
 
 def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
@@ -68,7 +75,7 @@ def _nearest(references: Features, queries: Features, settings: MatchSettings, p
 
 
 def _seqslam(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    return match_seqslam(references, queries, settings.length, progress)
+    return match_seqslam(references.astype(np.float32), queries.astype(np.float32), settings.length, progress)
 
 
 def _paper(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:

@@ -9,14 +9,22 @@ query is new.
 import math
 from collections import deque
 from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.features.extraction import in_parallel
 from smal.likelihood import GRID, log_ratio, over
 from smal.place_recognition.hidden_markov import Array, Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
+
+#: How far queries stand out at references, in steps of z.
+Levels = NDArray[np.uint16]
+#: A query, the probabilities of references (n,), and of none.
+Answer = tuple[int, Array, float]
 
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
@@ -25,10 +33,18 @@ _MEAN, _SPREAD, _CORRELATION, _PRIOR_QUERIES = 2.0, 1.5, 1.0 / 3.0, 5
 #: query says (log ratio).
 _LEAST_SPREAD, _MOST_CORRELATION, _MOST_SAID = 0.3, 0.7, 30.0
 _ROUNDS: Final = 6
-#: Ratios are looked up at so many z between two of the `GRID`.
+#: z is held as one of so many levels between two of the `GRID`; after them come that a blank query says nothing, and
+#: that a loop does not lead to a reference.
 _FINE: Final = 16
+_LEVELS: Final = np.linspace(GRID[0], GRID[-1], _FINE * (GRID.size - 1) + 1)
+_SILENT, _NEVER = _LEVELS.size, _LEVELS.size + 1
+_Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
 #: A step shorter than this share of one in moving is one of standing still.
 _STANDING: Final = 0.4
+#: It learns from stretches of so many queries, at most as many of them.
+_STRETCH, _STRETCHES = 500, 4
+#: Queries whose cosines are computed at a time.
+_BLOCK: Final = 256
 
 
 class Evidence:
@@ -37,14 +53,14 @@ class Evidence:
     def __init__(self, mean: float = _MEAN, spread: float = _SPREAD, correlation: float = _CORRELATION) -> None:
         ratio = log_ratio(_normal((GRID - mean) / spread) / spread, _normal(GRID))
         new = (1.0 - correlation) / (1.0 + correlation)
-        fine = np.linspace(GRID[0], GRID[-1], _FINE * (GRID.size - 1) + 1)
-        said = np.clip(new * np.interp(fine, GRID, ratio), -_MOST_SAID, _MOST_SAID)
-        self._ratio, self._step = np.exp(said).astype(np.float32), np.float32(fine[1] - fine[0])
+        said = np.clip(new * np.interp(_LEVELS, GRID, ratio), -_MOST_SAID, _MOST_SAID)
+        self._ratio = np.append(np.exp(said), [1.0, 0.0]).astype(np.float32)
 
     @classmethod
-    def learn(cls, z: Array, there: Array) -> "Evidence":
+    def learn(cls, levels: Levels, there: Array) -> "Evidence":
         """Measure it on queries (q, n) that are believed to show references with probabilities (q, n)."""
-        prior, believed, total = _PRIOR_QUERIES, float(there.sum(dtype=np.float64)), float(np.einsum("ij,ij", there, z))
+        z, prior, believed = _Z[levels], _PRIOR_QUERIES, float(there.sum(dtype=np.float64))
+        total = float(np.einsum("ij,ij", there, z))
         mean = (total + prior * _MEAN) / (believed + prior)
         scatter = float(np.einsum("ij,ij,ij", there, z, z)) - 2.0 * mean * total + believed * mean**2
         spread = max(math.sqrt(max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)), _LEAST_SPREAD)
@@ -52,14 +68,19 @@ class Evidence:
         correlation = float(off[1:] @ off[:-1] + _CORRELATION * usual) / float(off @ off + usual)
         return cls(mean, spread, min(max(correlation, 0.0), _MOST_CORRELATION))
 
-    def of(self, z: Array) -> Array:
-        """Return the likelihood ratio of each z of queries (..., n); a blank one says nothing."""
-        place = ((z - np.float32(GRID[0])) / self._step + np.float32(0.5)).astype(np.int32)
-        return np.where(z.any(axis=-1, keepdims=True), self._ratio.take(place, mode="clip"), np.float32(1.0))
+    def of(self, levels: Levels) -> Array:
+        """Return the likelihood ratios of levels."""
+        return self._ratio[levels]
 
 
 def match_places(
-    references: Array, queries: Array, tolerance: int | None = None, lag: int | None = None, progress: Progress = ignore
+    references: Array,
+    queries: Array,
+    tolerance: int | None = None,
+    lag: int | None = None,
+    progress: Progress = ignore,
+    *,
+    loops: bool = False,
 ) -> Matches:
     """Match every query with the reference that it most probably shows.
 
@@ -68,11 +89,14 @@ def match_places(
     references, queries : float32 arrays (n, m), (q, m)
         At least one of each, in order, centred and weighted (`smal.place_recognition.traverse_centering`).
     tolerance : int, optional
-        References so many frames away are right as well; None for those that look alike (`looks_alike`).
+        References so many frames away are right as well; None for those that look alike (`alike`).
     lag : int, optional
         Answer each query by the queries up to so many after it; by all of them if None.
     progress : callable
         Called with the number of queries that are done.
+    loops : bool
+        The queries are the references, and each is matched with those before it that are too far back to look alike
+        because they are near.
 
     Returns
     -------
@@ -85,29 +109,26 @@ def match_places(
         The features do not fit each other or are not finite.
     """
     check_features(references, queries)
-    steps = np.linalg.norm(np.diff(references, axis=0), axis=1)
-    standing = _STANDING * float(np.quantile(steps, 0.75)) if steps.size else 0.0
+    steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]
+    standing = _STANDING * float(np.quantile(steps, 0.75)) if steps else 0.0
     known, asked = moving(references, standing), moving(queries, standing)
-    places = references[known]
-    tolerance = looks_alike(places) if tolerance is None else tolerance
-    z = queries[asked] @ places.T
-    for row in z:
-        row[:] = over(row, float(row.mean()), float(row.std()))
-    chain, there, none = Chain(len(known)), np.empty_like(z), np.empty(len(z), np.float32)
-    if lag is None:
-        _, there, none = _learned(chain, z, progress)
-    else:
-        for query, answer in enumerate(_followed(chain, z, asked, lag)):
-            there[query], none[query] = answer
-            progress(int(asked[query]) + 1)
-    progress(len(queries))
-    # The middle of each stop.
+    tolerance = alike(references[known], 0.5) if tolerance is None else tolerance
+    levels = _levels(references, queries, known, asked)
+    if loops:
+        apart = max(alike(references[known], 0.0), tolerance + 1)
+        for row in range(len(asked)):
+            levels[row, max(row - apart + 1, 0) :] = _NEVER
+    # The middle of each stop, and which of them are within the tolerance of each.
     frames = (known + np.append(known[1:], len(references)) - 1) // 2
-    found = frames[there.argmax(axis=1)]
-    first, end = np.searchsorted(frames, found - tolerance), np.searchsorted(frames, found + tolerance, "right")
-    score = np.array([row[some].sum(dtype=float) for row, some in zip(there, map(slice, first, end), strict=True)])
-    every = np.searchsorted(asked, np.arange(len(queries)), "right") - 1
-    return Matches(found, score, none.astype(np.float64)).of(every)
+    first, end = np.searchsorted(frames, frames - tolerance), np.searchsorted(frames, frames + tolerance, "right")
+    found, chain = Matches.none(len(asked)), Chain(len(known))
+    answers = _smoothed(chain, levels, progress) if lag is None else _followed(chain, levels, asked, lag, progress)
+    for query, there, none in answers:
+        best = there.argmax()
+        found.reference[query], found.unknown[query] = frames[best], none
+        found.score[query] = there[first[best] : end[best]].sum(dtype=float)
+    progress(len(queries))
+    return found.of(np.searchsorted(asked, np.arange(len(queries)), "right") - 1)
 
 
 def moving(features: Array, standing: float) -> NDArray[np.intp]:
@@ -119,47 +140,74 @@ def moving(features: Array, standing: float) -> NDArray[np.intp]:
     return np.array(kept)
 
 
-def looks_alike(references: Array) -> int:
-    """Return over how many frames the mean cosine of references (n, m) falls to half, at least 1."""
+def alike(references: Array, cosine: float) -> int:
+    """Return over how many frames the mean cosine of references (n, m) falls below one, at least 1."""
     for step in range(1, len(references)):
-        if np.einsum("ij,ij->i", references[step:], references[:-step]).mean() < 0.5:
+        if np.einsum("ij,ij->i", references[step:], references[:-step]).mean() < cosine:
             return step
-    return 1
+    return max(len(references) - 1, 1)
 
 
-def _learned(chain: Chain, z: Array, progress: Progress = ignore) -> tuple[Evidence, Array, Array]:
-    """Return the evidence of queries (q, n), and the probabilities of `smoothed` by which it was learned."""
-    evidence = Evidence()
-    there, none = smoothed(chain, z, evidence.of)
+def _levels(references: Array, queries: Array, known: NDArray[np.intp], asked: NDArray[np.intp]) -> Levels:
+    """Return how far queries stand out at references, for those that are asked and known."""
+    levels = np.empty((len(asked), len(known)), np.uint16)
+    for start in range(0, len(asked), _BLOCK):
+        z = (queries[asked[start : start + _BLOCK]] @ references.T)[:, known]
+        for row, level in zip(z, levels[start : start + _BLOCK], strict=True):
+            row[:] = over(row, float(row.mean()), float(row.std()))
+            place = np.rint((row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0])))
+            level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
+    return levels
+
+
+def _learned(chain: Chain, levels: Levels, progress: Progress = ignore) -> Evidence:
+    """Return the evidence of queries (q, n), learned from a part of them if they are many."""
+    count = min(_STRETCHES, -(-len(levels) // _STRETCH))
+    whole = len(levels) <= count * _STRETCH
+    starts = [0] if whole else np.linspace(0, len(levels) - _STRETCH, count).astype(int).tolist()
+    stretches = [levels[start : len(levels) if whole else start + _STRETCH] for start in starts]
+    evidence, every = Evidence(), np.concatenate(stretches)
     for done in range(1, _ROUNDS):
-        progress(len(z) * done // _ROUNDS)
-        evidence = Evidence.learn(z, there)
-        there, none = smoothed(chain, z, evidence.of)
-    return evidence, there, none
+        answered = in_parallel(partial(_there, chain, evidence), stretches)
+        evidence = Evidence.learn(every, np.concatenate(list(answered)))
+        progress(len(levels) * done // _ROUNDS)
+    return evidence
 
 
-def _followed(chain: Chain, z: Array, frames: NDArray[np.intp], lag: int) -> Iterator[tuple[Array, float]]:
+def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
+    """Return the probabilities (q, n) of a stretch."""
+    return np.array([there for _, there, _ in smoothed(chain, levels, evidence.of)][::-1])
+
+
+def _smoothed(chain: Chain, levels: Levels, progress: Progress) -> Iterator[Answer]:
+    """Yield the probabilities of each query (q, n) by all of them."""
+    return smoothed(chain, levels, _learned(chain, levels, progress).of)
+
+
+def _followed(chain: Chain, levels: Levels, frames: NDArray[np.intp], lag: int, progress: Progress) -> Iterator[Answer]:
     """Yield the probabilities of each query (q, n) by those up to `lag` frames (q,) after it.
 
     Whenever there are twice as many queries as before, what they say is learned again.
     """
     recent = deque[tuple[int, Array, Array]]()
 
-    def oldest() -> tuple[Array, float]:
+    def oldest() -> Answer:
         message = np.ones_like(belief)
         for _, _, ratios in list(recent)[:0:-1]:
             message = chain.back(chain.seen(message, ratios))
-        return chain.at_references(recent.popleft()[1] * message)
+        query, then, _ = recent.popleft()
+        progress(int(frames[query]) + 1)
+        return query, *chain.at_references(then * message)
 
     evidence, belief = Evidence(), chain.first()
-    for query, row in enumerate(z):
+    for query, row in enumerate(levels):
         if query.bit_count() == 1:
-            evidence = _learned(chain, z[:query])[0]
-        while recent and frames[query] - recent[0][0] > lag:
+            evidence = _learned(chain, levels[:query])
+        while recent and frames[query] - frames[recent[0][0]] > lag:
             yield oldest()
         ratios = evidence.of(row)
         belief = chain.seen(chain.ahead(belief) if query else belief, ratios)
-        recent.append((int(frames[query]), belief, ratios))
+        recent.append((query, belief, ratios))
     while recent:
         yield oldest()
 

@@ -5,7 +5,7 @@ of few queries is what these few places look like; of a single one it is all tha
 towards the mean of the references, as if some more frames had been seen.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,14 @@ PRIOR_FRAMES: Final = 5
 
 
 def centre_traverses(
-    references: NDArray[np.float32], queries: NDArray[np.float32], settings: FeatureSettings, *, causal: bool = False
+    references: NDArray[Any], queries: NDArray[Any], settings: FeatureSettings, *, causal: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Centre two traverses, raw features (n, m) and (q, m), and weight their modalities; see `Centering.apply`.
 
     If it is to be causal, each query is centred by the mean of those up to it.
     """
     known = Centering.fit(references, settings)
-    total, asked = PRIOR_FRAMES * known.mean.astype(np.float64), np.empty_like(queries)
+    total, asked = PRIOR_FRAMES * known.mean.astype(np.float64), np.empty(queries.shape, np.float32)
     if not causal:
         mean = (total + queries.sum(axis=0, dtype=np.float64)) / (len(queries) + PRIOR_FRAMES)
         return known.apply(references), Centering(mean.astype(np.float32), settings).apply(queries)

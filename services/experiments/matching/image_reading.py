@@ -1,4 +1,4 @@
-"""One image file as an array, of any format that OpenCV reads.
+"""One image as an array, of a file of any format that OpenCV reads, or of a video or a recording.
 
 Colour is what OpenCV's IMREAD_COLOR makes of it: grey becomes three equal channels, of 16 bits the upper 8 are kept,
 transparency is dropped. The orientation that a camera noted in EXIF is ignored in every file, for half of a traverse
@@ -21,6 +21,8 @@ LEAST_COLUMNS: Final = 32
 MOST_BYTES: Final = 256 * 2**20
 #: How a PNG file begins, and what every whole one ends with.
 _PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")
+#: A file, what stands in one, or RGB pixels.
+Picture = Path | bytes | NDArray[np.uint8]
 _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
@@ -33,36 +35,45 @@ def is_named_as_image(name: str) -> bool:
         return True
 
 
-def read_color(path: Path) -> NDArray[np.uint8] | None:
-    """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if it cannot be read."""
-    bgr = _decode(path, _COLOR)
-    if bgr is None or bgr.dtype != np.uint8:
+def loaded(picture: Picture) -> bytes | NDArray[np.uint8] | None:
+    """Return what stands in a file, of a camera's size; None if it cannot be read. Other pictures stay as they are."""
+    if not isinstance(picture, Path):
+        return picture
+    try:
+        return picture.read_bytes() if picture.stat().st_size <= MOST_BYTES else None
+    except (OSError, MemoryError):
         return None
-    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def read_color(picture: Picture) -> NDArray[np.uint8] | None:
+    """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if it cannot be read."""
+    read = _decoded(picture, _COLOR)
+    if read is None or read.dtype != np.uint8:
+        return None
+    rgb = read if isinstance(picture, np.ndarray) else cv2.cvtColor(read, cv2.COLOR_BGR2RGB)
     height, width = rgb.shape[:2]
     if height < LEAST_ROWS or width < LEAST_COLUMNS:
         rgb = cv2.resize(rgb, (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)), interpolation=cv2.INTER_LINEAR)
     return np.asarray(rgb, dtype=np.uint8)
 
 
-def read_depth(path: Path) -> NDArray[np.uint16] | None:
+def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
     """Return a depth image, uint16 (height, width) in millimetres; None if it is none or cannot be read."""
-    depth_mm = _decode(path, cv2.IMREAD_UNCHANGED)
+    depth_mm = _decoded(picture, cv2.IMREAD_UNCHANGED)
     if depth_mm is None or depth_mm.dtype != np.uint16 or depth_mm.ndim != 2:
         return None
     return np.asarray(depth_mm, dtype=np.uint16)
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any] | None:
+def _decoded(picture: Picture, flags: int) -> NDArray[Any] | None:
+    data = loaded(picture)
+    # Of a PNG without an end libpng would write on standard error.
+    if not isinstance(data, bytes) or (data.startswith(_PNG[0]) and _PNG[1] not in data):
+        return data if isinstance(data, np.ndarray) else None
     try:
-        if path.stat().st_size > MOST_BYTES:
-            return None
-        data = path.read_bytes()
-        if data.startswith(_PNG[0]) and _PNG[1] not in data:  # libpng would write about it on standard error
-            return None
         # From memory: of a truncated file cv2.imread makes a half grey image, cv2.imdecode none.
         decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except (OSError, MemoryError, cv2.error):
+    except (MemoryError, cv2.error):
         return None
     return decoded
 

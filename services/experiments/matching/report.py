@@ -1,5 +1,6 @@
 """What ``smal match`` answers, as JSON and for people."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from schemas.codec import printable
-from services.experiments.matching.image_folder import Traverse
+from services.experiments.matching.traverse import Traverse
 from services.experiments.words import counted, described_by
 from services.kit.tables import table
 from smal.evaluation.ground_truth import IntervalTruth
@@ -52,7 +53,10 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was chosen, and what came out: matches numbered as the folders are; ``unsure`` ones were left out."""
+    """What was chosen, and what came out: matches numbered as the sources are; `unsure` ones were left out.
+
+    Scores may be probabilities.
+    """
 
     chosen: dict[str, object]
     settings: MatchSettings
@@ -62,14 +66,15 @@ class Result:
     unsure: int
     quality: Quality | None
     seconds: dict[str, float]
+    probable: bool
 
 
-def in_folders(matches: Matches, references: Traverse, queries: Traverse) -> Matches:
+def in_sources(matches: Matches, references: Traverse, queries: Traverse) -> Matches:
     """Turn rows of the features into numbers of frames.
 
     Windows run over the frames that could be read; a query that could not has no match.
     """
-    count = len(queries.folder.frames)
+    count = len(queries.source.frames)
     found = Matches.none(count)
     where = queries.numbers[matches.matched]
     found.reference[where] = references.numbers[matches.reference[matches.matched]]
@@ -77,29 +82,30 @@ def in_folders(matches: Matches, references: Traverse, queries: Traverse) -> Mat
     return found
 
 
-def as_json(result: Result) -> dict[str, object]:
+def as_json(result: Result) -> str:
     """Return the result as ``--json`` writes it."""
     found = result.matches
     rows = zip(found.reference.tolist(), found.score.tolist(), found.unknown.tolist(), strict=True)
     references, queries, features = result.references, result.queries, result.settings.features
     written: dict[str, object] = {
         **result.chosen,
-        "references": str(references.folder.path),
-        "queries": str(queries.folder.path),
+        "references": str(references.source.path),
+        "queries": str(queries.source.path),
         "matches": [
             {"query": query, "reference": None if reference == NONE else reference, "score": score, "unknown": unknown}
             for query, (reference, score, unknown) in enumerate(rows)
         ],
         "modalities": list(features.modalities),
         "weights": list(features.weights),
-        "reference_names": _printable(references.folder.frames),
-        "query_names": _printable(queries.folder.frames),
+        "reference_names": _printable(references.source.frames),
+        "query_names": _printable(queries.source.frames),
         "unreadable_references": _printable(references.unreadable),
         "unreadable_queries": _printable(queries.unreadable),
-        "other_files": len(references.folder.others) + len(queries.folder.others),
+        "other_files": len(references.source.others) + len(queries.source.others),
         "seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
     }
-    return written | ({} if result.quality is None else result.quality.figures)
+    written |= {} if result.quality is None else result.quality.figures
+    return json.dumps(written, indent=2) + "\n"
 
 
 def as_text(result: Result, written: list[Path]) -> Iterator[str]:
@@ -125,6 +131,19 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
         yield from _some_matches(result)
 
 
+def as_g2o(result: Result) -> str:
+    """Return loops as edges of a pose graph whose vertices are the frames.
+
+    An edge says that two frames are at one place: no shift, with the score as its information, and none of the heading,
+    which is not known.
+    """
+    found = result.matches
+    return "".join(
+        f"EDGE_SE2 {found.reference[query]} {query} 0 0 0 {found.score[query]:.6g} 0 0 {found.score[query]:.6g} 0 0\n"
+        for query in np.flatnonzero(found.matched)
+    )
+
+
 def title_of(result: Result) -> str:
     """Return the method and what was chosen of it."""
     return ", ".join(f"{name} {value}" for name, value in result.chosen.items() if value is not None)
@@ -141,14 +160,14 @@ def _why_not_all(result: Result) -> str:
 
 def _frames(traverse: Traverse) -> str:
     unreadable = f" ({len(traverse.unreadable)} of them unreadable)" if traverse.unreadable else ""
-    return f"{counted(len(traverse.folder.frames), 'frame')}{unreadable} in {traverse.folder.path}"
+    return f"{counted(len(traverse.source.frames), 'frame')}{unreadable} in {traverse.source.path}"
 
 
 def _some_matches(result: Result) -> Iterator[str]:
     """Yield a few matches, evenly spread; all of them are for a file."""
     matches, count = result.matches, result.matches.matched.size
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).astype(int)).tolist()
-    references, queries = (_printable(one.folder.frames) for one in (result.references, result.queries))
+    references, queries = (_printable(one.source.frames) for one in (result.references, result.queries))
     rows = [["query", "", "reference", "", "score"]]
     for query in shown:
         reference = int(matches.reference[query])

@@ -1,66 +1,153 @@
-"""The truth of two image folders as a table that people write: which references show the place of a query.
+"""The truth of two traverses as people have it: which references show the place of a query.
 
-A CSV file in UTF-8 with the columns query, reference_first and reference_last, named in its first line, in any order
-and with others beside them. Frames are counted from 0, and the last reference belongs to the interval. Where both
+It is a CSV file in UTF-8 with the columns query, reference_first and reference_last, named in its first line, in any
+order and with others beside them. Frames are counted from 0, and the last reference belongs to the interval. Where both
 references are empty the reference traverse does not show the place. A query without a row is not judged; one that the
 references show several times has several.
+
+Or frames of the same name show the same place, or frames that were taken near each other do.
 """
 
 import csv
+import math
 import re
-from io import StringIO
+from collections.abc import Callable, Sequence
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from schemas.codec import printable
+from services.experiments.matching.image_reading import loaded
+from services.experiments.matching.sources import Source
 from services.kit.errors import UsageError
 from smal.evaluation.ground_truth import IntervalTruth
 
 COLUMNS: Final = ("query", "reference_first", "reference_last")
+POSE_COLUMNS: Final = ("frame", "x_m", "y_m")
+#: Metres of a degree of latitude, and where EXIF has the position of a camera.
+_DEGREE_M, _GPS = 111_195.0, 0x8825
+#: x and y of frames in metres (n, 2), NaN where they are not known.
+Positions = NDArray[np.float64]
 
 
 def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
-    """Read the file of ``--truth`` for folders of so many frames.
+    """Read the file of `--truth` for traverses of so many frames.
 
-    Raises UsageError when it is no truth of these folders, or there is nothing to find: one line that names the file,
+    Raises UsageError when it is no truth of these traverses, or there is nothing to find: one line that names the file,
     the line in it, and what is wrong.
     """
     intervals: list[tuple[int, int, int]] = []
     judged, unknown = np.zeros(queries, dtype=np.bool_), np.zeros(queries, dtype=np.bool_)
+
+    def take(row: dict[Any, Any]) -> None:
+        query, interval = _interval(row, queries, references)
+        if unknown[query] or (judged[query] and interval is None):
+            raise ValueError(f"query {query} has a row already, and one of them says that no reference shows it")
+        judged[query], unknown[query] = True, interval is None
+        if interval is not None:
+            intervals.append((query, *interval))
+
+    _read_table(path, "--truth", COLUMNS, take)
+    return _truth(intervals, judged, f"--truth {path}")
+
+
+def truth_by_names(references: Sequence[str], queries: Sequence[str], tolerance: int) -> IntervalTruth:
+    """Take frames of one name for one place, so many frames to both sides as well; others are not judged."""
+    numbers, last = {name: number for number, name in enumerate(references)}, len(references) - 1
+    pairs = [(query, numbers[name]) for query, name in enumerate(queries) if name in numbers]
+    intervals = [(query, max(number - tolerance, 0), min(number + tolerance, last)) for query, number in pairs]
+    judged = np.array([name in numbers for name in queries])
+    return _truth(intervals, judged, "--truth names")
+
+
+def truth_by_positions(references: Positions, queries: Positions, radius_m: float, named: str) -> IntervalTruth:
+    """Take frames within a radius for one place; queries whose position is not known are not judged."""
+    known, judged = np.flatnonzero(np.isfinite(references[:, 0])), np.isfinite(queries[:, 0])
+    tree, intervals = KDTree(references[known]), list[tuple[int, int, int]]()
+    for query in np.flatnonzero(judged).tolist():
+        near = known[sorted(tree.query_ball_point(queries[query], radius_m))]
+        for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+            intervals.extend([(query, int(run[0]), int(run[-1]))] if run.size else [])
+    return _truth(intervals, judged, named)
+
+
+def read_positions(path: Path, frames: int) -> Positions:
+    """Read a file of `--poses`: x_m and y_m of frames, counted from 0. Raises UsageError as `read_truth`."""
+    positions = np.full((frames, 2), np.nan)
+
+    def take(row: dict[Any, Any]) -> None:
+        place = [float(row[name] or "") for name in POSE_COLUMNS[1:]]
+        if not all(map(math.isfinite, place)):
+            raise ValueError("x_m and y_m must be finite; leave out the row of a frame whose pose is not known")
+        positions[_frame(row, "frame", frames)] = place
+
+    _read_table(path, "--poses", POSE_COLUMNS, take)
+    return positions
+
+
+def gps_positions(references: Source, queries: Source) -> tuple[Positions, Positions]:
+    """Return where cameras say in EXIF that images were taken, of both on one plane that touches the ground there.
+
+    Raises UsageError when none of a traverse says so.
+    """
+    degrees = []
+    for source in (references, queries):
+        degrees.append(np.array([_latitude_longitude(loaded(one)) for one in source.pictures()]))
+        if not np.isfinite(degrees[-1]).any():
+            raise UsageError(f"--truth gps: no image of {source.path} has a position in its EXIF")
+    latitude, longitude = np.nanmean(degrees[0], axis=0)
+    scale = _DEGREE_M * np.array([math.cos(math.radians(latitude)), 1.0])
+    first, second = (np.mod(each[:, ::-1] - (longitude, latitude) + 180.0, 360.0) - 180.0 for each in degrees)
+    return first * scale, second * scale
+
+
+def _latitude_longitude(data: bytes | NDArray[np.uint8] | None) -> tuple[float, float]:
+    from PIL import Image  # noqa: PLC0415 - no other truth needs it
+
+    try:
+        gps = Image.open(BytesIO(data if isinstance(data, bytes) else b"")).getexif().get_ifd(_GPS)
+        parts = [float(np.array(gps[tag], float) @ [1.0, 1 / 60, 1 / 3600]) for tag in (2, 4)]
+    except (OSError, SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, Image.DecompressionBombError):
+        return math.nan, math.nan
+    return parts[0] * (-1 if gps.get(1) == "S" else 1), parts[1] * (-1 if gps.get(3) == "W" else 1)
+
+
+def _truth(intervals: list[tuple[int, int, int]], judged: NDArray[np.bool_], named: str) -> IntervalTruth:
+    if not intervals:
+        raise UsageError(f"{named}: no query has a reference, so that there is nothing to find")
+    query, first, last = np.array(intervals, dtype=np.int64).T
+    return IntervalTruth(query, first, last, judged)
+
+
+def _read_table(path: Path, option: str, columns: Sequence[str], take: Callable[[dict[Any, Any]], None]) -> None:
+    """Give the rows of a CSV file that has these columns; UsageError names the line in which ValueError is raised."""
     try:
         # Spreadsheets begin UTF-8 with a byte order mark.
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
-        raise UsageError(f"--truth {path}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{option} {path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise UsageError(f"--truth {path}: not UTF-8") from None
+        raise UsageError(f"{option} {path}: not UTF-8") from None
     table = csv.DictReader(StringIO(text, newline=""), strict=True)
     try:
         table.fieldnames = [name.strip() for name in table.fieldnames or ()]
-        for name in COLUMNS:
+        for name in columns:
             if table.fieldnames.count(name) != 1:
                 raise ValueError(f"needs the column {name} once; the columns are {_quoted(','.join(table.fieldnames))}")
         for row in table:
-            query, interval = _interval(row, queries, references)
-            if unknown[query] or (judged[query] and interval is None):
-                raise ValueError(f"query {query} has a row already, and one of them says that no reference shows it")
-            judged[query], unknown[query] = True, interval is None
-            if interval is not None:
-                intervals.append((query, *interval))
+            if None in row:
+                raise ValueError("has more values than columns")
+            take(row)
     except (ValueError, csv.Error) as error:
-        raise UsageError(f"--truth {path}: line {max(1, table.reader.line_num)}: {error}") from None
-    if not intervals:
-        raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
-    query_of, first, last = np.array(intervals, dtype=np.int64).T
-    return IntervalTruth(query_of, first, last, judged)
+        raise UsageError(f"{option} {path}: line {max(1, table.reader.line_num)}: {error}") from None
 
 
 def _interval(row: dict[Any, Any], queries: int, references: int) -> tuple[int, tuple[int, int] | None]:
     """Return query, and first and last reference of a row, None where there is nothing to find."""
-    if None in row:
-        raise ValueError("has more values than columns")
     query = _frame(row, "query", queries)
     if not any((row[name] or "").strip() for name in COLUMNS[1:]):
         return query, None

@@ -1,0 +1,122 @@
+"""What a traverse is read from, its frames in order: a folder of images, a video, or a recording of SMAL.
+
+A frame of a folder is a file that OpenCV can decode, whatever its name, or one that by its extension should be: so that
+a damaged image keeps its number, and what is known of the frames after it (a truth file) stays right. Hidden files and
+folders in the folder do not count.
+"""
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.topics import JPEG
+from services.experiments.matching.image_reading import Picture, is_named_as_image, quiet_opencv, read_color
+from services.kit.errors import UsageError
+from services.recordings.encoding import stamped_jpeg
+from services.recordings.reader import read_recording
+
+# Read when OpenCV opens its first video; of a damaged one FFmpeg writes at length.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Names of frames, a frame's number is its place; names of files that are no images; and a picture of each frame.
+
+    `pictures` begins anew with each call.
+    """
+
+    path: Path
+    frames: tuple[str, ...]
+    others: tuple[str, ...]
+    pictures: Callable[[], Iterable[Picture]]
+
+    def images(self, numbers: Iterable[int]) -> dict[int, NDArray[np.uint8]]:
+        """Return the images, RGB, of those of some frames that can be read."""
+        wanted = set(numbers)
+        with quiet_opencv():
+            read = {number: read_color(one) for number, one in enumerate(self.pictures()) if number in wanted}
+        return {number: image for number, image in read.items() if image is not None}
+
+
+def natural_key(name: str) -> tuple[list[str | int], str]:
+    """Return what file names are sorted by: numbers in them by their value, letters whatever their case.
+
+    Names that differ only in case or in leading zeros follow in the order of their characters.
+    """
+    # split with a group alternates text and digits, so that keys compare text with text and number with number.
+    parts = re.split(r"([0-9]+)", name.casefold())
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
+
+
+def open_source(path: Path, argument: str) -> Source:
+    """Find the frames of what the argument of the command line names.
+
+    Raises UsageError when there is none, and RecordingError of a recording that cannot be read.
+    """
+    if not path.is_file():
+        return _folder(path, argument)
+    return _recording(path) if path.suffix == ".mcap" else _video(path, argument)
+
+
+def _folder(path: Path, argument: str) -> Source:
+    try:
+        with os.scandir(path) as entries:
+            # What is neither a file nor a folder could be a pipe, which nobody ever writes to; a link to nothing was
+            # meant to be a frame.
+            files = [e for e in entries if not e.name.startswith(".") and (e.is_file() or e.is_symlink())]
+            names = [e.name for e in files if not e.is_dir()]
+    except OSError as error:
+        raise UsageError(f"{argument} {path}: {error.strerror}") from None
+    names.sort(key=natural_key)
+    with quiet_opencv():
+        frames = tuple(name for name in names if is_named_as_image(name) or read_color(path / name) is not None)
+    if not frames:
+        raise UsageError(f"{argument} {path}: no image in this folder (files: {len(names)})")
+    known = set(frames)
+    pictures = [path / name for name in frames]
+    return Source(path, frames, tuple(name for name in names if name not in known), lambda: pictures)
+
+
+def _recording(path: Path) -> Source:
+    recording = read_recording(path, topics=[JPEG])
+    sys.stderr.writelines(f"smal: {remark}\n" for remark in recording.remarks())
+    frames = [(one.episode, tick, one.images[tick]) for one in recording.episodes for tick in sorted(one.images)]
+    names = tuple(f"{episode} frame {tick}" for episode, tick, _ in frames)
+    return Source(path, names, (), lambda: (_jpeg(payload) for _, _, payload in frames))
+
+
+def _jpeg(payload: memoryview) -> bytes:
+    try:
+        return stamped_jpeg(bytes(payload))[1]
+    except ValueError:
+        return b""
+
+
+def _video(path: Path, argument: str) -> Source:
+    """Find the frames of a video by decoding it once: what it says of their number is often not so."""
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    times_s = []
+    while video.grab():
+        times_s.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
+    if not times_s:
+        raise UsageError(
+            f"{argument} {path}: neither a folder of images, nor a recording, nor a video that OpenCV reads"
+        )
+    if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
+        sys.stderr.write(f"smal: {path}: only {len(times_s)} of the {said} frames that it should have can be read\n")
+    return Source(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_pixels, path))
+
+
+def _pixels(path: Path) -> Iterator[NDArray[np.uint8]]:
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    while (read := video.read())[0]:
+        yield np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -1,0 +1,98 @@
+"""The features of a traverse: images are decoded and described in parallel, and what was described before is known."""
+
+import sys
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from schemas.codec import printable
+from services.experiments.matching.feature_cache import FeatureCache, digest
+from services.experiments.matching.image_reading import Picture, loaded, quiet_opencv, read_color, read_depth
+from services.experiments.matching.sources import Source
+from services.experiments.words import listed
+from services.kit.errors import JobError
+from smal.features import FeatureSettings, extract
+from smal.features.extraction import in_parallel
+
+Features = NDArray[np.float16]
+
+
+@dataclass(frozen=True, eq=False)
+class Traverse:
+    """A source, and what of it is compared: raw features (n, m) of readable frames, and their numbers (n,)."""
+
+    source: Source
+    features: Features
+    numbers: NDArray[np.int64]
+
+    @property
+    def unreadable(self) -> list[str]:
+        """Names of the frames that could not be read."""
+        known = set(self.numbers.tolist())
+        return [name for number, name in enumerate(self.source.frames) if number not in known]
+
+    def say_skipped(self) -> None:
+        """Name on standard error what of the source was skipped."""
+        skipped = {"no images": self.source.others, "unreadable, and kept in the count of frames": self.unreadable}
+        for why, names in skipped.items():
+            if names:
+                sys.stderr.write(f"smal: {self.source.path}: skipped {len(names)}, {why}: {_named(names)}\n")
+
+
+def describe_frames(source: Source, settings: FeatureSettings, depth: Source | None, title: str) -> Traverse:
+    """Compute the features of the frames, with a progress bar of this title.
+
+    Where the features need them, there are as many depth images in the same order.
+
+    Raises JobError when no frame can be read, a feature cannot be computed, or the features do not fit into memory.
+    """
+    count = len(source.frames)
+    try:
+        features = np.zeros((count, settings.size), dtype=np.float16)
+    except MemoryError:
+        raise JobError(f"{source.path}: the features of {count} frames do not fit into memory") from None
+    numbers: list[int] = []
+    pictures = zip(*[one.pictures() for one in (source, depth) if one is not None], strict=True)
+    with quiet_opencv(), closing(FeatureCache(settings)) as cache:
+        described = in_parallel(partial(_describe, settings, cache), pictures)
+        bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
+        for number, one in enumerate(bar):
+            if isinstance(one, str):
+                raise JobError(f"{source.path}: {printable(source.frames[number], 255)}: {one}")
+            if one is not None:
+                features[len(numbers)] = one
+                numbers.append(number)
+    if not numbers:
+        without = "" if depth is None else f" with a depth image, of one channel of 16 bits, in {depth.path}"
+        raise JobError(f"{source.path}: no image can be read{without}: {_named(source.frames)}")
+    return Traverse(source, features[: len(numbers)], np.array(numbers, np.int64))
+
+
+def _describe(settings: FeatureSettings, cache: FeatureCache, pictures: Sequence[Picture]) -> Features | str | None:
+    """Return the raw features of a frame, of its colour and, if there is such, its depth.
+
+    None if it cannot be read, and what is wrong in words if it cannot be described.
+    """
+    read = [data for data in map(loaded, pictures) if data is not None]
+    if len(read) < len(pictures):
+        return None
+    key = digest(*read)
+    if (known := cache.find(key)) is not None:
+        return known
+    image = read_color(read[0])
+    depth_mm = read_depth(read[1]) if len(read) > 1 else None
+    if image is None or (depth_mm is None) < (len(read) > 1):
+        return None
+    try:
+        return cache.keep(key, extract(image, settings, depth_mm).astype(np.float16))
+    except ValueError as error:
+        return str(error)
+
+
+def _named(names: Sequence[str]) -> str:
+    return listed([printable(name, 255) for name in names])

@@ -1,0 +1,96 @@
+"""`smal.match`: two traverses that somebody has as arrays."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features import FeatureSettings, extract
+from smal.features.extraction import in_parallel
+from smal.place_recognition.matches import Matches, check_features, ignore
+from smal.place_recognition.methods import METHODS, MatchSettings
+
+#: A traverse: images one after the other, uint8 (height, width, 3), or the features of all, (n, m).
+Frames = Iterable[NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class _Given(FeatureSettings):
+    """Features of one modality of which nothing is known but its size."""
+
+    modalities: tuple[str, ...] = ("given",)
+    weights: tuple[float, ...] = (1.0,)
+    length: int = 0
+
+    def __post_init__(self) -> None:
+        """Look up no modality."""
+
+    @property
+    def size(self) -> int:
+        return self.length
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        return (slice(0, self.length),)
+
+
+def match(
+    references: Frames,
+    queries: Frames | None = None,
+    *,
+    method: str = "smal",
+    features: FeatureSettings | None = None,
+    tolerance: int | None = None,
+    lag: int | None = None,
+) -> Matches:
+    """Find for each query the reference that was taken at the same place.
+
+    Parameters
+    ----------
+    references, queries : iterable of uint8 arrays (height, width, 3), or float array (n, m), (q, m)
+        RGB images in order, at least 24 rows and 32 columns, or raw features of any kind. Without queries the
+        references are matched with those long before them (loops; by `smal` alone).
+    method : str
+        One of `smal.place_recognition.methods.METHODS`.
+    features : FeatureSettings, optional
+        What images are described by (those of the method if None); the modalities of features that are given, which
+        are all one if None.
+    tolerance, lag : int, optional
+        See `smal.place_recognition.places.match_places`; of `smal` alone.
+
+    Returns
+    -------
+    Matches
+        The reference of each query, its score, of `smal` the probability that it is right, and that none shows it.
+
+    Raises
+    ------
+    ValueError
+        There is no such method, it has not got what is chosen, or images or features are not as above.
+    """
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
+    way = METHODS[method]
+    if not way.probable and (queries is None or (tolerance, lag) != (None, None)):
+        raise ValueError(f"the method {method} has no loops, no tolerance and no lag")
+    if not way.any_features and features not in (None, way.features):
+        raise ValueError(f"the method {method} has its own features")
+    settings = features or way.features
+    known = _raw(references, settings)
+    asked = known if queries is None else _raw(queries, settings)
+    check_features(known, asked)
+    if features is None and known.shape[1] != settings.size:
+        settings = _Given(length=known.shape[1])
+    chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None)
+    return way.match(known, asked, chosen, ignore)
+
+
+def _raw(frames: Frames, settings: FeatureSettings) -> NDArray[np.float32]:
+    """Return features as they are given, or those of images."""
+    if isinstance(frames, np.ndarray) and frames.ndim == 2:
+        return np.asarray(frames, dtype=np.float32)
+    described = list(in_parallel(partial(extract, settings=settings), frames))
+    return np.array(described, dtype=np.float32).reshape(-1, settings.size)
