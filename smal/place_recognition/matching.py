@@ -76,12 +76,12 @@ def match(
     way = METHODS[method]
     if not way.probable and (queries is None or (tolerance, lag) != (None, None)):
         raise ValueError(f"the method {method} has no loops, no tolerance and no lag")
-    if not way.any_features and features not in (None, way.features):
-        raise ValueError(f"the method {method} has its own features")
     settings = features or way.features
     known = _raw(references, settings)
     asked = known if queries is None else _raw(queries, settings)
     check_features(known, asked)
+    if not way.any_features and (settings != way.features or known.shape[1] != settings.size):
+        raise ValueError(f"the method {method} has its own features, {', '.join(way.features.modalities)}")
     if features is None and known.shape[1] != settings.size:
         settings = _Given(length=known.shape[1])
     chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None)

@@ -103,7 +103,8 @@ def _jpeg(payload: memoryview) -> bytes:
 
 def _video(path: Path, argument: str) -> Source:
     """Find the frames of a video by decoding it once: what it says of their number is often not so."""
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    with quiet_opencv():
+        video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     times_s = []
     while video.grab():
         times_s.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)

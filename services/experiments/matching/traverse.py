@@ -84,12 +84,11 @@ def _describe(settings: FeatureSettings, cache: FeatureCache, pictures: Sequence
     key = digest(*read)
     if (known := cache.find(key)) is not None:
         return known
-    image = read_color(read[0])
-    depth_mm = read_depth(read[1]) if len(read) > 1 else None
-    if image is None or (depth_mm is None) < (len(read) > 1):
+    image, depths_mm = read_color(read[0]), [read_depth(one) for one in read[1:]]
+    if image is None or any(depth_mm is None for depth_mm in depths_mm):
         return None
     try:
-        return cache.keep(key, extract(image, settings, depth_mm).astype(np.float16))
+        return cache.keep(key, extract(image, settings, *depths_mm).astype(np.float16))
     except ValueError as error:
         return str(error)
 

@@ -6,19 +6,30 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
+from schemas.compressed_image import CompressedImage
 from services.cli import match
+from services.experiments.matching import feature_cache, traverse
+from services.kit.jpeg import encode_jpeg
+from services.recordings.writer import EpisodeWriter
 from smal.features import Centering, FeatureSettings
+from smal.features import extract as smal_extract
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import Progress
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from tests.services.cli.conftest import Mistake, Smal
+from tests.services.recordings.recorded_messages import event, header
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 FRAMES = 24
 LENGTH = 4
@@ -53,6 +64,7 @@ TABLE = table_of(
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Make two traverses of the wall, the second darker; the place of frame i is i in both. Work beside them."""
     monkeypatch.setattr(match, "METHODS", TABLE)
+    monkeypatch.setattr(feature_cache, "cache_file", lambda: tmp_path / "cache" / "features.sqlite")
     monkeypatch.chdir(tmp_path)
     for name, share in (("ref", 1.0), ("query", 0.7)):
         Path(name).mkdir()
@@ -120,7 +132,7 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "line"),
     [
-        (["none", "query"], 2, "REFERENCE_DIR none: No such file or directory"),
+        (["none", "query"], 2, "REFERENCES none: No such file or directory"),
         (["ref", "damaged"], 1, "damaged: no image can be read: a.png"),
         (["ref", "query", "--length", "25"], 1, "ref: 24 images, too few for a window of 25; choose a shorter"),
         (["ref", "query", "--json", "query/img3.png"], 2, "--json query/img3.png: would lie among the files"),
@@ -131,6 +143,13 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
         (["ref", "query", "--modalities", "x"], 2, "unknown feature modality 'x'; known are "),
         (["ref", "query", "--truth", "short.csv"], 2, "--truth short.csv: line 2: query 24 is beyond the traverse"),
         (["ref", "query", "--truth", "truth.csv", "--json", "truth.csv"], 2, "--json truth.csv: is a file that this"),
+        (["ref"], 2, "QUERIES: missing"),
+        (["ref", "query", "--truth", "gps"], 2, "--radius: is missing"),
+        (["ref", "query", "--radius", "1"], 2, "--radius: belongs to"),
+        (["ref", "query", "--truth", "gps", "--radius", "1"], 2, "--truth gps: no image of ref has a position"),
+        (["ref", "query", "--poses", "nan.csv", "nan.csv", "--radius", "1"], 2, "--poses nan.csv: line 2: x_m and y_m"),
+        (["ref", "truth.csv"], 2, "QUERIES truth.csv: neither a folder of images, nor a recording, nor a video"),
+        (["ref", "query", "--page", "x.png", "--plot", "x.png"], 2, "--plot x.png: is also the file of --page"),
         (["ref", "query", "--plot", "x.bmp"], 2, "--plot x.bmp: the name of a picture ends in .png, .svg, .pdf"),
         (["ref", "query", "--modalities", "depth"], 2, "--reference-depth: belongs to the modality depth"),
         (["ref", "query", "--modalities", "depth", "--reference-depth", "ref", "--query-depth", "damaged"], 2,
@@ -140,6 +159,7 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
 def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, folders: Path, mistake: Mistake) -> None:
     (folders / "damaged").mkdir()
     (folders / "damaged" / "a.png").touch()
+    (folders / "nan.csv").write_text("frame,x_m,y_m\n0,nan,0\n")
     (folders / "short.csv").write_text("query,reference_first,reference_last\n24,0,0\n")
     assert line in mistake(status, "match", *arguments)
     assert not (folders / "x.png").exists()
@@ -149,7 +169,7 @@ def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, fol
     ("raised", "status", "line"),
     [
         (KeyboardInterrupt(), 130, "interrupted"),
-        (ValueError("these cannot be"), 1, "cannot match these folders: these cannot be"),
+        (ValueError("these cannot be"), 1, "cannot match these traverses: these cannot be"),
         (MemoryError(), 1, "matching 24 and 24 frames takes more memory than there is"),
     ],
 )
@@ -196,6 +216,116 @@ def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, mo
         assert references_of(written)[20] in {None, 11, 12, 13}
         assert written["precision"] == 0.9
     assert Path("out.svg").stat().st_size > 1000
+
+
+def test_a_traverse_is_a_video_or_a_recording_as_well(folders: Path, smal: Smal) -> None:
+    """Each begins at frame 6 of the folder."""
+    video = cv2.VideoWriter("query.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (96, 72))
+    started = event("query", 0, "started")
+    recording = EpisodeWriter.begin(Path(), started)
+    recording.write(started)
+    for place in range(6, FRAMES):
+        video.write(view(place))
+        jpeg = encode_jpeg(cv2.cvtColor(view(place), cv2.COLOR_BGR2RGB))
+        recording.write(CompressedImage.after(header("query", place), width=96, height=72, data=jpeg))
+    video.release()
+    recording.seal()
+    for source in ("query.avi", "query.mcap"):
+        status, _, err = smal("match", "ref", source, "--length", "1", "--json", "out.json")
+        assert (status, err) == (0, "")
+        assert references_of(json.loads(Path("out.json").read_text())) == list(range(6, FRAMES))
+
+
+def test_truth_is_told_by_names_gps_or_poses(folders: Path, smal: Smal) -> None:
+    """Of the queries two are named otherwise, or nobody knows where they were."""
+    for name in ("ref", "query"):
+        rows = [f"{place},{place},0" for place in range(FRAMES) if name == "ref" or place > 1]
+        Path(f"{name}.csv").write_text("\n".join(["frame,x_m,y_m", *rows]))
+        for place, file in enumerate(NAMES):
+            tags = Image.Exif()
+            tags[0x8825] = {1: "S", 2: (33.0, 51.0, place * 0.0323), 3: "E", 4: (151.0, 12.0, 0.0)}  # a metre a frame
+            if name == "ref" or place > 1:
+                Image.open(f"{name}/{file}").save(f"{name}/{file}", exif=tags)
+    for place in (0, 1):
+        Path(f"query/{NAMES[place]}").rename(f"query/a{place}.png")
+    told = (["--truth", "gps", "--radius", "1.5"], ["--poses", "ref.csv", "query.csv", "--radius", "1.5"])
+    for arguments in (["--truth", "names"], *told):
+        written = matched(smal, "--length", "1", *arguments)
+        assert (written["judged"], written["auc"]) == (FRAMES - 2, 1.0)
+        assert written["tolerance"] is None
+
+
+def test_features_are_kept_and_a_damaged_cache_is_begun_anew(
+    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described: list[object] = []
+
+    def extract(*inputs: Any) -> NDArray[np.float32]:
+        described.append(inputs)
+        return smal_extract(*inputs)
+
+    def run() -> tuple[int, str]:
+        described.clear()
+        status, _, err = smal("match", "ref", "query")
+        assert status == 0
+        return len(described), err
+
+    monkeypatch.setattr(traverse, "extract", extract)
+    file = feature_cache.cache_file()
+    assert run() == (2 * FRAMES, "")
+    assert run() == (0, "")
+    cv2.imwrite("query/img3.png", view(0))  # is known already: of another name, but not so dark
+    assert run() == (0, "")
+    for damage in (b"no database", file.read_bytes().replace(b"\x3c", b"\x3d")):
+        file.write_bytes(damage)
+        count, err = run()
+        assert count > 0
+        assert err.startswith(f"smal: cache {file}: ")
+        assert len(err.splitlines()) == 1
+        assert run() == (0, "")
+    monkeypatch.setattr(feature_cache, "cache_file", lambda: folders / "truth.csv" / "features.sqlite")
+    count, err = run()
+    assert count == 2 * FRAMES
+    assert "features are computed, and not kept" in err
+    assert len(err.splitlines()) == 2  # of the references and of the queries
+
+
+def test_the_cache_does_not_grow_beyond_its_bound(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feature_cache, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(feature_cache, "_AT_ONCE", 4)
+    status, _, err = smal("match", "ref", "query")
+    assert (status, err) == (0, "")
+    assert 50_000 < feature_cache.cache_file().stat().st_size < 150_000
+
+
+def test_loops_are_edges_between_frames_far_apart(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The way is driven twice."""
+    monkeypatch.setattr(match, "METHODS", METHODS)
+    for place, file in enumerate(NAMES):
+        cv2.imwrite(f"ref/lap2-{file}", view(place))
+    status, _, err = smal("match", "ref", "--loops", "loops.g2o", "--tolerance", "1")
+    assert (status, err) == (0, "")
+    edges = [line.split() for line in Path("loops.g2o").read_text().splitlines()]
+    assert len(edges) > FRAMES // 2
+    assert all(edge[0] == "EDGE_SE2" and len(edge) == 12 for edge in edges)
+    assert all(abs(int(later) - int(earlier) - FRAMES) <= 1 for _, earlier, later, *_ in edges)
+
+
+def test_what_a_person_judges_on_the_page_is_a_truth(folders: Path, smal: Smal, browser: Browser) -> None:
+    status, _, _ = smal("match", "ref", "query", "--length", "1", "--page", "page.html")
+    assert status == 0
+    page = browser.new_page()
+    page.goto((folders / "page.html").as_uri())
+    cards = page.locator("fieldset")
+    assert cards.count() == FRAMES
+    cards.nth(0).get_by_label("the same place").check()
+    cards.nth(1).get_by_label("right reference").fill("99")
+    cards.nth(2).get_by_label("no reference").check()
+    with page.expect_download() as download:
+        page.click("#save")
+    download.value.save_as("judged.csv")
+    page.close()
+    assert matched(smal, "--length", "1", "--truth", "judged.csv")["judged"] == 3
 
 
 def test_without_a_file_some_matches_are_printed(folders: Path, smal: Smal) -> None:

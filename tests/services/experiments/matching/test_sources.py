@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.experiments.matching.image_folder import describe_frames, list_folder, natural_key
 from services.experiments.matching.image_reading import read_color, read_depth
+from services.experiments.matching.sources import natural_key, open_source
+from services.experiments.matching.traverse import describe_frames
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 
@@ -102,7 +103,7 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
     write(tmp_path / ".hidden.png", picture())
     write(tmp_path / "deeper.png" / "img6.png", picture())
     os.mkfifo(tmp_path / "pipe.png")
-    folder = list_folder(tmp_path, "QUERY_DIR")
+    folder = open_source(tmp_path, "QUERY_DIR")
     assert folder.frames == ("img1.png", "img2.png", "IMG3", "img4.jpg", "img5.png", "img10.png")
     assert folder.others == ("notes.txt", "truth.csv")
 
@@ -131,12 +132,12 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "notes" / "a.txt").touch()
     for name, problem in (
         ("missing", "No such file or directory"),
-        ("notes/a.txt", "is a file, not a folder of images"),
+        ("notes/a.txt", "neither a folder of images, nor a recording, nor a video that OpenCV reads"),
         ("empty", r"no image in this folder \(files: 0\)"),
         ("notes", r"no image in this folder \(files: 1\)"),
     ):
         with pytest.raises(UsageError, match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"):
-            list_folder(tmp_path / name, "REFERENCE_DIR")
+            open_source(tmp_path / name, "REFERENCE_DIR")
     (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
     with pytest.raises(JobError, match=r"no image can be read: b\.jpg"):
-        describe_frames(list_folder(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading")
+        describe_frames(open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading")

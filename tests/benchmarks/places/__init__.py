@@ -1,0 +1,1 @@
+"""How long a decision takes on a long way."""
