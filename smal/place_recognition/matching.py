@@ -19,22 +19,18 @@ Frames = Iterable[NDArray[Any]]
 
 @dataclass(frozen=True)
 class _Given(FeatureSettings):
-    """Features of one modality of which nothing is known but its size."""
+    """Features of which nothing is known but their size, as one modality."""
 
-    modalities: tuple[str, ...] = ("given",)
+    modalities: tuple[str, ...] = ()
     weights: tuple[float, ...] = (1.0,)
-    length: int = 0
+    size: int = 0
 
     def __post_init__(self) -> None:
-        """Look up no modality."""
-
-    @property
-    def size(self) -> int:
-        return self.length
+        pass
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        return (slice(0, self.length),)
+        return (slice(0, self.size),)
 
 
 def match(
@@ -52,14 +48,15 @@ def match(
     ----------
     references, queries : iterable of uint8 arrays (height, width, 3), or float array (n, m), (q, m)
         RGB images in order, at least 24 rows and 32 columns, or raw features of any kind. Without queries the
-        references are matched with those long before them (loops; by `smal` alone).
+        references are matched with those long before them (loops).
     method : str
-        One of `smal.place_recognition.methods.METHODS`.
+        One of `smal.place_recognition.methods.METHODS`. Only `smal` has loops, a tolerance and a lag.
     features : FeatureSettings, optional
-        What images are described by (those of the method if None); the modalities of features that are given, which
-        are all one if None.
+        What images are described by, or the modalities of features that are given. If None, the method's, and given
+        features are all one.
     tolerance, lag : int, optional
-        See `smal.place_recognition.places.match_places`; of `smal` alone.
+        References so many frames away are right as well (if None, those that look alike); and how many later queries
+        answer a query (if None, all).
 
     Returns
     -------
@@ -83,7 +80,7 @@ def match(
     if not way.any_features and (settings != way.features or known.shape[1] != settings.size):
         raise ValueError(f"the method {method} has its own features, {', '.join(way.features.modalities)}")
     if features is None and known.shape[1] != settings.size:
-        settings = _Given(length=known.shape[1])
+        settings = _Given(size=known.shape[1])
     chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None)
     return way.match(known, asked, chosen, ignore)
 

@@ -84,29 +84,12 @@ def match_places(
 ) -> Matches:
     """Match every query with the reference that it most probably shows.
 
-    Parameters
-    ----------
-    references, queries : float32 arrays (n, m), (q, m)
-        At least one of each, in order, centred and weighted (`smal.place_recognition.traverse_centering`).
-    tolerance : int, optional
-        References so many frames away are right as well; None for those that look alike (`alike`).
-    lag : int, optional
-        Answer each query by the queries up to so many after it; by all of them if None.
-    progress : callable
-        Called with the number of queries that are done.
-    loops : bool
-        The queries are the references, and each is matched with those before it that are too far back to look alike
-        because they are near.
-
-    Returns
-    -------
-    Matches
-        One for every query. The score is the probability that the reference is right within the tolerance.
-
-    Raises
-    ------
-    ValueError
-        The features do not fit each other or are not finite.
+    References and queries (n, m), (q, m), at least one of each, are in order, centred and weighted
+    (`smal.place_recognition.traverse_centering`). References up to `tolerance` frames away are right as well; if it is
+    None, those that look alike (`alike`). Each query is answered by the queries up to `lag` after it; by all of them if
+    it is None. For loops the queries are the references, and each is matched with those that are too far back to look
+    alike only because they are near. The score is the probability that the reference is right within the tolerance.
+    Features that do not fit each other or are not finite raise ValueError.
     """
     check_features(references, queries)
     steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]
@@ -122,7 +105,10 @@ def match_places(
     frames = (known + np.append(known[1:], len(references)) - 1) // 2
     first, end = np.searchsorted(frames, frames - tolerance), np.searchsorted(frames, frames + tolerance, "right")
     found, chain = Matches.none(len(asked)), Chain(len(known))
-    answers = _smoothed(chain, levels, progress) if lag is None else _followed(chain, levels, asked, lag, progress)
+    if lag is None:
+        answers = smoothed(chain, levels, _learned(chain, levels, progress).of)
+    else:
+        answers = _followed(chain, levels, asked, lag, progress)
     for query, there, none in answers:
         best = there.argmax()
         found.reference[query], found.unknown[query] = frames[best], none
@@ -177,11 +163,6 @@ def _learned(chain: Chain, levels: Levels, progress: Progress = ignore) -> Evide
 def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
     """Return the probabilities (q, n) of a stretch."""
     return np.array([there for _, there, _ in smoothed(chain, levels, evidence.of)][::-1])
-
-
-def _smoothed(chain: Chain, levels: Levels, progress: Progress) -> Iterator[Answer]:
-    """Yield the probabilities of each query (q, n) by all of them."""
-    return smoothed(chain, levels, _learned(chain, levels, progress).of)
 
 
 def _followed(chain: Chain, levels: Levels, frames: NDArray[np.intp], lag: int, progress: Progress) -> Iterator[Answer]:

@@ -1,4 +1,4 @@
-"""One image as an array, of a file of any format that OpenCV reads, or of a video or a recording.
+"""One image as an array, of a file of any format that OpenCV reads.
 
 Colour is what OpenCV's IMREAD_COLOR makes of it: grey becomes three equal channels, of 16 bits the upper 8 are kept,
 transparency is dropped. The orientation that a camera noted in EXIF is ignored in every file, for half of a traverse
@@ -21,8 +21,8 @@ LEAST_COLUMNS: Final = 32
 MOST_BYTES: Final = 256 * 2**20
 #: How a PNG file begins, and what every whole one ends with.
 _PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")
-#: A file, what stands in one, or RGB pixels.
-Picture = Path | bytes | NDArray[np.uint8]
+#: A file, or what stands in one.
+Picture = Path | bytes
 _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
@@ -35,9 +35,9 @@ def is_named_as_image(name: str) -> bool:
         return True
 
 
-def loaded(picture: Picture) -> bytes | NDArray[np.uint8] | None:
-    """Return what stands in a file, of a camera's size; None if it cannot be read. Other pictures stay as they are."""
-    if not isinstance(picture, Path):
+def loaded(picture: Picture) -> bytes | None:
+    """Return what stands in a file; None if it cannot be read, or is larger than a camera's."""
+    if isinstance(picture, bytes):
         return picture
     try:
         return picture.read_bytes() if picture.stat().st_size <= MOST_BYTES else None
@@ -47,10 +47,10 @@ def loaded(picture: Picture) -> bytes | NDArray[np.uint8] | None:
 
 def read_color(picture: Picture) -> NDArray[np.uint8] | None:
     """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if it cannot be read."""
-    read = _decoded(picture, _COLOR)
-    if read is None or read.dtype != np.uint8:
+    bgr = _decoded(picture, _COLOR)
+    if bgr is None or bgr.dtype != np.uint8:
         return None
-    rgb = read if isinstance(picture, np.ndarray) else cv2.cvtColor(read, cv2.COLOR_BGR2RGB)
+    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     height, width = rgb.shape[:2]
     if height < LEAST_ROWS or width < LEAST_COLUMNS:
         rgb = cv2.resize(rgb, (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)), interpolation=cv2.INTER_LINEAR)
@@ -68,8 +68,8 @@ def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
 def _decoded(picture: Picture, flags: int) -> NDArray[Any] | None:
     data = loaded(picture)
     # Of a PNG without an end libpng would write on standard error.
-    if not isinstance(data, bytes) or (data.startswith(_PNG[0]) and _PNG[1] not in data):
-        return data if isinstance(data, np.ndarray) else None
+    if data is None or (data.startswith(_PNG[0]) and _PNG[1] not in data):
+        return None
     try:
         # From memory: of a truncated file cv2.imread makes a half grey image, cv2.imdecode none.
         decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

@@ -114,10 +114,11 @@ def _video(path: Path, argument: str) -> Source:
         )
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
         sys.stderr.write(f"smal: {path}: only {len(times_s)} of the {said} frames that it should have can be read\n")
-    return Source(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_pixels, path))
+    return Source(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path))
 
 
-def _pixels(path: Path) -> Iterator[NDArray[np.uint8]]:
+def _bitmaps(path: Path) -> Iterator[bytes]:
+    """Yield each frame of a video as a file."""
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     while (read := video.read())[0]:
-        yield np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        yield cv2.imencode(".bmp", read[1])[1].tobytes()

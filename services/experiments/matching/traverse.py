@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from schemas.codec import printable
-from services.experiments.matching.feature_cache import FeatureCache, digest
+from services.experiments.matching.feature_cache import FeatureCache, Features
 from services.experiments.matching.image_reading import Picture, loaded, quiet_opencv, read_color, read_depth
 from services.experiments.matching.sources import Source
 from services.experiments.words import listed
 from services.kit.errors import JobError
 from smal.features import FeatureSettings, extract
 from smal.features.extraction import in_parallel
-
-Features = NDArray[np.float16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +55,11 @@ def describe_frames(source: Source, settings: FeatureSettings, depth: Source | N
     except MemoryError:
         raise JobError(f"{source.path}: the features of {count} frames do not fit into memory") from None
     numbers: list[int] = []
-    pictures = zip(*[one.pictures() for one in (source, depth) if one is not None], strict=True)
+    frames = zip(source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True)
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
-        described = in_parallel(partial(_describe, settings, cache), pictures)
+        described = in_parallel(partial(_describe, source, settings, cache), frames)
         bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
         for number, one in enumerate(bar):
-            if isinstance(one, str):
-                raise JobError(f"{source.path}: {printable(source.frames[number], 255)}: {one}")
             if one is not None:
                 features[len(numbers)] = one
                 numbers.append(number)
@@ -73,15 +69,15 @@ def describe_frames(source: Source, settings: FeatureSettings, depth: Source | N
     return Traverse(source, features[: len(numbers)], np.array(numbers, np.int64))
 
 
-def _describe(settings: FeatureSettings, cache: FeatureCache, pictures: Sequence[Picture]) -> Features | str | None:
-    """Return the raw features of a frame, of its colour and, if there is such, its depth.
-
-    None if it cannot be read, and what is wrong in words if it cannot be described.
-    """
+def _describe(
+    source: Source, settings: FeatureSettings, cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]
+) -> Features | None:
+    """Return the raw features of a frame, of its colour and, if there is such, its depth; None if it cannot be read."""
+    name, *pictures = frame
     read = [data for data in map(loaded, pictures) if data is not None]
     if len(read) < len(pictures):
         return None
-    key = digest(*read)
+    key = cache.key(*read)
     if (known := cache.find(key)) is not None:
         return known
     image, depths_mm = read_color(read[0]), [read_depth(one) for one in read[1:]]
@@ -90,7 +86,7 @@ def _describe(settings: FeatureSettings, cache: FeatureCache, pictures: Sequence
     try:
         return cache.keep(key, extract(image, settings, *depths_mm).astype(np.float16))
     except ValueError as error:
-        return str(error)
+        raise JobError(f"{source.path}: {printable(name, 255)}: {error}") from None
 
 
 def _named(names: Sequence[str]) -> str:

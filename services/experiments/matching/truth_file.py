@@ -105,11 +105,11 @@ def gps_positions(references: Source, queries: Source) -> tuple[Positions, Posit
     return first * scale, second * scale
 
 
-def _latitude_longitude(data: bytes | NDArray[np.uint8] | None) -> tuple[float, float]:
+def _latitude_longitude(data: bytes | None) -> tuple[float, float]:
     from PIL import Image  # noqa: PLC0415 - no other truth needs it
 
     try:
-        gps = Image.open(BytesIO(data if isinstance(data, bytes) else b"")).getexif().get_ifd(_GPS)
+        gps = Image.open(BytesIO(data or b"")).getexif().get_ifd(_GPS)
         parts = [float(np.array(gps[tag], float) @ [1.0, 1 / 60, 1 / 3600]) for tag in (2, 4)]
     except (OSError, SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, Image.DecompressionBombError):
         return math.nan, math.nan
