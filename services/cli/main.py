@@ -27,7 +27,7 @@ COMMANDS: Final = {
     "model": ("services.cli.model:app", "Look at what was learned."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
-    "match": ("services.cli.match:match", "Match the places of two image folders."),
+    "match": ("services.cli.match:match", "Match the places of two traverses."),
     "topic": ("services.cli.topic:app", "List the topics; listen to them."),
     "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),
     "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),

@@ -40,7 +40,7 @@ _METHODS: Final = "; ".join(
 
 def match(
     reference: Annotated[Path, Argument(metavar="REFERENCES", help="The traverse that is known; see above.")],
-    query: Annotated[Path | None, Argument(metavar="[QUERIES]", help="The traverse to be recognized.")] = None,
+    query: Annotated[Path | None, Argument(metavar="QUERIES", help="The traverse to be recognized.")] = None,
     name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,
@@ -66,8 +66,8 @@ def match(
 
     A traverse is a folder of images in natural order (img2 before img10), a video, or a recording of SMAL (.mcap); its
     frames count from 0. Any format and size that OpenCV reads will do, grey or with 16 bits as well. An image that
-    cannot be read is skipped and keeps its number. Features are kept in $XDG_CACHE_HOME/smal (~/.cache/smal, at most
-    2 GB), so that the next run with the same images takes seconds.
+    cannot be read is skipped and keeps its number. Features are kept in $XDG_CACHE_HOME/smal (~/.cache/smal, of at
+    most 90,000 images), so that the next run with the same ones takes seconds.
 
     The score of smal is the probability that the match is right, to --tolerance frames (by default as far as references
     look alike, with --truth half of what usually is right). So --precision .99 keeps as many matches as are right in 99
@@ -85,14 +85,13 @@ def match(
 
     The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
     (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
-    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place,
+    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place (to --tolerance frames),
     --truth gps those within --radius metres by EXIF, and --poses by two files with the columns frame, x_m, y_m. It adds
     the area under the precision-recall curve (auc) and the recall at 100 % precision, both with 95 % intervals and of
     what is left; how far probabilities are off the share that is right (expected calibration error); and how often a
     known query is told from an unknown one.
 
-    --page FILE shows the matches as images, the 200 most doubtful ones, first of all those; say there which are right,
-    and save a file for --truth.
+    --page FILE shows the 200 most doubtful matches as images; say there which are right, and save a file for --truth.
 
     The JSON has all of this; the names of frames, read or not; and "matches", one for each query frame: {"query",
     "reference", "score", "unknown"}, reference null and score 0 where there is none, unknown the probability that no
