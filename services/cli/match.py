@@ -85,11 +85,11 @@ def match(
 
     The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
     (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
-    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place (to --tolerance frames),
-    --truth gps those within --radius metres by EXIF, and --poses by two files with the columns frame, x_m, y_m. It adds
-    the area under the precision-recall curve (auc) and the recall at 100 % precision, both with 95 % intervals and of
-    what is left; how far probabilities are off the share that is right (expected calibration error); and how often a
-    known query is told from an unknown one.
+    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place (to
+    --tolerance frames), --truth gps those within --radius metres by EXIF, and --poses by two files with the columns
+    frame, x_m, y_m. It adds the area under the precision-recall curve (auc) and the recall at 100 % precision, both
+    with 95 % intervals and of what is left; how far probabilities are off the share that is right (expected calibration
+    error); and how often a known query is told from an unknown one.
 
     --page FILE shows the 200 most doubtful matches as images; say there which are right, and save a file for --truth.
 
