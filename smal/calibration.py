@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
-from smal.likelihood import Likelihood, gamma_of, standing_out
-from smal.model import evenly
+from smal.likelihood import Likelihood, gamma_of, over, scale, standing_out
+from smal.model import evenly, unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 
@@ -199,7 +199,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     ways, cosines, distant, curves = [], [], [], []
     for drive in np.unique(frames.drives):
         every = np.flatnonzero(frames.drives == drive)
-        some = every[evenly(every.size, SETTINGS.most_frames)]
+        some = every[_near_and_far(every.size, SETTINGS.most_frames)]
         apart, turned = frames.apart(some)
         alike = frames.centred[some] @ frames.centred[some].T
         near = apart < SETTINGS.reach * apart.max()
@@ -218,11 +218,29 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         raise ValueError("the robot does not move in any demonstration")
     if not frames.centred.any():
         raise ValueError("all images of the demonstrations look the same")
-    edges = np.linspace(0.0, reach, 100)
-    where = np.digitize(way, edges[1:-1])
-    count = np.bincount(where, minlength=99)
-    mean = np.bincount(where, cosine, minlength=99)[count > 0] / count[count > 0]
-    return _half_way(((edges[:-1] + edges[1:]) / 2.0)[count > 0], mean, 1.0, unrelated), unrelated
+    while True:
+        edges = np.linspace(0.0, reach, 100)
+        within = way <= reach
+        where = np.digitize(way[within], edges[1:-1])
+        count = np.bincount(where, minlength=99)
+        mean = np.bincount(where, cosine[within], minlength=99)[count > 0] / count[count > 0]
+        length = _half_way(((edges[:-1] + edges[1:]) / 2.0)[count > 0], mean, 1.0, unrelated)
+        # On a long way it is within the first few steps: look closer.
+        if length > 0.1 * reach:
+            return length, unrelated
+        reach = 4.0 * length
+
+
+def _near_and_far(count: int, most: int) -> NDArray[np.intp]:
+    """Return all numbers below a count, or about so many, with pairs near each other and far apart.
+
+    Those are evenly spread numbers, and after each of them some that are ever further away.
+    """
+    if count <= most:
+        return np.arange(count)
+    each = math.isqrt(most)
+    after = np.geomspace(1.0, count / each, each).astype(np.intp) - 1
+    return np.unique(np.minimum(evenly(count, each)[:, None] + after, count - 1))
 
 
 def _turns_undone(
@@ -240,12 +258,13 @@ def _turns_undone(
     return np.hypot(*steps[:, :2].T), np.array(cosines)
 
 
-def correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
+def correlation_turn(views: NDArray[np.int8], unrelated: float) -> float:
     """Return the turn (radians) after which views (k, 3, turns, r) are half as alike as they can be: a step at least.
 
     Half way is to the mean cosine of unrelated views.
     """
-    mean = np.einsum("kr,ktr->t", views[:, 1, STRAIGHT], views[:, 1]) / len(views)
+    some = unpacked(views[evenly(len(views), SETTINGS.most_frames), 1])
+    mean = np.einsum("kr,ktr->t", some[:, STRAIGHT], some) / len(some)
     mean = (mean[STRAIGHT:] + mean[STRAIGHT::-1]) / 2.0
     turn_deg = _half_way(TURNS_DEG[STRAIGHT:], mean, float(mean[0]), unrelated)
     return math.radians(max(turn_deg, STEP_DEG))
@@ -257,7 +276,7 @@ def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: flo
 
 
 def likelihood_of_views(
-    views: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+    views: NDArray[np.int8], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
 ) -> Likelihood:
     """Measure on the views of keyframes (k, 3, turns, r), of unit length, what views say of places.
 
@@ -265,26 +284,27 @@ def likelihood_of_views(
     four correlation lengths away on the same drive another one. Without such places (a short drive in one room)
     elsewhere is what a normal distribution says. ValueError if no keyframe has a neighbour.
     """
-    count, own = len(views), views[:, 1, STRAIGHT]
+    count, own = len(views), unpacked(views[:, 1, STRAIGHT])
     sample = own[evenly(count, SETTINGS.reference)]
-    every = views.reshape(-1, views.shape[-1])
+    some = evenly(count, SETTINGS.most_frames)
+    places = unpacked(views[some])
     here, elsewhere, neighbours = [], [], []
-    chains: list[NDArray[Any]] = [np.empty((2, 0), dtype=views.dtype)]
+    chains: list[NDArray[Any]] = [np.empty((2, 0))]
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
-        z = standing_out(every @ own[k], sample @ own[k]).reshape(views.shape[:3])
+        compared = scale(sample @ own[k])
         steps = seen_from(poses, poses[k])
         far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > 4.0 * length)
-        elsewhere.append(z[far].ravel())
+        elsewhere.append(over(places[far[some]] @ own[k], *compared).ravel())
         beside = [other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]]
         for other in beside:
             turn = STRAIGHT - round(math.degrees(steps[other, 2]) / STEP_DEG)
             if 0 <= turn < TURNS_DEG.size:
-                here.append(float(z[other, 1, turn]))
-                neighbours.append(float(views[other, 1, turn] @ own[k]))
+                neighbours.append(float(unpacked(views[other, 1, turn]) @ own[k]))
+                here.append(float(over(np.array(neighbours[-1]), *compared)))
         if k + 1 in beside:
             after = standing_out(own @ own[k + 1], sample @ own[k + 1])
             on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
-            chains.append(np.stack([z[on, 1, STRAIGHT], after[on + 1]]))
+            chains.append(np.stack([over(own @ own[k], *compared)[on], after[on + 1]]))
     if not here:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"

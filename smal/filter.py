@@ -125,7 +125,7 @@ class Filter:
         self._centering = centering
         self._seed = seed
         # Made here, and not while the first frame waits.
-        _ = visual_map.neighbour_cosines, visual_map.reference, visual_map.next_cosine
+        _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview, visual_map.next_cosine
         self.reset()
 
     def reset(self) -> None:
@@ -191,12 +191,14 @@ class Filter:
 
         What looks like nothing more than like any place, or is the same to the bit, shows no place.
         """
-        cosines = self._map.cosines(components)
-        middle, spread = scale(self._map.sampled(cosines))
+        keyframes, stand_for = self._map.likely(components)
+        places, turns = np.full(TURNS_DEG.size, 1), np.arange(TURNS_DEG.size)
+        cosines = self._map.cosines(components, keyframes[:, None], places, turns)
+        middle, spread = scale(self._map.sample @ components)
         nothing = not components.any() or components @ self._map.blank > cosines.max()
         if nothing or np.array_equal(components, self._last):
-            return View(cosines, middle, 0.0, 0.0)
-        return View(cosines, middle, spread, self._newness.of(components))
+            return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
+        return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(components))
 
     def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> None:
         """Take from the particles the probability that goes to where the wheels do not lead.
@@ -245,20 +247,21 @@ class Filter:
         The second value is the likelihood of the view there.
         """
         shares = self._tracked.shares
-        z = seen.stands_out(seen.cosines[:, 1])
+        z = seen.stands_out(seen.cosines)
         says = self._map.likelihood.mixed(shares, z, 1.0)
         new = self._map.likelihood.mixed(shares, z, seen.newness)
-        prior = np.full(len(says), 1.0 / says.size)
+        prior = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
         if self._sure is not None:
             drive, pose, way = self._sure
             reach = self._map.correlation_length + SETTINGS.slip * way
             apart = np.hypot(*(self._map.key_poses[:, :2] - pose[:2]).T) / reach
             near = np.exp(-0.5 * np.square(apart)) * (self._map.key_drives == drive)
-            prior = 0.5 * prior + 0.5 * near / max(float(near.sum()), 1e-12) / says.shape[1]
+            near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
+            prior = 0.5 * prior + 0.5 * near / TURNS_DEG.size
         weights = prior[:, None] * says
         drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
-        keyframes, turns = np.divmod(drawn, TURNS_DEG.size)
-        scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0)
+        chosen, turns = np.divmod(drawn, TURNS_DEG.size)
+        scouts = self._beside(seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0)
         # They are drawn by all that the view says, of which a part alone is new.
         rest = (new / says).ravel()[drawn]
         scouts.weights, scouts.shares = rest / rest.sum(), shares

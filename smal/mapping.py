@@ -26,7 +26,7 @@ from smal.calibration import (
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.demonstration import USUAL_GOAL, Demonstration, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
-from smal.model import Model, VisualMap, evenly, unit
+from smal.model import Model, VisualMap, evenly, packed, unit
 from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
 from smal.stitches import stitched
@@ -204,7 +204,7 @@ def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], len
 
 def _make_views(
     frames: TaughtFrames, keyframes: NDArray[np.int32], scene: Scene, aside: float, progress: Progress
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
     lefts = (-aside, 0.0, aside)
 
@@ -224,15 +224,16 @@ def _make_views(
         made = dict(zip(sample, pool.map(views_of, sample), strict=True))
         basis = _components(np.concatenate(list(made.values())))
 
-        def kept(frame: int) -> NDArray[np.float32]:
-            rows = made[frame] if frame in made else views_of(frame)
-            return unit(rows.reshape(len(lefts), TURNS_DEG.size, -1) @ basis)
+        views = np.empty((keyframes.size, len(lefts), TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
 
-        views = []
-        for done, view in enumerate(pool.map(kept, keyframes.tolist()), 1):
-            views.append(view)
+        def keep(key: int) -> None:
+            frame = int(keyframes[key])
+            rows = made[frame] if frame in made else views_of(frame)
+            views[key] = packed(rows @ basis).reshape(views.shape[1:])
+
+        for done, _ in enumerate(pool.map(keep, range(keyframes.size)), 1):
             progress(done, keyframes.size)
-    return np.stack(views), basis
+    return views, basis
 
 
 def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:

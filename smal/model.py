@@ -41,9 +41,9 @@ class VisualMap:
         Taught frames that are keyframes, ascending; the first and last frame of every drive are among them.
     basis : float32 array (m, r)
         Components of centred features.
-    views : float32 array (k, 3, turns, r)
-        Components of each keyframe's views, of unit length: from `aside` to the right, from there, from the left; each
-        turned by `TURNS_DEG`.
+    views : int8 array (k, 3, turns, r)
+        Components of each keyframe's views, of any length (`packed`): from `aside` to the right, from there, from the
+        left; each turned by `TURNS_DEG`.
     blank : float32 array (r,)
         Components of a picture that shows nothing, of unit length.
     aside : float
@@ -75,7 +75,7 @@ class VisualMap:
     drives: NDArray[np.int32]
     keyframes: NDArray[np.int32]
     basis: NDArray[np.float32]
-    views: NDArray[np.float32]
+    views: NDArray[np.int8]
     blank: NDArray[np.float32]
     aside: float
     correlation_length: float
@@ -95,20 +95,36 @@ class VisualMap:
         check_map(self)
 
     @cached_property
-    def flat_views(self) -> NDArray[np.float32]:
-        """Every view as a row, (k * 3 * turns, r)."""
-        return np.ascontiguousarray(self.views.reshape(-1, self.views.shape[-1]))
-
-    @cached_property
     def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Cosines of views that lie beside each other: by turn (k, 3, turns - 1), and by place (k, 2, turns)."""
-        views = self.views
-        return (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1), (views[:, 1:] * views[:, :-1]).sum(axis=-1)
+        count, places, turns, _ = self.views.shape
+        by_turn = np.empty((count, places, turns - 1), dtype=np.float32)
+        by_place = np.empty((count, places - 1, turns), dtype=np.float32)
+        for first in range(0, count, SETTINGS.reference):
+            some = slice(first, first + SETTINGS.reference)
+            views = unpacked(self.views[some])
+            by_turn[some] = (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1)
+            by_place[some] = (views[:, 1:] * views[:, :-1]).sum(axis=-1)
+        return by_turn, by_place
 
     @cached_property
     def reference(self) -> NDArray[np.intp]:
         """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
         return evenly(len(self.keyframes), SETTINGS.reference)
+
+    @cached_property
+    def sample(self) -> NDArray[np.float32]:
+        """Views that say what elsewhere looks like, (reference, r)."""
+        return unpacked(self.views[self.reference, 1, STRAIGHT])
+
+    @cached_property
+    def overview(self) -> NDArray[np.float32]:
+        """Every fifth keyframe from every second turn, in the leading components: (k / 5, turns / 2, leading).
+
+        Views change slowly along the way, and slowly with the turn: where these are alike is where to look closely.
+        """
+        middle = self.views[SETTINGS.views_a_length // 2 :: SETTINGS.views_a_length, 1, STRAIGHT % 2 :: 2]
+        return np.ascontiguousarray(unpacked(middle)[..., : SETTINGS.leading])
 
     @cached_property
     def likelihood(self) -> Likelihood:
@@ -167,21 +183,44 @@ class VisualMap:
         """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
         return unit(centred @ self.basis)
 
-    def cosines(self, components: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the cosine of a frame's components (r,) with every view, (k, 3, turns)."""
-        found: NDArray[np.float32] = self.flat_views @ components
-        return found.reshape(self.views.shape[:3])
+    def cosines(
+        self,
+        components: NDArray[np.float32],
+        keyframes: NDArray[np.intp],
+        places: NDArray[np.intp],
+        turns: NDArray[np.intp],
+    ) -> NDArray[np.float32]:
+        """Return the cosines of a frame's components (r,) with some views, in the shape of their indices together."""
+        views = np.ravel_multi_index(np.broadcast_arrays(keyframes, places, turns), self.views.shape[:3])
+        each, where = np.unique(views, return_inverse=True)
+        rows = self.views.reshape(-1, components.size)[each].astype(np.float32)
+        lengths = np.sqrt(np.einsum("vr,vr->v", rows, rows))
+        found: NDArray[np.float32] = rows @ components / np.maximum(lengths, 1.0)
+        return found[where].reshape(views.shape)
 
-    def sampled(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return those of the cosines (k, 3, turns) that say what elsewhere looks like."""
-        sample: NDArray[np.float32] = cosines[self.reference, 1, STRAIGHT]
-        return sample
+    def likely(self, components: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return the keyframes to look at for a frame (r,), and how many keyframes each stands for, (n,) and (n,).
+
+        Of a short way these are all. Of a longer one they are those about where the overview is most alike, and of the
+        others the sample of elsewhere.
+        """
+        count, step = len(self.keyframes), SETTINGS.views_a_length
+        if count <= SETTINGS.looked_at:
+            return np.arange(count), np.ones(count)
+        alike = (self.overview @ components[: SETTINGS.leading]).max(axis=1)
+        best = np.argpartition(-alike, SETTINGS.looked_at // step)[: SETTINGS.looked_at // step]
+        near = (best[:, None] * step + np.arange(step)).ravel()
+        near = near[near < count]
+        others = np.setdiff1d(self.reference, near)
+        shares = np.full(others.size, (count - near.size) / max(others.size, 1))
+        return np.append(near, others), np.append(np.ones(near.size), shares)
 
     @cached_property
     def next_cosine(self) -> float:
         """Mean cosine of the views of a keyframe and the next one: below it, a view is new."""
-        own = self.views[:, 1, STRAIGHT]
-        pairs = (own[1:] * own[:-1]).sum(axis=-1)[np.diff(self.key_drives) == 0]
+        some = np.flatnonzero(np.diff(self.key_drives) == 0)
+        some = some[evenly(some.size, SETTINGS.most_frames)]
+        pairs = (unpacked(self.views[some, 1, STRAIGHT]) * unpacked(self.views[some + 1, 1, STRAIGHT])).sum(axis=-1)
         return float(pairs.mean()) if pairs.size else 0.5
 
 
@@ -242,6 +281,18 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
     return scaled
+
+
+def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:
+    """Keep the directions of vectors (..., r) in a quarter of the memory; cosines are off by about a thousandth."""
+    largest = np.abs(vectors).max(axis=-1, keepdims=True)
+    scaled = np.divide(127.0 * vectors, largest, out=np.zeros_like(vectors), where=largest > 0.0)
+    return np.asarray(np.rint(scaled), dtype=np.int8)
+
+
+def unpacked(vectors: NDArray[np.int8]) -> NDArray[np.float32]:
+    """Return the vectors (..., r) that `packed` packed, of unit length."""
+    return unit(vectors.astype(np.float32))
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:

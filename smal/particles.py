@@ -18,14 +18,23 @@ class View(NamedTuple):
 
     Parameters
     ----------
-    cosines : float32 array (k, 3, turns)
-        With every view of the map.
+    components : float32 array (r,)
+        Of the map (`VisualMap.described`).
+    keyframes : int array (n,)
+        That were looked at.
+    stand_for : float64 array (n,)
+        How many keyframes each of them stands for.
+    cosines : float32 array (n, turns)
+        With the views from there.
     middle, spread : float
         Median and spread of its cosines with the sample of elsewhere.
     newness : float
         How much of it the views before have not told, 0 to 1.
     """
 
+    components: NDArray[np.float32]
+    keyframes: NDArray[np.intp]
+    stand_for: NDArray[np.float64]
     cosines: NDArray[np.float32]
     middle: float
     spread: float
@@ -80,7 +89,7 @@ class Particles:
 
     def update(self, seen: View, rng: np.random.Generator) -> float:
         """Weigh by a view; return how much likelier it is here than elsewhere."""
-        found, beyond, away = self.interpolated(seen.cosines)
+        found, beyond, away = self.interpolated(seen.components)
         z = seen.stands_out(found)
         log_ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
         # Where it looks away from all that was taught, the view says nothing; far aside is like nowhere.
@@ -97,10 +106,10 @@ class Particles:
 
     def cosine(self, seen: View) -> float:
         """Return the mean cosine of a view with those of these places."""
-        return float(self.weights @ self.interpolated(seen.cosines)[0])
+        return float(self.weights @ self.interpolated(seen.components)[0])
 
     def interpolated(
-        self, cosines: NDArray[np.float32]
+        self, components: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the cosine with the view at each particle's offset, and how far that lies and is turned beyond views.
 
@@ -118,12 +127,11 @@ class Particles:
         p = np.minimum(aside.astype(np.intp), 1)
         g = aside - p
 
-        def at(place: NDArray[np.intp]) -> NDArray[np.float64]:
-            mixed = (1.0 - f) * cosines[k, place, t] + f * cosines[k, place, t + 1]
-            return np.asarray(mixed / _norm(f, by_turn[k, place, t]))
-
+        places = np.stack([p, p + 1])
+        less, more = self._map.cosines(components, k, places, np.stack([t, t + 1])[:, None])
+        here, beside = ((1.0 - f) * less + f * more) / _norm(f, by_turn[k, places, t])
         places_alike = (1.0 - f) * by_place[k, p, t] + f * by_place[k, p, t + 1]
-        found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, places_alike)
+        found = ((1.0 - g) * here + g * beside) / _norm(g, places_alike)
         length = self._map.correlation_length
         beyond = np.hypot(
             np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,

@@ -36,6 +36,9 @@ class Settings:
     #: Views from which components are computed, and keyframes that are compared with all others at once: memory.
     sampled_views: int = 2500
     compared_at_once: int = 32
+    #: Keyframes at which a view is looked for anywhere, and leading components by which they are chosen on longer ways.
+    looked_at: int = 500
+    leading: int = 64
 
     # -- how alike views are (`smal.calibration`)
     #: Turned by less, a view is the same; by more, two views hardly overlap.

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT
 from smal.likelihood import ANY_DAY, standing_out
-from smal.model import VisualMap
+from smal.model import VisualMap, unpacked
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.settings import SETTINGS
 
@@ -74,20 +74,20 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
 
 def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.float64]]:
     """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
-    shape, drives, each = visual_map.views.shape[:3], visual_map.key_drives, range(len(visual_map.goals))
-    best, offsets = np.full((shape[0], len(each)), -1, dtype=np.intp), np.zeros((shape[0], len(each), 3))
-    firsts = np.searchsorted(drives, each)
-    for start in range(0, shape[0], SETTINGS.compared_at_once):
-        views = visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT]
-        some = (visual_map.flat_views @ views.T).reshape(*shape, -1)
-        for here, cosines in enumerate(np.moveaxis(some, -1, 0), start):
-            z = standing_out(cosines, visual_map.sampled(cosines))
-            likely = visual_map.likelihood.mixed(ANY_DAY, z, 1.0) > 1.0
-            for drive, first in zip(each, firsts, strict=True):
-                there = cosines[drives == drive]
+    count, drives, goals = len(visual_map.keyframes), visual_map.key_drives, len(visual_map.goals)
+    best, offsets = np.full((count, goals), -1, dtype=np.intp), np.zeros((count, goals, 3))
+    for start in range(0, count, SETTINGS.compared_at_once):
+        own = unpacked(visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT])
+        some = np.unique(np.concatenate([visual_map.likely(view)[0] for view in own]))
+        views = unpacked(visual_map.views[some])
+        together = (views.reshape(-1, own.shape[1]) @ own.T).reshape(*views.shape[:3], -1)
+        for here, (view, cosines) in enumerate(zip(own, np.moveaxis(together, -1, 0), strict=True), start):
+            sample = visual_map.sample @ view
+            for drive, first in zip(*np.unique(drives[some], return_index=True), strict=True):
+                there = cosines[first : first + np.count_nonzero(drives[some] == drive)]
                 k, p, t = map(int, np.unravel_index(there.argmax(), there.shape))
-                if likely[first + k, p, t]:
-                    best[here, drive] = first + k
+                if visual_map.likelihood.mixed(ANY_DAY, standing_out(there[k, p, t], sample), 1.0) > 1.0:
+                    best[here, drive] = some[first + k]
                     left = (_peak(there[k, :, t], p) - 1.0) * visual_map.aside
                     turned = math.radians((_peak(there[k, p], t) - STRAIGHT) * STEP_DEG)
                     offsets[here, drive] = 0.0, left, turned

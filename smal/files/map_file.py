@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 #: What numbers of a map can be.
 _LONGEST = 1e6
-#: Keyframes, each of which is compared with all others: 20 km of usual views, and 1 GB while they are compared.
-_MOST_KEYFRAMES = 30_000
+#: Keyframes: 300 km of usual views.
+_MOST_KEYFRAMES = 400_000
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
     "gamma": lambda one: 0.0 < one <= 1e3,
@@ -33,7 +33,7 @@ _AXES = {
     "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1,
     "log_ratio": 2, "stitched": 2, "stitch_offsets": 2,
 }  # fmt: skip
-_WHOLE = ("drives", "keyframes", "stitched")
+_WHOLE = ("drives", "keyframes", "views", "stitched")
 
 
 def check_map(one: "VisualMap") -> None:
@@ -72,11 +72,10 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         and _within(keys, frames)
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
-        "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
+        "views": one.views.dtype == np.int8 and one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
         "blank": one.blank.shape == (one.basis.shape[1],) and float(np.linalg.norm(one.blank)) < 1.01,
         "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
         "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.log_ratio) < 100.0).all()),
-        "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,
         "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
         "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1 and all(map(_is_name, one.goals)),

@@ -128,7 +128,7 @@ def smallest_map() -> Model:
         drives=np.zeros(2, np.int32),
         keyframes=np.array([0, 1], np.int32),
         basis=np.eye(COLOR.size, 1, dtype=np.float32),
-        views=np.ones((2, 3, TURNS_DEG.size, 1), np.float32),
+        views=np.ones((2, 3, TURNS_DEG.size, 1), np.int8),
         blank=np.zeros(1, np.float32),
         aside=0.4,
         correlation_length=1.0,

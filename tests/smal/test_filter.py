@@ -1,7 +1,9 @@
 """The filter follows a robot through a painted room, finds it, and knows when it is lost."""
 
 import math
+from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -11,9 +13,10 @@ from hypothesis import strategies as st
 from smal.camera import TURNS_DEG
 from smal.features import extract
 from smal.filter import Belief, Filter
-from smal.model import VisualMap
+from smal.model import VisualMap, unit
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
+from smal.settings import SETTINGS
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,
@@ -145,11 +148,11 @@ def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
 )
 def test_the_likelihood_does_not_jump_between_the_virtual_views(key: int, aside: float, turn: int, seed: int) -> None:
     visual_map = usual_map()[0]
-    cosines = np.random.default_rng(seed).uniform(-1.0, 1.0, visual_map.views.shape[:3]).astype(np.float32)
+    components = unit(np.random.default_rng(seed).standard_normal(visual_map.basis.shape[1], dtype=np.float32))
     keys = np.full(2, key)
     offsets = np.array([[0.0, aside * visual_map.aside, math.radians(TURNS_DEG[turn] + by)] for by in (-1e-6, 1e-6)])
     particles = Particles(visual_map, keys, placed(offsets, visual_map.key_poses[keys]))
-    found, beyond, _ = particles.interpolated(cosines)
+    found, beyond, _ = particles.interpolated(components)
     assert found[0] == pytest.approx(found[1], abs=1e-4)
     assert beyond[0] == pytest.approx(beyond[1], abs=1e-4)
 
@@ -299,6 +302,14 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(raw: Any, movement: Mov
         one.observe(raw, movement)
     good = extract(ROOM.look(seen.poses[-1]), COLOR)
     assert same(one.observe(good, Movement(0.05, 0.0)), other.observe(good, Movement(0.05, 0.0)))
+
+
+@pytest.mark.parametrize("to", [72, 115])
+def test_of_a_long_way_the_place_is_found_among_a_few(to: int) -> None:
+    with patch("smal.model.SETTINGS", replace(SETTINGS, looked_at=20)):
+        found = Filter(*usual_map())
+        follow(drive(way=((1.0, 0.0),)), found)
+        arrives(to, found, 2.0)
 
 
 @pytest.mark.parametrize("start", [25, 75])

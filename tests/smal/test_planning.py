@@ -46,7 +46,7 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         drives=drives,
         keyframes=keyframes,
         basis=np.eye(4, 1, dtype=np.float32),
-        views=np.zeros((keyframes.size, 3, TURNS_DEG.size, 1), dtype=np.float32),
+        views=np.zeros((keyframes.size, 3, TURNS_DEG.size, 1), dtype=np.int8),
         blank=np.zeros(1, dtype=np.float32),
         aside=0.2,
         correlation_length=0.5,

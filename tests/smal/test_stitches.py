@@ -84,7 +84,7 @@ def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() 
     assert joined_ends(alike) == 0
     # Without the stretch that they share nothing speaks against it.
     strange = views.copy()
-    strange[(drives == 1) & ~np.isin(np.arange(len(drives)), ends[1])] *= -1.0
+    strange[(drives == 1) & ~np.isin(np.arange(len(drives)), ends[1])] *= -1
     assert joined_ends(replace(found, views=strange)) >= 12
 
 

@@ -83,10 +83,32 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
                     y + math.cos(heading) * place,
                     heading + math.radians(turn),
                 )
-                cosines = found.cosines(found.described(centering.apply(extract(ROOM.look(pose), COLOR))))[key]
+                components = found.described(centering.apply(extract(ROOM.look(pose), COLOR)))
+                cosines = found.cosines(components, np.array(key), np.arange(3)[:, None], np.arange(TURNS_DEG.size))
                 best = np.unravel_index(cosines.argmax(), cosines.shape)
                 assert best[0] == column
                 assert abs(TURNS_DEG[best[1]] - turn) <= 5.0
+
+
+def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> None:
+    found, centering = usual_map()
+    count, one = len(found.keyframes), drive()
+    with patch("smal.model.SETTINGS", replace(SETTINGS, looked_at=20)):
+        for frame in range(0, len(one.poses), 7):
+            components = found.described(centering.apply(extract(ROOM.look(one.poses[frame]), COLOR)))
+            keyframes, stand_for = found.likely(components)
+            assert len(set(keyframes.tolist())) == len(keyframes)
+            # The others are stood for by the sample of elsewhere: no place counts more or less than before.
+            assert stand_for.sum() == pytest.approx(count)
+            assert np.abs(found.keyframes[keyframes[:20]] - frame).min() <= 2
+
+
+def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> None:
+    """Looked at as closely as it is over ten kilometres: at few of its frames."""
+    usual = usual_map()[0].correlation_length
+    with patch("smal.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
+        found = taught(ROOM, drive(), scene=SCENE)[0]
+    assert found.correlation_length == pytest.approx(usual, rel=0.25)
 
 
 class Reader(Sequence[Image]):
