@@ -137,12 +137,16 @@ def alike(references: Array, cosine: float) -> int:
 def _levels(references: Array, queries: Array, known: NDArray[np.intp], asked: NDArray[np.intp]) -> Levels:
     """Return how far queries stand out at references, for those that are asked and known."""
     levels = np.empty((len(asked), len(known)), np.uint16)
-    for start in range(0, len(asked), _BLOCK):
+
+    def fill(start: int) -> None:
         z = (queries[asked[start : start + _BLOCK]] @ references.T)[:, known]
         for row, level in zip(z, levels[start : start + _BLOCK], strict=True):
             row[:] = over(row, float(row.mean()), float(row.std()))
             place = np.rint((row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0])))
             level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
+
+    for _ in in_parallel(fill, range(0, len(asked), _BLOCK)):
+        pass
     return levels
 
 
