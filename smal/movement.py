@@ -122,6 +122,8 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
     """Measure what each atom does between two frames: the median, which a wheel that slips for a moment does not move.
 
+    Of several drives the one in which it does most: who pauses between keys, or is slow, does not make the robot so.
+
     Parameters
     ----------
     poses : sequence of float64 arrays (f, 3)
@@ -136,8 +138,15 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
         mirror, backward is the opposite of forward, and a car that never drove straight on does so as fast as it turns.
         Else it is still.
     """
-    made = np.concatenate([each[:-1] for each in atoms])
-    steps = [Movement.between(*pair) for way in poses for pair in pairwise(way)]
+    each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
+    most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)
+    return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
+
+
+def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[np.float64]:
+    """Measure what each atom did in one drive."""
+    made = atoms[:-1]
+    steps = [Movement.between(*pair) for pair in pairwise(way)]
     told = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
     found = {atom: told[made == atom] for atom in Atom}
     table = np.array([np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()])

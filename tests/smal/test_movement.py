@@ -88,3 +88,10 @@ def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
     np.testing.assert_array_equal(found[missing], found[made] * sign)
     assert not found[Atom.STOP].any()
+
+
+def test_a_slow_person_does_not_make_the_robot_slow() -> None:
+    atoms = np.repeat(list(Atom), 20).astype(np.int8)
+    slow = np.repeat(atoms, 2)
+    found = atom_movements([dead_reckoning(slow, 0.5 * TABLE), dead_reckoning(atoms, TABLE)], [slow, atoms])
+    np.testing.assert_allclose(found, TABLE, atol=1e-9)
