@@ -97,7 +97,7 @@ def match(
     "reference", "score", "unknown"}, reference null and score 0 where there is none, unknown the probability that no
     reference shows the query.
 
-    Examples: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png;
+    Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png;
     smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps --radius 5;
     smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops loops.g2o
     """
