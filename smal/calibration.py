@@ -6,7 +6,6 @@ have the same heading twice: the turn between two of its views is undone by a vi
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
+from smal.features.extraction import in_parallel
 from smal.likelihood import Likelihood, gamma_of, over, scale, standing_out
 from smal.model import evenly, unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
@@ -115,8 +115,7 @@ def _best(
         return sum(float(y @ describe(scene.warp(image, *(unit * part for part in step)))) for image, y, step in seen)
 
     # OpenCV lets go of the interpreter's lock.
-    with ThreadPoolExecutor() as pool:
-        return guesses[int(np.argmax(list(pool.map(score, guesses))))]
+    return guesses[int(np.argmax(list(in_parallel(score, guesses))))]
 
 
 def _far(camera: Camera) -> Scene:
@@ -250,12 +249,12 @@ def _turns_undone(
     first, second = pairs[evenly(len(pairs), SETTINGS.most_pairs)].T
     steps = frames.poses[second] - frames.poses[first]
 
-    def cosine(one: int, other: int, turn_rad: float) -> float:
+    def cosine(pair: tuple[int, int, float]) -> float:
+        one, other, turn_rad = pair
         return float(frames.describe(_far(camera).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
 
-    with ThreadPoolExecutor() as pool:
-        cosines = list(pool.map(cosine, first.tolist(), second.tolist(), wrapped(steps[:, 2]).tolist()))
-    return np.hypot(*steps[:, :2].T), np.array(cosines)
+    each = zip(first.tolist(), second.tolist(), wrapped(steps[:, 2]).tolist(), strict=True)
+    return np.hypot(*steps[:, :2].T), np.array(list(in_parallel(cosine, each)))
 
 
 def correlation_turn(views: NDArray[np.int8], unrelated: float) -> float:
@@ -278,7 +277,7 @@ def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: flo
 def likelihood_of_views(
     views: NDArray[np.int8], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
 ) -> Likelihood:
-    """Measure on the views of keyframes (k, 3, turns, r), of unit length, what views say of places.
+    """Measure on the views of keyframes (k, 3, turns, r) what views say of places.
 
     Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is more than
     four correlation lengths away on the same drive another one. Without such places (a short drive in one room)

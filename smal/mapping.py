@@ -5,7 +5,6 @@ Read `learn` from top to bottom.
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
@@ -26,6 +25,7 @@ from smal.calibration import (
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.demonstration import USUAL_GOAL, Demonstration, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
+from smal.features.extraction import in_parallel
 from smal.model import Model, VisualMap, evenly, packed, unit
 from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
@@ -218,21 +218,19 @@ def _make_views(
         return np.stack([frames.describe(remapped(image, one)) for one in maps_of(image.shape[:2])])
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
-    with ThreadPoolExecutor() as pool:
-        each = len(lefts) * TURNS_DEG.size
-        sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
-        made = dict(zip(sample, pool.map(views_of, sample), strict=True))
-        basis = _components(np.concatenate(list(made.values())))
+    each = len(lefts) * TURNS_DEG.size
+    sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
+    made = dict(zip(sample, in_parallel(views_of, sample), strict=True))
+    basis = _components(np.concatenate(list(made.values())))
+    views = np.empty((keyframes.size, len(lefts), TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
 
-        views = np.empty((keyframes.size, len(lefts), TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
+    def keep(key: int) -> None:
+        frame = int(keyframes[key])
+        rows = made[frame] if frame in made else views_of(frame)
+        views[key] = packed(rows @ basis).reshape(views.shape[1:])
 
-        def keep(key: int) -> None:
-            frame = int(keyframes[key])
-            rows = made[frame] if frame in made else views_of(frame)
-            views[key] = packed(rows @ basis).reshape(views.shape[1:])
-
-        for done, _ in enumerate(pool.map(keep, range(keyframes.size)), 1):
-            progress(done, keyframes.size)
+    for done, _ in enumerate(in_parallel(keep, range(keyframes.size)), 1):
+        progress(done, keyframes.size)
     return views, basis
 
 
