@@ -100,8 +100,8 @@ class VisualMap:
         count, places, turns, _ = self.views.shape
         by_turn = np.empty((count, places, turns - 1), dtype=np.float32)
         by_place = np.empty((count, places - 1, turns), dtype=np.float32)
-        for first in range(0, count, SETTINGS.reference):
-            some = slice(first, first + SETTINGS.reference)
+        for first in range(0, count, SETTINGS.compared_at_once):
+            some = slice(first, first + SETTINGS.compared_at_once)
             views = unpacked(self.views[some])
             by_turn[some] = (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1)
             by_place[some] = (views[:, 1:] * views[:, :-1]).sum(axis=-1)

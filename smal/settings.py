@@ -33,7 +33,7 @@ class Settings:
     usual: float = 0.95
     #: Views that say what elsewhere looks like.
     reference: int = 256
-    #: Views from which components are computed, and keyframes that are compared with all others at once: memory.
+    #: Views from which components are computed, and keyframes that are compared at once: memory.
     sampled_views: int = 2500
     compared_at_once: int = 32
     #: Keyframes at which a view is looked for anywhere, and leading components by which they are chosen on longer ways.

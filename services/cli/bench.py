@@ -28,7 +28,7 @@ def bench(
 
     recognition: matching over one product, against other solvers. bus: messages over those of plain Zenoh. faults:
     kills, freezes, outages, a full disk, floods. soak: memory and descriptors over an hour, or of the page. route: a
-    decision on a way of one kilometre. places: large traverses, and an index of a million views.
+    decision on a way of one kilometre. places: large traverses.
 
     Example: smal bench recognition --json results.json --out pictures
     """

@@ -21,7 +21,7 @@ class Daylight:
     zenith: Colour = (84.0, 132.0, 200.0)
     horizon: Colour = (206.0, 218.0, 228.0)  # Colours of the sky's picture, 0 to 255.
     clouds: float = 1.0  # How much of the sky clouds cover, relative to a fair day.
-    clouds_seed: int = 0  # Each day has clouds of its own.
+    clouds_seed: int = 0  # Every number has clouds of its own.
     lamps: Colour = (1.0, 1.0, 1.0)  # Strength and colour of what lights a room: lamps, and daylight through windows.
 
     @property
