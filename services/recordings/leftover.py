@@ -2,15 +2,15 @@
 
 import os
 from pathlib import Path
-from typing import Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
+from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata
 
 from schemas.topics import EPISODE, topic_of
 from services.kit.errors import JobError
-from services.recordings.chunks import bare_end
 from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
 from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
@@ -53,7 +53,11 @@ def seal_leftover(partial: Path) -> Sealed:
     try:
         if not found.chunks:
             return Sealed(None, found.episode, ended=False)
-        sink.write(bare_end())
+        # Without an index every reader reads it from its beginning.
+        end: Any = RecordBuilder()
+        DataEnd(0).write(end)
+        Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(end)
+        sink.write(end.end() + MAGIC)
         sink.sync()
         path = finished(partial)
         publish(partial, path)

@@ -96,6 +96,9 @@ class Sink:
         """Return how many bytes were written."""
         return self._size
 
+    def flush(self) -> None:
+        """Have nothing to write that was kept back."""
+
     def sync(self) -> None:
         """Wait until everything is on the disk."""
         os.fsync(self._descriptor)

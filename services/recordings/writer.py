@@ -1,15 +1,17 @@
 """One episode's recording, from its first message to its seal."""
 
 import os
+import sys
 import time
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self, cast
+
+from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import key_of
 from services.kit.version import program_version
-from services.recordings.chunks import ChunkedFile
 from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
 from services.recordings.ledger import Ledger
 from services.recordings.sink import Sink, claim, free_path, partial_of, publish
@@ -18,6 +20,10 @@ from services.recordings.views import View, Views, view_key
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
+#: A chunk is complete when it spans so much: what viewers load at least, and what a kill or one wrong byte costs.
+_CHUNK_NS: Final = 1_000_000_000
+#: And when it has so many bytes, where images are large: this process holds them until then.
+_CHUNK_BYTES: Final = 4 * 2**20
 
 
 class EpisodeWriter:
@@ -42,9 +48,12 @@ class EpisodeWriter:
         self._views = Views()
         self._channels: dict[tuple[str, ChannelFormat], int] = {}
         self._schemas: dict[ChannelFormat, int] = {}
+        #: Of the chunk that waits: its bytes, and its first time.
+        self._bytes, self._first_ns = 0, sys.maxsize
         self._sink = Sink(claim(part, os.O_RDWR | os.O_CREAT | os.O_EXCL))
         try:
-            self._file = ChunkedFile(self._sink, f"smal {program_version()}")
+            self._file: Any = Writer(cast("Any", self._sink), sys.maxsize, CompressionType.NONE, enable_data_crcs=True)
+            self._file.start(library=f"smal {program_version()}")
             self._file.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
             self._sink.close()
@@ -77,7 +86,8 @@ class EpisodeWriter:
         self.messages += 1
         if isinstance(message, Episode) and message.event == "ended":
             self.end_tick = message.tick
-        if self._file.is_full:
+        self._first_ns = min(self._first_ns, message.stamp_ns)
+        if message.stamp_ns - self._first_ns >= _CHUNK_NS or self._bytes >= _CHUNK_BYTES:
             self.flush()
 
     def flush(self) -> None:
@@ -87,7 +97,7 @@ class EpisodeWriter:
         except OSError as error:
             self.problem = error.strerror or str(error)
             raise
-        self._written = self.messages
+        self._written, self._bytes, self._first_ns = self.messages, 0, sys.maxsize
 
     def seal(self) -> Path:
         """Finish and name the recording, and return its file; `leftover` seals later what had no room for its end."""
@@ -111,6 +121,7 @@ class EpisodeWriter:
         for cause, view in self._views.way():
             self._draw(view, cause)
         self._file.finish()
+        self._sink.sync()
 
     def _draw(self, view: View, cause: Message) -> None:
         form = protobuf_format(type(view.message))  # type: ignore[arg-type]  # a class is hashable
@@ -120,10 +131,11 @@ class EpisodeWriter:
         channel = self._channels.get((key, form))
         if channel is None:
             if form not in self._schemas:
-                self._schemas[form] = self._file.add_schema(form.schema_name, form.schema_encoding, form.schema)
-            channel = self._file.add_channel(key, form.message_encoding, self._schemas[form], self._ids)
+                self._schemas[form] = self._file.register_schema(form.schema_name, form.schema_encoding, form.schema)
+            channel = self._file.register_channel(key, form.message_encoding, self._schemas[form], self._ids)
             self._channels[key, form] = channel
-        self._file.add_message(channel, cause.stamp_ns, cause.tick, payload)
+        self._bytes += len(payload)
+        self._file.add_message(channel, cause.stamp_ns, payload, cause.stamp_ns, cause.tick)
 
 
 def _description(started: Episode) -> dict[str, str]:
