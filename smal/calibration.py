@@ -40,25 +40,12 @@ class _Pair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TaughtFrames:
-    """All frames of all drives, one drive after the other.
+    """All f frames of all drives, one drive after the other.
 
-    Parameters
-    ----------
-    images : sequence of uint8 arrays (height, width, 3)
-    centred : float32 array (f, m)
-        Centred features of every image, of unit length.
-    poses : float64 array (f, 3)
-        x, y and heading in radians, in axes of their own for each drive: by the wheels, or by what atoms usually do.
-    drives : int32 array (f,)
-        The drive that each frame is of, ascending.
-    describe : callable
-        Gives the centred features of an image.
-    movements : float64 array (5, 2)
-        What each atom does between two frames.
-    odometry : bool
-        Whether poses are by the wheels.
-    camera : Camera, optional
-        The one that was told, or that by which turns were measured.
+    Of each there are its image, its centred features (f, m) of unit length, its pose (f, 3), x, y and heading in
+    radians, in axes of their own for each drive, and its drive (f,), ascending. Poses are by the wheels if there is
+    `odometry`, else by what atoms usually do; `movements` (5, 2) are what each atom does between two frames. `describe`
+    gives the centred features of an image. The camera is the one that was told, or that by which turns were measured.
     """
 
     images: Sequence[Image]
@@ -153,22 +140,9 @@ def turn_of_views(
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
     First over single atoms, then, more exactly, over several. With a wrong focal length the turn is wrong by as much,
-    so that virtual views of the two together fit all the same.
-
-    Parameters
-    ----------
-    images : sequence of uint8 arrays (height, width, 3)
-    atoms : sequence of int8 arrays
-        Made after the images, of each drive.
-    cameras : sequence of Camera
-        One of which took the images.
-    describe : callable
-        Gives the centred features of an image.
-
-    Returns
-    -------
-    (Camera, float) or None
-        The camera that fits best, and radians; None where no drive turns.
+    so that virtual views of the two together fit all the same. `atoms` (f,) were made after the images, of each drive;
+    `describe` gives the centred features of an image. Returned are the one of the cameras that fits best, and radians;
+    None where no drive turns.
     """
     made = np.concatenate(atoms)
     # After the last frame of a drive comes another one's first.
@@ -190,10 +164,7 @@ def turn_of_views(
 def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, float]:
     """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones; and the latter.
 
-    Raises
-    ------
-    ValueError
-        No drive goes anywhere, or all images look the same.
+    ValueError where no drive goes anywhere, or all images look the same.
     """
     ways, cosines, distant, curves = [], [], [], []
     for drive in np.unique(frames.drives):

@@ -38,7 +38,7 @@ _MOST_DISTORTION: Final = 1e6
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that looks level, and as far to the left as to the right.
+    """A camera that looks level, and as far to the left as to the right; ValueError says why no camera sees so.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ class Camera:
         left out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
     centre : (float, float)
         Where the axis meets the image, right of and below its middle, over the image's width; -0.5 to 0.5.
-
-    Raises
-    ------
-    ValueError
-        No camera sees so; the text says what is wrong.
     """
 
     focal: float
@@ -130,15 +125,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera over flat ground, before a wall all round.
+    """A camera over flat ground, before a wall all round: its height, and the distance of all above the ground.
 
-    Parameters
-    ----------
-    camera : Camera
-    height : float
-        Of the camera above the ground, above 0.
-    distance : float
-        Of everything above the ground, above 0; in the same unit as the height.
+    Both are above 0, in one unit.
     """
 
     camera: Camera

@@ -22,6 +22,8 @@ _F = TypeVar("_F", bound=np.floating[Any])
 class Demonstration:
     """A drive of a person or the expert, or a part of one where frames were lost.
 
+    ValueError where lengths do not fit each other, or numbers are out of range; it names the demonstration.
+
     Parameters
     ----------
     name : str
@@ -30,10 +32,8 @@ class Demonstration:
         Raw features of every frame (`smal.features.extract`), without dropped frames.
     atoms : int8 array (f,)
         `Atom` k was executed between frames k and k + 1; the last one after the last frame.
-    successful : bool
-        Whether it ended at the goal.
-    recovery : bool
-        Whether it began off the route, to show the way back to it.
+    successful, recovery : bool
+        Whether it ended at the goal; whether it began off the route, to show the way back to it.
     images : sequence of uint8 arrays (height, width, 3), optional
         RGB of every frame; read when they are wanted. The map of views is made of them.
     odometry : float64 array (f, 3), optional
@@ -47,11 +47,6 @@ class Demonstration:
     ahead : float32 array (f,), optional
         How fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does; on
         the spot if not given.
-
-    Raises
-    ------
-    ValueError
-        Lengths that do not fit each other, or numbers out of range; the text names the demonstration.
     """
 
     name: str

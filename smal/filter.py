@@ -35,14 +35,13 @@ from smal.settings import SETTINGS
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the robot may be.
+    """Where the robot may be: particles beside keyframes, and how probable each is.
 
     Parameters
     ----------
     keyframes : int array (p,)
-        Keyframe that each particle is beside.
     offsets : float64 array (p, 3)
-        How far ahead and to the left of it, in the map's unit, and turned left, radians.
+        How far ahead and to the left of its keyframe each is, in the map's unit, and turned left, radians.
     weights : float64 array (p,)
         Probabilities given that the robot is not lost; they sum to 1.
     lost : float
@@ -111,13 +110,8 @@ class Newness:
 class Filter:
     """Follows the robot from frame to frame.
 
-    Parameters
-    ----------
-    visual_map : VisualMap
-    centering : Centering
-        Of the features.
-    seed : int
-        Of the particles' noise: the same frames and movements give the same belief.
+    The centering is of the features, the seed of the particles' noise: the same frames and movements give the same
+    belief.
     """
 
     def __init__(self, visual_map: VisualMap, centering: Centering, seed: int = 0) -> None:
@@ -149,19 +143,9 @@ class Filter:
     ) -> Belief:
         """Take one frame.
 
-        Parameters
-        ----------
-        raw_features : array (m,)
-            From `smal.features.extract`.
-        movement : Movement
-            Since the frame before; that before the first frame does not count.
-        noise : MotionNoise
-            Of the movement.
-
-        Raises
-        ------
-        ValueError
-            Features of the wrong length, or features or a movement that are NaN or infinite: the frame does not count.
+        `raw_features` (m,) are from `smal.features.extract`, the movement, with its noise, since the frame before; that
+        before the first frame does not count. Features of the wrong length, or features or a movement that are NaN or
+        infinite, raise ValueError, and the frame does not count.
         """
         if raw_features.ndim != 1:
             raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")

@@ -61,12 +61,8 @@ def log_ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDAr
 class Likelihood:
     """The log ratio for each z, and how fast views become new.
 
-    Parameters
-    ----------
-    log_ratio : float64 array (shares, z)
-        log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point, ascending.
-    gamma : float
-        Above 0; neighbouring views correlate by their cosine to this power.
+    `log_ratio` (shares, z) is log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point,
+    ascending; neighbouring views correlate by their cosine to the power `gamma`, above 0.
     """
 
     log_ratio: NDArray[np.float64]
@@ -74,15 +70,9 @@ class Likelihood:
 
     @classmethod
     def fit(cls, here: NDArray[Any], elsewhere: NDArray[Any], independent: float, gamma: float) -> "Likelihood":
-        """Measure it.
+        """Measure it on z of neighbouring taught views, and of views of different places.
 
-        Parameters
-        ----------
-        here, elsewhere : arrays
-            z of neighbouring taught views, and of views of different places.
-        independent : float
-            How many of the latter are independent.
-        gamma : float
+        `independent` says how many of the latter are independent.
         """
         width = GRID[1] - GRID[0]
         edges = np.append(GRID, GRID[-1] + width) - width / 2.0

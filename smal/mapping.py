@@ -45,21 +45,9 @@ def learn(
     If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit long, and an atom of
     turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
 
-    Parameters
-    ----------
-    demonstrations : sequence of Demonstration
-        At least one that reached the goal and has images.
-    features : FeatureSettings, optional
-        Of colour images alone.
-    tick_s : float
-        Time between two frames.
-    progress : callable
-        Called with keyframes done and their number.
-
-    Raises
-    ------
-    ValueError
-        No such drive, or none that goes anywhere; features that do not fit, or that need depth.
+    `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with
+    keyframes done and their number. ValueError where there is no such drive, or none that goes anywhere, or features do
+    not fit, or need depth.
     """
     features = FeatureSettings() if features is None else features
     check_features(demonstrations, features.size)

@@ -226,15 +226,7 @@ class VisualMap:
 
 @dataclass(frozen=True, eq=False)
 class Model(Stored):
-    """What `smal.fit` and `smal.learn` make, and `smal.Robot` takes.
-
-    Parameters
-    ----------
-    centering : Centering
-        Turns raw features into those of the map's views.
-    mapped : VisualMap
-        The taught ways, and how they look.
-    """
+    """What `smal.fit` and `smal.learn` make, and `smal.Robot` takes: a map, and what centres a frame's features."""
 
     scheme = "filter"
 

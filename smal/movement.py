@@ -25,14 +25,9 @@ class Atom(IntEnum):
 
 @dataclass(frozen=True)
 class Movement:
-    """A small planar movement.
+    """A small planar movement: the way along the heading, and the turn, counter-clockwise, in radians.
 
-    Parameters
-    ----------
-    ahead : float
-        Way along the heading, metres (or in units of one forward atom where nothing tells metres); negative backwards.
-    turn_rad : float
-        Change of the heading, counter-clockwise, radians.
+    The way is in metres, or in units of one forward atom where nothing tells metres; negative backwards.
     """
 
     ahead: float
@@ -52,13 +47,9 @@ STILL = Movement(0.0, 0.0)
 class MotionNoise(NamedTuple):
     """How far the robot's movement differs from what it is said to be, standard deviations.
 
-    Parameters
-    ----------
-    ahead, turn : float
-        Of the way ahead after a correlation length, as a share of it; and of a turn after a radian. Both grow with the
-        square root.
-    pace : float
-        Of the logarithm of how much faster the robot is than said, which lasts for `SETTINGS.pace` correlation lengths.
+    `ahead` is of the way after a correlation length, as a share of it, `turn` of a turn after a radian; both grow with
+    the square root. `pace` is of the logarithm of how much faster the robot is than said, which lasts for
+    `SETTINGS.pace` correlation lengths.
     """
 
     ahead: float
@@ -120,23 +111,14 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
 
 
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
-    """Measure what each atom does between two frames: the median, which a wheel that slips for a moment does not move.
+    """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
-    Of several drives the one in which it does most: who pauses between keys, or is slow, does not make the robot so.
+    It is the median over the frames of a demonstration, which a wheel that slips for a moment does not move; of several
+    the one in which it does most: who pauses between keys, or is slow, does not make the robot so. `poses` (f, 3) are
+    each one's odometry, x, y, heading in radians; atom k of its `atoms` (f,) was executed between frames k and k + 1.
 
-    Parameters
-    ----------
-    poses : sequence of float64 arrays (f, 3)
-        Odometry of each demonstration: x, y, heading in radians.
-    atoms : sequence of int8 arrays (f,)
-        Atom k was executed between frames k and k + 1.
-
-    Returns
-    -------
-    float64 array (5, 2)
-        Way ahead and turn in radians of each `Atom`. Of one that was never made: a turn is that to the other side in a
-        mirror, backward is the opposite of forward, and a car that never drove straight on does so as fast as it turns.
-        Else it is still.
+    Of an atom that was never made: a turn is that to the other side in a mirror, backward is the opposite of forward,
+    and a car that never drove straight on does so as fast as it turns. Else it is still.
     """
     each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
     most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)

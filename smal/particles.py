@@ -20,10 +20,8 @@ class View(NamedTuple):
     ----------
     components : float32 array (r,)
         Of the map (`VisualMap.described`).
-    keyframes : int array (n,)
-        That were looked at.
-    stand_for : float64 array (n,)
-        How many keyframes each of them stands for.
+    keyframes, stand_for : int and float64 arrays (n,)
+        That were looked at, and how many keyframes each of them stands for.
     cosines : float32 array (n, turns)
         With the views from there.
     middle, spread : float

@@ -46,13 +46,7 @@ class Decision:
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
-    """Return the goal that is meant.
-
-    Raises
-    ------
-    ValueError
-        There is none of that name, or none is named where there are several.
-    """
+    """Return the goal that is meant; ValueError where there is none of that name, or none is named of several."""
     known = sorted(set(goals))
     if goal is None and len(known) > 1:
         raise ValueError(f"the model has the goals {', '.join(known)}; name one of them")
@@ -135,13 +129,8 @@ class Planner:
     def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:
         """Say what to do until the next frame.
 
-        Parameters
-        ----------
-        belief : Belief
-        elapsed_s : float, optional
-            Time since the frame before; a taught tick if not given.
-        delay_s : float, optional
-            Time from the frame until what is decided moves the robot; until then it goes on turning, if it turns.
+        `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
+        what is decided moves the robot, which until then goes on turning, if it turns.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         directions, left_to_go, to_end = self._directions(belief)

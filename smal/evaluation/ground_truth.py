@@ -32,15 +32,10 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class IntervalTruth:
-    """Right are all references from a first to a last one, of one interval or several.
+    """Right are all references from a first to a last one, of one interval or several, arrays (k,).
 
-    Parameters
-    ----------
-    query, first, last : int64 arrays (k,)
-        Intervals: 0 <= first <= last. Of a place that the references show several times a query has several, of one
-        that they do not show none.
-    judged : bool array (q,)
-        See `Judgement`.
+    0 <= first <= last. Of a place that the references show several times a query has several intervals, of one that
+    they do not show none. `judged` (q,): see `Judgement`.
     """
 
     query: NDArray[np.int64]
@@ -75,14 +70,8 @@ def judge_by_poses(
 ) -> Judgement:
     """Judge a method's answers: right are references that were taken near a query and look the same way.
 
-    Parameters
-    ----------
-    matches : Matches
-        Of q queries with n references.
-    references, queries : float64 arrays (n, 3), (q, 3)
-        x and y in metres, heading in radians.
-    distance_m, angle_deg : float
-        Right within both.
+    References and queries (n, 3), (q, 3) are x and y in metres, and heading in radians; right is what is within both,
+    the distance and the angle.
     """
 
     def near(some: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:

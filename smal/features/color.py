@@ -11,17 +11,9 @@ SIZE = ROWS * COLUMNS * 3
 
 
 def color_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an image by its colours on a 24 x 32 grid.
+    """Describe an RGB image by its colours on a 24 x 32 grid, (2304,).
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, at least 24 rows and 32 columns.
-
-    Returns
-    -------
-    float32 array (2304,)
-        RGB of every grid cell, row by row, scaled to unit length. An all-black image has no direction
-        and gives the zero vector.
+    RGB of every grid cell, row by row, scaled to unit length. An all-black image has no direction and gives the zero
+    vector.
     """
     return unit_length(resized(image, ROWS, COLUMNS))

@@ -19,21 +19,11 @@ HALF_M = 5.0
 
 
 def depth_descriptor(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Describe a depth image by the nearness of what is seen, on a 24 x 32 grid.
+    """Describe a depth image, uint16 (height, width), by the nearness of what is seen, on a 24 x 32 grid, (768,).
 
-    The nearness of a surface at z metres is HALF_M / (HALF_M + z): 1 at the camera, 0 infinitely far away.
-
-    Parameters
-    ----------
-    depth_mm : uint16 array (height, width)
-        Millimetres along the optical axis; 0 where nothing is in range, which is what the farthest surface
-        tends to: nearness 0. Any size.
-
-    Returns
-    -------
-    float32 array (768,)
-        Mean nearness of every grid cell, row by row, scaled to unit length. An image in which nothing is
-        in range has no direction and gives the zero vector.
+    It has millimetres along the optical axis, 0 where nothing is in range, which is what the farthest surface tends to:
+    nearness 0. That of a surface at z metres is HALF_M / (HALF_M + z): 1 at the camera. Means of the grid cells, row by
+    row, are scaled to unit length; where nothing is in range there is no direction, but the zero vector.
     """
     half_mm = np.float32(1000.0 * HALF_M)
     nearness = np.where(depth_mm > 0, half_mm / (half_mm + depth_mm.astype(np.float32)), np.float32(0.0))

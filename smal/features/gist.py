@@ -29,19 +29,11 @@ _LEAST_CONTRAST = 0.2
 
 
 def gist_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an image by its spatial envelope.
+    """Describe an RGB image, brought to 96 rows and 128 columns of grey, by its spatial envelope, (512,).
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, any size; brought to 96 rows and 128 columns of grey.
-
-    Returns
-    -------
-    float32 array (512,)
-        Mean amplitude of 4 scales, fine to coarse, x 8 orientations, from 0 in steps of 22.5 degrees (that of
-        the wave, so 0 is a vertical edge; y points down), on a grid of 4 x 4, unit length. An image
-        of one grey has no direction and gives the zero vector.
+    Mean amplitude of 4 scales, fine to coarse, x 8 orientations, from 0 in steps of 22.5 degrees (that of the wave, so
+    0 is a vertical edge; y points down), on a grid of 4 x 4, unit length. An image of one grey has no direction and
+    gives the zero vector.
     """
     grey = resized_grey(image, ROWS, COLUMNS)
     if grey.min() == grey.max():

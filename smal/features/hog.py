@@ -35,18 +35,10 @@ def _hog() -> "cv2.HOGDescriptor":
 
 
 def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an image by the directions of its edges.
+    """Describe an RGB image, brought to 240 rows and 320 columns of grey and smoothed, by its edges, (5940,).
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, any size; brought to 240 rows and 320 columns of grey, and smoothed.
-
-    Returns
-    -------
-    float32 array (5940,)
-        11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any
-        edge (constant grey) has no direction and gives the zero vector.
+    11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any edge (constant grey)
+    has no direction and gives the zero vector.
     """
     import cv2  # noqa: PLC0415 - see above
 

@@ -22,20 +22,12 @@ SIZE = 3 * _PAIRS
 
 
 def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an image by which of its parts are brighter, and where brightness grows faster.
+    """Describe an RGB image, brought to 120 x 120 grey values, by which of its parts are brighter, (1386,).
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, any size; brought to 120 rows and 120 columns of grey.
-
-    Returns
-    -------
-    float32 array (1386,)
-        For each grid (2 x 2, 3 x 3, 4 x 4, 5 x 5) and each of intensity, dx and dy: for all pairs of cells,
-        first < second in reading order, the sign of first - second, all scaled to unit length. A tie is
-        0, and not one of two bits as in the papers: a cloudless sky says nothing, instead of noise. An image of
-        one grey is all ties and gives the zero vector.
+    For each grid (2 x 2, 3 x 3, 4 x 4, 5 x 5) and each of intensity, dx and dy: for all pairs of cells, first < second
+    in reading order, the sign of first - second, all scaled to unit length. A tie is 0, and not one of two bits as in
+    the papers: a cloudless sky says nothing, instead of noise. An image of one grey is all ties and gives the zero
+    vector.
     """
     import cv2  # noqa: PLC0415 - containers that only need SIZE have no OpenCV
 
@@ -47,15 +39,9 @@ def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
     """Return intensity, dx and dy of all cells of a grid (3, grid * grid), in whole numbers: no tie is rounded.
 
-    Intensity is the sum over the cell, dx its right half less its left one, dy its lower half less its upper one;
-    all cells of a grid are of one size, so that sums compare like means.
-
-    Parameters
-    ----------
-    integral : int32 array (121, 121)
-        Sums of all pixels above and left.
-    grid : int
-        Cells on a side; 2 * grid divides 120.
+    Intensity is the sum over the cell, dx its right half less its left one, dy its lower half less its upper one; all
+    cells of a grid are of one size, so that sums compare like means. `integral` (121, 121) has the sums of all pixels
+    above and left; 2 * grid divides 120.
     """
     step = SIDE // (2 * grid)
     corners = integral[::step, ::step]

@@ -26,12 +26,9 @@ MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")
 
 
 def modality_named(name: str) -> Modality:
-    """Return a modality: one of `MODALITIES`, or a network by its contents (see `smal.features.onnx`). No file is read.
+    """Return one of `MODALITIES`, or a network by its contents (`smal.features.onnx`), of which no file is read.
 
-    Raises
-    ------
-    ValueError
-        In one line: there is none of this name.
+    ValueError says in one line that there is none of this name.
     """
     if name in MODALITIES:
         return MODALITIES[name]

@@ -15,17 +15,9 @@ Input = Literal["color", "depth"]
 class Modality:
     """One way to describe a frame.
 
-    Parameters
-    ----------
-    name : str
-        What a fingerprint calls it. It names the calculation and nothing else: of a network, its contents
-        and not where its file lies.
-    size : int
-        Entries of its descriptor.
-    needs : "color" or "depth"
-        Which image of the frame it describes.
-    describe : function
-        Makes the descriptor, float32 (size,), of unit length or zero, of that image.
+    The name is what a fingerprint calls it: it names the calculation and nothing else, so of a network its contents and
+    not where its file lies. `needs` is the image of the frame, of any size from 32 x 24 on, that `describe` makes the
+    descriptor of: float32 (size,), of unit length or zero.
     """
 
     name: str

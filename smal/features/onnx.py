@@ -38,17 +38,9 @@ IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A network that embeds images.
+    """A network that embeds images of some rows and columns, less the mean and divided by the std of channels, (3,).
 
-    Parameters
-    ----------
-    file : str
-        Where it was, for errors.
-    session : InferenceSession
-    rows, columns : int
-        Size of its input.
-    mean, std : float32 arrays (3,)
-        Of the channels, for values 0 to 1.
+    The name of its file is for errors.
     """
 
     file: str
@@ -59,23 +51,10 @@ class Network:
     std: NDArray[np.float32]
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe an image by its embedding.
+        """Describe an RGB image, brought to the size of the network's input, by its embedding.
 
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-            RGB, any size; brought to that of the network's input.
-
-        Returns
-        -------
-        float32 array (size,)
-            The first output of the network, of unit length; of a map of features (1, channels, height, width)
-            the mean over height and width.
-
-        Raises
-        ------
-        ValueError
-            The network does not run, or its output is not finite.
+        That is the first output of the network, of unit length; of a map of features (1, channels, height, width) the
+        mean over height and width. ValueError where the network does not run, or its output is not finite.
         """
         small = resized(image, self.rows, self.columns).astype(np.float32)
         scaled = (small / np.float32(255.0) - self.mean) / self.std
@@ -100,10 +79,7 @@ _given: dict[str, Network] = {}
 def open_network(file: str) -> str:
     """Read a network's file, as it is the first time; return the name of its modality.
 
-    Raises
-    ------
-    ValueError
-        In one line: onnxruntime is not installed, or the file is missing or none that fits (see above).
+    ValueError says in one line that onnxruntime is not installed, or the file is missing or none that fits (see above).
     """
     if not file:
         raise ValueError(f"the feature modality {PREFIX!r} names no file; write {PREFIX}FILE")
@@ -123,13 +99,7 @@ def open_network(file: str) -> str:
 
 
 def given_as(name: str) -> str:
-    """Return how the user gave a network to this process, ``onnx:FILE``.
-
-    Raises
-    ------
-    ValueError
-        In one line: nobody did, or this names no network.
-    """
+    """Return how the user gave a network to this process, ``onnx:FILE``; ValueError where nobody did."""
     _parts(name)
     if name not in _given:
         raise ValueError(f"the network {name} is run only where its file is given, as {PREFIX}FILE")
@@ -142,12 +112,9 @@ def is_digest(name: str) -> bool:
 
 
 def onnx_modality(name: str) -> Modality:
-    """Return the modality of a network by its contents; without its file it can be named, but describes nothing.
+    """Return the modality of a network by its contents; without its file it can be named, and describes nothing.
 
-    Raises
-    ------
-    ValueError
-        In one line: this is no such name.
+    ValueError says in one line that this is no such name.
     """
     digest, size = _parts(name)
 

@@ -19,19 +19,10 @@ DESCRIPTOR_VERSION = 2
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """The modalities of a feature vector, in order.
+    """The modalities of a feature vector, in order, each at most once, and their relative weights, above 0.
 
-    Parameters
-    ----------
-    modalities : tuple of str
-        Names that `modality_named` knows, each at most once.
-    weights : tuple of float
-        Relative weight of each modality, finite and positive; only their ratios matter.
-
-    Raises
-    ------
-    ValueError
-        An unknown or repeated modality, or weights that do not fit.
+    Weights are finite; only their ratios matter. ValueError where a modality is unknown or repeated, or weights do not
+    fit.
     """
 
     modalities: tuple[str, ...] = ("color", "hog")
@@ -61,12 +52,8 @@ class FeatureSettings:
         """Read what a user says: names separated by commas, for example ``color,hog``, and as many weights.
 
         For ``onnx:FILE`` the file is read, and the network gets the name that its contents have. The name of the file
-        has no comma and no blank at its end.
-
-        Raises
-        ------
-        ValueError
-            As above, or a network's file cannot be used, or was not given.
+        has no comma and no blank at its end. ValueError as above, or where a network's file cannot be used, or was not
+        given.
         """
         names = [_given(name.strip()) for name in modalities.split(",")]
         try:
@@ -84,13 +71,7 @@ class FeatureSettings:
 
     @property
     def text(self) -> str:
-        """The modalities as `parse` reads them, in this process or another.
-
-        Raises
-        ------
-        ValueError
-            In one line: a network is among them whose file was not given to this process.
-        """
+        """The modalities as `parse` reads them; ValueError where a network's file was not given to this process."""
         return ",".join(onnx.given_as(name) if name.startswith(onnx.PREFIX) else name for name in self.modalities)
 
     @property

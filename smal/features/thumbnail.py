@@ -12,19 +12,10 @@ SIZE = ROWS * COLUMNS
 
 
 def thumbnail_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an image by its grey values, patch by patch without their brightness and contrast.
+    """Describe an RGB image, brought to 32 rows and 64 columns of grey, by patches without their brightness, (2048,).
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, any size; brought to 32 rows and 64 columns of grey.
-
-    Returns
-    -------
-    float32 array (2048,)
-        Row by row (I - mean) / deviation, with the mean and the standard deviation of the 8 x 8 patch around
-        each pixel, scaled to unit length. A patch of one grey is zero, and an image of such patches gives the
-        zero vector.
+    Row by row (I - mean) / deviation, with the mean and the standard deviation of the 8 x 8 patch around each pixel,
+    scaled to unit length. A patch of one grey is zero, and an image of such patches gives the zero vector.
     """
     grey = resized_grey(image, ROWS, COLUMNS)
     patches = grey.reshape(ROWS // PATCH, PATCH, COLUMNS // PATCH, PATCH).astype(np.float32)

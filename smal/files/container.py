@@ -66,13 +66,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write a file, all of it or none.
-
-    Raises
-    ------
-    ModelError
-        It would be larger than what is read.
-    """
+    """Write a file, all of it or none; ModelError where it would be larger than what is read."""
     size = sum(array.nbytes for array in arrays.values())
     if size > LARGEST - LARGEST_HEADER:
         raise ModelError(f"{path}: a model of {size / 1e9:.1f} GB, at most {LARGEST / 1e9:.1f} GB; learn fewer drives")
@@ -96,12 +90,8 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
 def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
     """Read a file that `write` wrote, of a version of the format: what it says, its arrays, and its checksum in hex.
 
-    Raises
-    ------
-    NoModelError
-        The file, which errors call `name`, cannot be read, is too large, or is of another kind.
-    ModelError
-        It is of another version, truncated or altered.
+    NoModelError where the file, which errors call `name`, cannot be read, is too large, or is of another kind;
+    ModelError where it is of another version, truncated or altered.
     """
     with _explained(name):
         size = os.fstat(file.fileno()).st_size
@@ -119,10 +109,7 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
 def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     """Read what a file that `write` wrote says of itself, without its arrays, and without a check that it is whole.
 
-    Raises
-    ------
-    ModelError
-        The file cannot be read, is of another kind or version, or does not say what it should.
+    ModelError where it cannot be read, is of another kind or version, or does not say what it should.
     """
     with _explained(name):
         meta = json.loads(file.read(_header_size(file, name, version)))["meta"]

@@ -39,10 +39,7 @@ _WHOLE = ("drives", "keyframes", "views", "stitched")
 def check_map(one: "VisualMap") -> None:
     """Check a map, of a file or not: what passes must not fail, or give a belief that is no number, while driving.
 
-    Raises
-    ------
-    ValueError
-        Parts that do not fit together; the text names them.
+    ValueError names the parts that do not fit together.
     """
     wrong = _unsound(one) or [name for name, fits in _fit(one).items() if not fits]
     if wrong:

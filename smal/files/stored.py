@@ -22,13 +22,7 @@ Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
 
 class Stored(ABC):
-    """A model of either scheme, which is kept in one file; `Stored.load` reads both.
-
-    Attributes
-    ----------
-    scheme : str
-        How a robot goes by it: "filter" or "paper".
-    """
+    """A model of either scheme, "filter" or "paper", which is kept in one file; `Stored.load` reads both."""
 
     scheme: ClassVar[Literal["filter", "paper"]]
 
@@ -73,13 +67,9 @@ class Stored(ABC):
     def read(cls, file: IO[bytes], name: str) -> Self:
         """Read an open file, which errors call `name`. Nothing but this file is opened, whatever it says.
 
-        Raises
-        ------
-        NoModelError
-            The file cannot be read, is too large, or does not begin as a model does.
-        ModelError
-            It is of another version or scheme, truncated, altered or inconsistent, or was learned on features that
-            this program computes differently.
+        NoModelError where it cannot be read, is too large, or does not begin as a model does; ModelError where it is of
+        another version or scheme, truncated, altered or inconsistent, or was learned on features that this program
+        computes differently.
         """
         meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
         try:
@@ -106,13 +96,7 @@ def _kind(scheme: object) -> Any:  # noqa: ANN401 - whichever class it is
 
 
 def features_of(meta: dict[str, Any]) -> FeatureSettings:
-    """Return the features that a file says it was learned on.
-
-    Raises
-    ------
-    ValueError
-        This program computes them differently.
-    """
+    """Return the features that a file says it was learned on; ValueError where this program computes others."""
     settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
     if settings.fingerprint != meta["feature_fingerprint"]:
         raise ValueError("it was learned on features that this version computes differently; learn it again")

@@ -27,20 +27,10 @@ LAMBDA_SCALE: Final = 0.1
 class LearningSettings:
     """How to learn.
 
-    Parameters
-    ----------
-    features : FeatureSettings
-    sequence_length : int
-        l, frames in a sequence and atoms in an action.
-    lambda1, lambda2 : float, optional
-        Of Eq. 7; 0.1 sqrt(l) unless they are given: an active row or column of W has about l entries, so that its
-        norm grows with sqrt(l).
-    tau : float
-        Of Eq. 8, per query frame: a sequence none of whose matches weighs more is a new state.
-    gamma : float
-        Discount factor.
-    max_bytes : int, optional
-        Bound on the memory of templates.
+    `sequence_length` is l, frames in a sequence and atoms in an action. `lambda1` and `lambda2` are of Eq. 7; 0.1
+    sqrt(l) unless they are given: an active row or column of W has about l entries, so that its norm grows with
+    sqrt(l). `tau` is of Eq. 8, per query frame: a sequence none of whose matches weighs more is a new state. `gamma` is
+    the discount factor, `max_bytes` a bound on the memory of templates.
     """
 
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -98,15 +88,8 @@ def learn(
     """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 
     `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
-
-    Raises
-    ------
-    ValueError
-        No successful demonstration of at least one sequence, or features that do not fit the settings.
-    MemoryBoundError
-        The templates need more than `max_bytes`.
-    RewardError
-        The reward program was not solved.
+    ValueError where no successful demonstration has a sequence, or features do not fit the settings; MemoryBoundError
+    where the templates need more than `max_bytes`; RewardError where the reward program was not solved.
     """
     settings = LearningSettings() if settings is None else settings
     check_features(demonstrations, settings.features.size)

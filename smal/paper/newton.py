@@ -45,17 +45,8 @@ _TINY = 1e-300
 class BlockProblem:
     """Eq. 7 restricted to p template frames, in terms of inner products.
 
-    Parameters
-    ----------
-    gram, correlations : float64 arrays (p, p), (p, q)
-        X^T X and X^T Y.
-    squares : float64 array (q,)
-        ||y_i||^2, all positive, near 1.
-    lambda1, lambda2 : float
-    frames : intp array (p,)
-        Which template frames, ascending.
-    sequence_length : int
-        l.
+    `gram` (p, p) is X^T X, `correlations` (p, q) X^T Y, and `squares` (q,) ||y_i||^2, all positive, near 1; `frames`
+    (p,) says which template frames, ascending.
     """
 
     gram: Array

@@ -13,18 +13,10 @@ from smal.paper.state_matching import Solution
 class Match:
     """How well a query matches the templates.
 
-    Parameters
-    ----------
-    state : int or None
-        Best template sequence (Eq. 9), None when W is zero.
-    score : float
-        Its weight for each of the q query frames, at least 0 (left side of Eq. 8, divided by q).
-    total_weight : float
-        Weight of all sequences per query frame.
-    residual : float
-        sum ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0).
-    agreement : float
-        Mean over the query frames of the largest cosine with a frame of the best sequence, -1 to 1.
+    `state` is the best template sequence (Eq. 9), None when W is zero, `score` its weight for each of the q query
+    frames, at least 0 (left side of Eq. 8, divided by q), and `total_weight` that of all sequences. `residual` is sum
+    ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0), and `agreement` the mean over the query frames of the
+    largest cosine with a frame of the best sequence, -1 to 1.
     """
 
     state: int | None

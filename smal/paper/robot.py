@@ -15,16 +15,8 @@ from smal.paper.recognition import Recognizer
 class Robot:
     """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of the policy's action.
 
-    Parameters
-    ----------
-    model : Model
-    stride : int, optional
-        Frames from one decision to the next; the paper's l if not given.
-
-    Attributes
-    ----------
-    decision : Decision
-        The last one that was due.
+    The stride, frames from one decision to the next, is the paper's l if not given. `decision` is the last one that was
+    due.
     """
 
     decision: Decision

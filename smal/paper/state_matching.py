@@ -93,19 +93,12 @@ def solve(
         X, taken in float32. Sequence j is the columns j * sequence_length and following; the last one may be shorter.
         Float32 in Fortran order (a template contiguous) is not copied.
     query : float array (m, q)
-        Y, usually with q = sequence_length.
-    sequence_length : int
-        l, at least 1.
+        Y, usually with q = sequence_length, which is l, at least 1.
     lambda1, lambda2 : float
         Weights of ||W||_{2,1} and ||W||_{S1}; not negative, not both zero.
     tolerance : float
-        Relative duality gap at which to stop. Where a query frame is a combination of templates, its residual
-        vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
-
-    Returns
-    -------
-    Solution
-        Its gap holds for the full problem.
+        Relative duality gap of the full problem at which to stop. Where a query frame is a combination of templates,
+        its residual vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
 
     Raises
     ------

@@ -46,21 +46,10 @@ def learn_state_space(
 ) -> StateSpace:
     """Cut demonstrations into sequences and build the states from them.
 
-    Parameters
-    ----------
-    demonstrations : sequence of float32 arrays (f, m)
-        Centred features, unit length; a sequence never spans two of them.
-    lambda1, lambda2, tau, tolerance : float
-        Of Eq. 7; of Eq. 8, per query frame; relative duality gap of each match.
-    max_bytes : int, optional
-        Bound on the memory of templates: n frames need 4 n m bytes; MemoryBoundError where that is not enough.
-    progress : callable, optional
-        Called with the number of sequences done and their total.
-
-    Raises
-    ------
-    ValueError
-        No demonstration has l frames.
+    Demonstrations are centred features (f, m), float32 of unit length; a sequence never spans two of them. The lambdas
+    are of Eq. 7, tau of Eq. 8, per query frame; the tolerance is the relative duality gap of each match. The n frames
+    of templates need 4 n m bytes; MemoryBoundError where `max_bytes` is less. `progress` is called with the number of
+    sequences done and their total. ValueError where no demonstration has l frames.
     """
     l = sequence_length  # noqa: E741
     sequences = [

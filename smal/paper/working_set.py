@@ -36,23 +36,10 @@ _OPERATIONS = 32
 class WorkingSet:
     """The working set, the best solution on it, and the best lower bound on the optimum of the full problem.
 
-    Parameters
-    ----------
-    rows : float32 array (n, m)
-        Template frames.
-    query : float64 array (q, m)
-        Query frames, none of which is zero.
-    length : int
-        l.
-    lambda1, lambda2, tolerance : float
+    `rows` (n, m) are template frames in float32, `query` (q, m) query frames, none of which is zero, `length` is l.
 
-    Attributes
-    ----------
-    columns, weights, residuals
-        Template frames of the best solution (p,), their weights (p, q), and ||y_i - X w_i|| (q,), rounded up.
-    objective, lower_bound : float
-    steps : int
-        Newton steps in all.
+    Attributes are the template frames of the best solution (`columns`, (p,)), their weights (p, q), and the residuals
+    ||y_i - X w_i|| (q,), rounded up; its objective, and the lower bound; and Newton steps in all.
     """
 
     def __init__(

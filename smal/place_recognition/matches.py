@@ -22,17 +22,11 @@ NONE = -1
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """One match for every query frame, or none.
+    """One match for every query frame, or none; arrays (q,).
 
-    Parameters
-    ----------
-    reference : int64 array (q,)
-        Reference frame, 0 to n - 1; `NONE` before the first whole window, and where nothing was recognized.
-    score : float64 array (q,)
-        How sure the match is: higher is surer, comparable between the queries of one method only. 0 where there is no
-        match.
-    unknown : float64 array (q,)
-        The probability that no reference shows the query; 0 of a method that does not tell.
+    `reference` is its frame, 0 to n - 1, or `NONE`: before the first whole window, and where nothing was recognized.
+    `score` says how sure the match is: higher is surer, comparable between the queries of one method only, 0 where
+    there is no match. `unknown` is the probability that no reference shows the query; 0 of a method that does not tell.
     """
 
     reference: NDArray[np.int64]

@@ -62,11 +62,7 @@ def match(
     -------
     Matches
         The reference of each query, its score, of `smal` the probability that it is right, and that none shows it.
-
-    Raises
-    ------
-    ValueError
-        There is no such method, it has not got what is chosen, or images or features are not as above.
+        ValueError where there is no such method, it has not got what is chosen, or images or features are others.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
