@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ from typer import Argument, Option
 from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.progress import Bars
-from services.experiments.showing.summary import shared_and_forks
+from services.experiments.showing.summary import numbers_of
 from services.experiments.words import described_by
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
@@ -172,7 +172,7 @@ def _learn(
                 "keyframes": len(taught.keyframes),
                 "goals": ", ".join(sorted(set(taught.goals))),
             }
-        model, report = learn_paper(drives, settings, bar)
+        model = learn_paper(drives, settings, bar)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     except MemoryBoundError as error:
@@ -184,5 +184,5 @@ def _learn(
         "lambda2": lambda2,
         "tau": settings.tau,
         "gamma": settings.gamma,
-        **asdict(replace(report, shared_states=shared_and_forks(model)[0])),
+        **numbers_of(model),
     }

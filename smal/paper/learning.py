@@ -1,12 +1,9 @@
 """From demonstrations to the paper's model: Algorithms 1, 3 and 4, the reward and the policy."""
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
-
-import numpy as np
 
 from smal.demonstration import Demonstration, check_features
 from smal.features import Centering, FeatureSettings
@@ -59,32 +56,11 @@ class LearningSettings:
         return self.lambda1 or default, self.lambda2 or default
 
 
-@dataclass(frozen=True)
-class LearningReport:
-    """What was learned, in numbers.
-
-    Of the states, `shared_states` occur in at least two demonstrations (without them the transition graph is a set of
-    chains), nothing is known to follow `dead_ends`, and `reward_states` have a reward above 1e-6.
-    """
-
-    demonstrations: int
-    frames: int
-    sequences: int
-    states: int
-    actions: int
-    goals: int
-    shared_states: int
-    dead_ends: int
-    reward_states: int
-    template_bytes: int
-    seconds: dict[str, float]
-
-
 def learn(
     demonstrations: Sequence[Demonstration],
     settings: LearningSettings | None = None,
     progress: StageProgress = lambda _stage, _done, _total: None,
-) -> tuple[Model, LearningReport]:
+) -> Model:
     """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 
     `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
@@ -94,33 +70,23 @@ def learn(
     settings = LearningSettings() if settings is None else settings
     check_features(demonstrations, settings.features.size)
     length, lambdas = settings.sequence_length, settings.lambdas
-    seconds: dict[str, float] = {}
-    began_s = time.perf_counter()
-
-    def end(stage: str) -> None:
-        seconds[stage] = time.perf_counter() - began_s - sum(seconds.values())
-        progress(stage, 1, 1)
-
     atoms, successful = [one.atoms for one in demonstrations], [one.successful for one in demonstrations]
-
     raw = [one.features for one in demonstrations]
     centering = Centering.fit(raw, settings.features)
     frames = [centering.apply(each) for each in raw]
-    end("centering")
+    progress("centering", 1, 1)
     space = learn_state_space(
         frames, length, *lambdas, settings.tau,
         max_bytes=settings.max_bytes, progress=lambda done, total: progress("states", done, total),
     )  # fmt: skip
-    end("states")
     actions = learn_action_space(atoms, length)
     transitions = learn_transitions(space.streams, actions.streams, successful, space.states)
-    end("transitions")
+    progress("transitions", 1, 1)
     reward = learn_reward(transitions, settings.gamma).state_reward
-    end("reward")
+    progress("reward", 1, 1)
     policy = policy_iteration(transitions, reward, settings.gamma)
-    end("policy")
-
-    model = Model(
+    progress("policy", 1, 1)
+    return Model(
         feature_settings=settings.features,
         mean=centering.mean,
         sequence_length=length,
@@ -139,23 +105,9 @@ def learn(
         value=policy.value,
         gamma=settings.gamma,
     )
-    report = LearningReport(
-        demonstrations=len(demonstrations),
-        frames=sum(map(len, atoms)),
-        sequences=sum(map(len, space.streams)),
-        states=space.states,
-        actions=len(actions.actions),
-        goals=transitions.goals.size,
-        shared_states=model.shared_states,
-        dead_ends=space.states - np.unique(transitions.state).size,
-        reward_states=int((reward > 1e-6).sum()),
-        template_bytes=space.templates.nbytes,
-        seconds=seconds,
-    )
-    return model, report
 
 
 def fit(drives: Sequence[tuple[Any, ...]], settings: LearningSettings | None = None) -> Model:
     """Learn from images and what was done at each of them; see `smal.mapping.fit`."""
     settings = LearningSettings() if settings is None else settings
-    return learn(demonstrations_of(drives, settings.features), settings)[0]
+    return learn(demonstrations_of(drives, settings.features), settings)

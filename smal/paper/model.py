@@ -14,6 +14,10 @@ from smal.paper.transitions import Transitions
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
 #: Of a weight in Eq. 7.
 _MOST = 1e6
+#: What stands in the file as it is: arrays, and in its header numbers and tuples. Streams stand one after the other.
+_ARRAYS = ("mean", "actions", "reward", "policy", "value")
+_NUMBERS = ("sequence_length", "lambda1", "lambda2", "gamma")
+_TUPLES = ("names", "successful", "recovery")
 _STREAMS = ("state_streams", "atoms")
 
 
@@ -101,12 +105,6 @@ class Model(Stored):
         return self.transitions.states
 
     @property
-    def shared_states(self) -> int:
-        """Number of states that occur in at least two demonstrations; without any the graph is a set of chains."""
-        each = np.concatenate([np.unique(stream) for stream in self.state_streams])
-        return int((np.bincount(each, minlength=self.states) >= 2).sum())
-
-    @property
     def centering(self) -> Centering:
         """Turns raw features into those of the templates."""
         return Centering(self.mean, self.feature_settings)
@@ -118,28 +116,12 @@ class Model(Stored):
 
     def content(self) -> Content:
         """Return what the file says of the model, and the arrays in it."""
-        arrays: dict[str, NDArray[Any]] = {
-            "mean": self.mean,
-            "templates": self.templates.T,
-            "actions": self.actions,
-            "reward": self.reward,
-            "policy": self.policy,
-            "value": self.value,
-        }
+        arrays = {"templates": self.templates.T} | {name: getattr(self, name) for name in _ARRAYS}
         arrays |= {f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS}
         arrays |= {name: np.concatenate(getattr(self, name)) for name in _STREAMS}
-        meta = of_features(self.feature_settings) | {
-            "sequence_length": self.sequence_length,
-            "lambda1": self.lambda1,
-            "lambda2": self.lambda2,
-            "names": self.names,
-            "frames": [len(atoms) for atoms in self.atoms],
-            "successful": self.successful,
-            "recovery": self.recovery,
-            "states": self.states,
-            "gamma": self.gamma,
-        }
-        return meta, arrays
+        meta = {"frames": [len(atoms) for atoms in self.atoms], "states": self.states}
+        meta |= {name: getattr(self, name) for name in (*_NUMBERS, *_TUPLES)}
+        return of_features(self.feature_settings) | meta, arrays
 
     @classmethod
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -153,9 +135,8 @@ class Model(Stored):
         if [len(atoms) for atoms in streams["atoms"]] != meta["frames"]:
             raise ValueError("its demonstrations are not as long as it says")
         named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
-        same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
-        same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
-        same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
+        same: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+        same |= {name: tuple(meta[name]) for name in _TUPLES} | {name: meta[name] for name in _NUMBERS}
         return cls(
             feature_settings=features_of(meta),
             templates=arrays["templates"].T,

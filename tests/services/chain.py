@@ -96,7 +96,7 @@ def save_model(path: Path, frames: int = 18) -> Path:
     vectors = np.stack([extract(picture(place), FEATURES) for place in range(frames)])
     atoms = np.full(frames, Atom.FORWARD, dtype=np.int8)
     atoms[9] = Atom.LEFT
-    model, _ = learn([Demonstration("drive", vectors, atoms)], LearningSettings(sequence_length=LENGTH))
+    model = learn([Demonstration("drive", vectors, atoms)], LearningSettings(sequence_length=LENGTH))
     model.save(path)
     return path
 

@@ -21,9 +21,7 @@ from tests.smal.worlds import COLOR, corridor, drive
 def model() -> Model:
     views = corridor(30)
     drives = [drive(views, start, seed=start, name=f"drive {start}") for start in range(2)]
-    return learn([*drives, drive(views, 3, 9, name="ü", end=11)], LearningSettings(features=COLOR, sequence_length=3))[
-        0
-    ]
+    return learn([*drives, drive(views, 3, 9, name="ü", end=11)], LearningSettings(features=COLOR, sequence_length=3))
 
 
 @pytest.fixture

@@ -169,9 +169,9 @@ class Learn(Unit):
         if not self.length:
             learn_map(demonstrations, FEATURES).save(self.file(folder))
             return {"file": True}
-        model, report = learn(demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length))
+        model = learn(demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length))
         model.save(self.file(folder))
-        return {"states": report.states, "file": True}
+        return {"states": model.states, "file": True}
 
 
 @dataclass(frozen=True)

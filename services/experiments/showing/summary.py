@@ -26,6 +26,22 @@ def shared_and_forks(model: PaperModel) -> tuple[int, int]:
     return shared, forks
 
 
+def numbers_of(model: PaperModel) -> dict[str, int]:
+    """Count what was learned; nothing is known to follow dead ends, and where there is a reward, it is above 1e-6."""
+    return {
+        "demonstrations": len(model.names),
+        "frames": sum(map(len, model.atoms)),
+        "sequences": sum(map(len, model.state_streams)),
+        "states": model.states,
+        "actions": len(model.actions),
+        "goals": model.transitions.goals.size,
+        "shared_states": shared_and_forks(model)[0],
+        "dead_ends": model.states - len(set(model.transitions.state.tolist())),
+        "reward_states": int((model.reward > 1e-6).sum()),
+        "template_bytes": model.templates.nbytes,
+    }
+
+
 class Taught(NamedTuple):
     """A drive that a model was taught: the names of its parts, its frames, and where it led."""
 
@@ -79,16 +95,16 @@ def _of_map(model: Model) -> dict[str, str]:
 
 
 def _of_paper(model: PaperModel) -> dict[str, str]:
-    (shared, forks), rewarded = shared_and_forks(model), int((model.reward > 1e-6).sum())
+    numbers, (shared, forks) = numbers_of(model), shared_and_forks(model)
     return {
         "states": f"{model.states} of {model.sequence_length} frames, {shared} shared by drives, "
-        f"{forks} forks, {model.transitions.goals.size} goal states",
+        f"{forks} forks, {numbers['goals']} goal states",
         "actions": f"{len(model.actions)} of {model.actions.shape[1]} atoms",
-        "reward": f"in {rewarded} of {model.states} states, the largest {float(model.reward.max(initial=0.0)):.3g}; "
-        f"discount {model.gamma:g}",
+        "reward": f"in {numbers['reward_states']} of {model.states} states, "
+        f"the largest {float(model.reward.max(initial=0.0)):.3g}; discount {model.gamma:g}",
         "templates": f"{model.templates.shape[1]} frames of {model.templates.shape[0]} features, "
         f"{model.templates.nbytes / 1e6:.1f} MB",
-        "drives": f"{len(model.names)}, {sum(map(len, model.atoms))} frames",
+        "drives": f"{len(model.names)}, {numbers['frames']} frames",
     }
 
 

@@ -60,7 +60,7 @@ def make(folder: Path) -> None:
     fewer = replace(SETTINGS, sampled_views=500)
     with patch("smal.mapping.SETTINGS", fewer), patch("smal.mapping.fit_scene", lambda *_: SCENE):
         learn_map(teacher.teaching.demonstrations, COLOR).save(folder / "two.smal")
-    learn(teacher.teaching.demonstrations, LearningSettings(COLOR))[0].save(folder / "paper.smal")
+    learn(teacher.teaching.demonstrations, LearningSettings(COLOR)).save(folder / "paper.smal")
 
 
 @pytest.fixture(scope="module")
