@@ -5,7 +5,7 @@ have the same heading twice: the turn between two of its views is undone by a vi
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,7 +20,8 @@ from smal.model import evenly, unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 
-Describe = Callable[[Image], NDArray[np.float32]]
+#: Centred features (n, m) of n images.
+Describe = Callable[[Iterable[Image]], NDArray[np.float32]]
 #: Turns from one view to another that a fit tries: those over which views overlap.
 _TURNS_RAD = np.radians(np.geomspace(1.0, SETTINGS.overlap_deg, 23)).tolist()
 #: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.
@@ -42,14 +43,15 @@ class _Pair(NamedTuple):
 class TaughtFrames:
     """All f frames of all drives, one drive after the other.
 
-    Of each there are its image, its centred features (f, m) of unit length, its pose (f, 3), x, y and heading in
-    radians, in axes of their own for each drive, and its drive (f,), ascending. Poses are by the wheels if there is
-    `odometry`, else by what atoms usually do; `movements` (5, 2) are what each atom does between two frames. `describe`
-    gives the centred features of an image. The camera is the one that was told, or that by which turns were measured.
+    Of each there are its image, its pose (f, 3), x, y and heading in radians, in axes of their own for each drive, and
+    its drive (f,), ascending. `centred` gives the centred features (n, m), of unit length, of n of them, `describe`
+    those of n images. Poses are by the wheels if there is `odometry`, else by what atoms usually do; `movements` (5, 2)
+    are what each atom does between two frames. The camera is the one that was told, or that by which turns were
+    measured.
     """
 
     images: Sequence[Image]
-    centred: NDArray[np.float32]
+    centred: Callable[[Iterable[int]], NDArray[np.float32]]
     poses: NDArray[np.float64]
     drives: NDArray[np.int32]
     describe: Describe
@@ -95,11 +97,12 @@ def _best(
 ) -> tuple[Scene, float]:
     """Return the scene and the length of the steps' unit by which first views of pairs predict the second ones best."""
     some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
-    seen = [(images[pair.frame], describe(images[pair.other]), pair.step) for pair in some]
+    seen = [(images[pair.frame], describe([images[pair.other]])[0], pair.step) for pair in some]
 
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
-        return sum(float(y @ describe(scene.warp(image, *(unit * part for part in step)))) for image, y, step in seen)
+        views = describe(scene.warp(image, *(unit * part for part in step)) for image, _, step in seen)
+        return float(sum(y @ view for (_, y, _), view in zip(seen, views, strict=True)))
 
     # OpenCV lets go of the interpreter's lock.
     return guesses[int(np.argmax(list(in_parallel(score, guesses))))]
@@ -141,8 +144,8 @@ def turn_of_views(
 
     First over single atoms, then, more exactly, over several. With a wrong focal length the turn is wrong by as much,
     so that virtual views of the two together fit all the same. `atoms` (f,) were made after the images, of each drive;
-    `describe` gives the centred features of an image. Returned are the one of the cameras that fits best, and radians;
-    None where no drive turns.
+    `describe` gives the centred features of images, (n, m). Returned are the one of the cameras that fits best, and
+    radians; None where no drive turns.
     """
     made = np.concatenate(atoms)
     # After the last frame of a drive comes another one's first.
@@ -167,11 +170,14 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     ValueError where no drive goes anywhere, or all images look the same.
     """
     ways, cosines, distant, curves = [], [], [], []
+    blind = True
     for drive in np.unique(frames.drives):
         every = np.flatnonzero(frames.drives == drive)
         some = every[_near_and_far(every.size, SETTINGS.most_frames)]
         apart, turned = frames.apart(some)
-        alike = frames.centred[some] @ frames.centred[some].T
+        centred = frames.centred(some)
+        alike = centred @ centred.T
+        blind &= not centred.any()
         near = apart < SETTINGS.reach * apart.max()
         same = near & (turned < math.radians(SETTINGS.same_deg))
         ways.append(apart[same])
@@ -186,7 +192,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     reach = float(way.max(initial=0.0))
     if reach <= 0.0:
         raise ValueError("the robot does not move in any demonstration")
-    if not frames.centred.any():
+    if blind:
         raise ValueError("all images of the demonstrations look the same")
     while True:
         edges = np.linspace(0.0, reach, 100)
@@ -222,7 +228,8 @@ def _turns_undone(
 
     def cosine(pair: tuple[int, int, float]) -> float:
         one, other, turn_rad = pair
-        return float(frames.describe(_far(camera).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
+        turned = _far(camera).warp(frames.images[one], turn_rad=turn_rad)
+        return float(frames.describe([turned])[0] @ frames.centred([other])[0])
 
     each = zip(first.tolist(), second.tolist(), wrapped(steps[:, 2]).tolist(), strict=True)
     return np.hypot(*steps[:, :2].T), np.array(list(in_parallel(cosine, each)))

@@ -82,7 +82,10 @@ class Camera:
     def radius(self, angle_rad: NDArray[Any]) -> NDArray[np.float64]:
         """Return how far from the middle it shows what is at an angle from its axis, in focal lengths."""
         angles, radii = self._table
-        return np.asarray(np.interp(angle_rad, angles, radii))
+        # Its angles are evenly spaced: `np.interp`, which looks for them, takes four times as long.
+        at = np.clip(np.asarray(angle_rad) / angles[1], 0.0, len(angles) - 1)
+        below = np.minimum(at.astype(np.intp), len(angles) - 2)
+        return np.asarray(radii[below] + (at - below) * (radii[below + 1] - radii[below]))
 
     def angle(self, radius: NDArray[Any] | float) -> NDArray[np.float64]:
         """Return the angle from its axis of what it shows so far from the middle, the opposite of `radius`."""
@@ -152,9 +155,10 @@ class Scene:
         right = math.cos(turn_rad) * x - math.sin(turn_rad) * z
         deep = math.sin(turn_rad) * x + math.cos(turn_rad) * z
         # How far along the ray the ground or the wall is, whichever comes first.
-        reach = 1.0 / np.maximum(y / self.height, np.hypot(right, deep) / self.distance)
+        # Roots of sums of squares: `np.hypot` takes four times as long.
+        reach = 1.0 / np.maximum(y / self.height, np.sqrt(right * right + deep * deep) / self.distance)
         x, y, z = reach * right - left, reach * y, reach * deep + ahead
-        off = np.maximum(np.hypot(x, y), 1e-9)
+        off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
         # Far outside of the image its border is repeated.
         radius = np.minimum(self.camera.radius(np.arctan2(off, z)), 100.0) * focal / off
         return cv2.convertMaps(

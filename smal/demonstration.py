@@ -15,7 +15,7 @@ USUAL_GOAL = "victim"
 #: What names of goals are: letters, digits, and what may stand between them.
 GOAL_NAME = r"\w[\w .-]{0,63}"
 
-_F = TypeVar("_F", bound=np.floating[Any])
+_T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +90,10 @@ def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
             )
 
 
-class ImageChain(Sequence[Image]):
-    """Sequences of images as one, none of which is read before it is asked for."""
+class Chain(Sequence[NDArray[Any]]):
+    """Sequences of arrays, such as images or features, as one; none is read or copied before it is asked for."""
 
-    def __init__(self, parts: Sequence[Sequence[Image]]) -> None:
+    def __init__(self, parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> None:
         self._parts = parts
         self._ends = np.cumsum([len(part) for part in parts])
 
@@ -121,9 +121,9 @@ def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple
         if kept[-1].successful and len(images) == len(kept):
             joined = replace(
                 kept[-1],
-                features=np.concatenate([part.features for part in kept]),
-                atoms=np.concatenate([part.atoms for part in kept]),
-                images=ImageChain(images),
+                features=_together([part.features for part in kept]),
+                atoms=_together([part.atoms for part in kept]),
+                images=Chain(images),
                 odometry=_joined([part.odometry for part in kept]),
                 ahead=_joined([part.ahead for part in kept]),
             )
@@ -131,6 +131,11 @@ def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple
     return whole
 
 
-def _joined(parts: Sequence[NDArray[_F] | None]) -> NDArray[_F] | None:
+def _joined(parts: Sequence[NDArray[_T] | None]) -> NDArray[_T] | None:
     known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+    return _together(known) if len(known) == len(parts) else None
+
+
+def _together(parts: Sequence[NDArray[_T]]) -> NDArray[_T]:
+    """Put arrays one after the other; features of an hour of driving are gigabytes, of which one copy is enough."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -4,7 +4,7 @@ Read `learn` from top to bottom.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -23,7 +23,7 @@ from smal.calibration import (
     turn_of_views,
 )
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
-from smal.demonstration import USUAL_GOAL, Demonstration, ImageChain, check_features, drives_to_goals
+from smal.demonstration import USUAL_GOAL, Chain, Demonstration, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.extraction import in_parallel
 from smal.model import Model, VisualMap, evenly, packed, unit
@@ -74,7 +74,7 @@ def learn(
         keyframes=keyframes,
         basis=basis,
         views=views,
-        blank=unit(frames.describe(np.full_like(frames.images[0], 128)) @ basis),
+        blank=unit(frames.describe([np.full_like(frames.images[0], 128)])[0] @ basis),
         aside=aside,
         correlation_length=length,
         correlation_rad=correlation_turn(views, unrelated),
@@ -146,13 +146,16 @@ def demonstrations_of(
 
 def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:
     """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
-    images = ImageChain([one.images for one in taught if one.images is not None])
-    centred = np.concatenate([centering.apply(one.features) for one in taught])
+    images = Chain([one.images for one in taught if one.images is not None])
+    features = Chain([one.features for one in taught])
     camera = next((one.camera for one in taught if one.camera is not None), None)
     atoms = [one.atoms for one in taught]
 
-    def describe(image: Image) -> NDArray[np.float32]:
-        return centering.apply(extract(image, centering.settings))
+    def centred(some: Iterable[int]) -> NDArray[np.float32]:
+        return centering.apply(np.stack([features[frame] for frame in some]))
+
+    def describe(views: Iterable[Image]) -> NDArray[np.float32]:
+        return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
 
     ways = [np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None]
     odometry = len(ways) == len(taught)
@@ -203,7 +206,7 @@ def _make_views(
 
     def views_of(frame: int) -> NDArray[np.float32]:
         image = frames.images[frame]
-        return np.stack([frames.describe(remapped(image, one)) for one in maps_of(image.shape[:2])])
+        return frames.describe(remapped(image, one) for one in maps_of(image.shape[:2]))
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     each = len(lefts) * TURNS_DEG.size

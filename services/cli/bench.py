@@ -27,8 +27,8 @@ def bench(
     benchmark's own; smal bench NAME -- --help explains them.
 
     recognition: matching over one product, against other solvers. bus: messages over those of plain Zenoh. faults:
-    kills, freezes, outages, a full disk, floods. soak: memory and descriptors over an hour, or of the page. route: a
-    decision on a way of one kilometre. places: large traverses.
+    kills, freezes, outages, a full disk, floods. soak: memory and descriptors over an hour, or of the page. route:
+    learning a drive, and a decision on a way of one kilometre. places: large traverses.
 
     Example: smal bench recognition --json results.json --out pictures
     """

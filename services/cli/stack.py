@@ -156,8 +156,6 @@ class Stack:
         environment |= {"SMAL_ROBOT": plan.robot, "SMAL_ROUTER": plan.endpoint}
         if plan.secure is not None:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
-        # The solves are small: a second BLAS thread only takes the other service's core.
-        environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         module = plan.modules.get(service)
         program = SERVICES[service].command if module is None else ("-m", module)
         command = tied(sys.executable, *program, *plan.flags.get(service, ()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -108,7 +107,6 @@ def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Pop
         [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags],
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )
     try:
         yield child

@@ -1,6 +1,7 @@
 """Views from where nobody drove, against what a camera there sees."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -62,16 +63,23 @@ def test_a_warped_view_is_what_a_camera_there_sees(lens: str, ahead: float, left
         assert off < difference(to_the_wrong_side[where], there[where]) / 2.5
 
 
+def raw_of(images: Iterable[Image]) -> NDArray[np.float32]:
+    return np.stack([extract(image, COLOR) for image in images])
+
+
 def fitted(room: Room, one: Drive, seen_by: Camera = CAMERA, told: Camera | None = None) -> Scene:
     images = [room.look(pose, camera=seen_by) for pose in one.poses]
-    raw = np.stack([extract(image, COLOR) for image in images])
+    raw = raw_of(images)
     centering = Centering.fit(raw, COLOR)
     drives = np.zeros(len(images), dtype=np.int32)
 
-    def describe(image: Image) -> NDArray[np.float32]:
-        return centering.apply(extract(image, COLOR))
+    def describe(views: Iterable[Image]) -> NDArray[np.float32]:
+        return centering.apply(raw_of(views))
 
-    frames = TaughtFrames(images, centering.apply(raw), one.poses, drives, describe, np.zeros((5, 2)))
+    def centred(some: Iterable[int]) -> NDArray[np.float32]:
+        return centering.apply(raw[list(some)])
+
+    frames = TaughtFrames(images, centred, one.poses, drives, describe, np.zeros((5, 2)))
     return fit_scene(frames, told or fit_camera(frames), 0.6)
 
 
@@ -104,8 +112,8 @@ def test_a_drive_without_turns_assumes_a_usual_camera_and_a_known_one_is_kept() 
 def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
     one = drive(speed=speed, rate_hz=rate_hz)
     images = [PAINTED.look(pose) for pose in one.poses]
-    centering = Centering.fit([np.stack([extract(image, COLOR) for image in images])], COLOR)
+    centering = Centering.fit(raw_of(images), COLOR)
     # The second drive's last frame does not turn into the first one's.
-    found = turn_of_views(images * 2, [one.atoms] * 2, [CAMERA], lambda image: centering.apply(extract(image, COLOR)))
+    found = turn_of_views(images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views)))
     assert found is not None
     assert found[1] == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)
