@@ -4,8 +4,7 @@ precision = right answers / answers,  recall = right answers / queries that have
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -13,8 +12,6 @@ from numpy.typing import NDArray
 
 from smal.evaluation.ground_truth import Judgement
 
-#: Entries of the (resamples, queries) matrix that are held at a time: 8 MB.
-_BLOCK_ENTRIES = 1 << 20
 #: The bootstrap draws from at least so many blocks, if there are so many queries: of fewer it learns nothing.
 _FEWEST_BLOCKS = 4
 
@@ -32,15 +29,22 @@ class PrecisionRecall:
     threshold: NDArray[np.float64]
 
     @classmethod
-    def of(cls, judgement: Judgement) -> Self:
+    def of(cls, judgement: Judgement, times: NDArray[np.int64] | None = None) -> Self:
         """Return the curve of a method's answers; ValueError when no query has anything to find.
 
         Queries that are not judged do not count. A query that is judged and has nothing to find does not count for
-        recall; an answer to it is wrong. A query that has something to find and no answer counts for recall.
+        recall; an answer to it is wrong. A query that has something to find and no answer counts for recall. Each
+        counts once, or as often as `times` (q,) says.
         """
-        ranking = _Ranking(judgement)
-        answers, right = ranking.counts(np.ones((1, judgement.judged.sum()), dtype=np.int64))
-        return cls(right[0] / ranking.findable.sum(), right[0] / answers[0], ranking.threshold)
+        times = judgement.judged.astype(np.int64) if times is None else times * judgement.judged
+        to_find = int(times[judgement.findable].sum())
+        if not to_find:
+            raise ValueError("no query has anything to find: recall means nothing")
+        order = np.flatnonzero(judgement.answered & (times > 0))
+        order = order[np.argsort(-judgement.score[order], kind="stable")]
+        ends = np.flatnonzero(np.diff(judgement.score[order], append=-np.inf))
+        right = np.cumsum((times * judgement.right)[order])[ends]
+        return cls(right / to_find, right / np.cumsum(times[order])[ends], judgement.score[order][ends])
 
     @property
     def auc(self) -> float:
@@ -93,56 +97,19 @@ def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: 
     the last followed by the first (Politis & Romano 1992), until there are as many queries as before. The same seed,
     block and judged queries give the same draws: differences of two methods' figures are paired.
 
-    Returns
-    -------
-    float64 array (resamples, 2)
-        Area and recall at 100 % precision; NaN where a draw has no query with anything to find.
+    Returned are area and recall at 100 % precision, float64 (resamples, 2); NaN where a draw has nothing to find.
+    ValueError as of `PrecisionRecall.of`.
     """
-    ranking = _Ranking(judgement)
-    parts = [ranking.figures(draws) for draws in _draws(ranking.findable.size, block, resamples, seed)]
-    return np.concatenate(parts)
-
-
-class _Ranking:
-    """The judged queries of a method, those with an answer ordered by its score: `threshold` (k,), falling."""
-
-    def __init__(self, judgement: Judgement) -> None:
-        judged = judgement.judged
-        self.findable = judgement.findable[judged]
-        if not self.findable.any():
-            raise ValueError("no query has anything to find: recall means nothing")
-        score = judgement.score[judged]
-        answered = np.flatnonzero(judgement.answered[judged])
-        self._order = answered[np.argsort(-score[answered], kind="stable")]
-        self._right = judgement.right[judged][self._order]
-        ranked = score[self._order]
-        #: Where each group of equal scores ends.
-        self._ends = np.flatnonzero(np.diff(ranked, append=-np.inf))
-        self.threshold = ranked[self._ends]
-
-    def counts(self, draws: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Count the answers, and the right ones, at every threshold, (b, k), of queries drawn so many times (b, j)."""
-        ranked = draws[:, self._order]
-        answers = np.cumsum(ranked, axis=1)[:, self._ends]
-        return answers, np.cumsum(ranked * self._right, axis=1)[:, self._ends]
-
-    def figures(self, draws: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return area and recall at 100 % precision (b, 2) of queries drawn so many times (b, j)."""
-        answers, right = self.counts(draws)
-        precision = np.divide(right, answers, out=np.zeros(right.shape), where=answers > 0)
-        area = (precision * np.diff(right, axis=1, prepend=0)).sum(axis=1)
-        surest = np.where(answers == right, right, 0).max(axis=1, initial=0)
-        with np.errstate(invalid="ignore"):
-            figures: NDArray[np.float64] = np.column_stack([area, surest]) / (draws @ self.findable)[:, np.newaxis]
-        return figures
-
-
-def _draws(count: int, block: int, resamples: int, seed: int) -> Iterator[NDArray[np.int64]]:
-    """Yield how many times each of `count` queries is drawn, (b, count), for a few resamples at a time."""
-    starts = np.random.default_rng(seed).integers(0, count, (resamples, -(-count // block), 1))
-    step = max(1, _BLOCK_ENTRIES // count)
-    for begin in range(0, resamples, step):
-        some = starts[begin : begin + step]
-        queries = ((some + np.arange(block)) % count).reshape(len(some), -1)[:, :count]
-        rows = count * np.arange(len(some))[:, np.newaxis]
-        yield np.bincount((rows + queries).ravel(), minlength=count * len(some)).reshape(-1, count)
+    PrecisionRecall.of(judgement)
+    judged = np.flatnonzero(judgement.judged)
+    # In the order of their scores, so that no draw has to be sorted.
+    order = np.argsort(-judgement.score, kind="stable")
+    ordered = Judgement(*(getattr(judgement, part.name)[order] for part in fields(judgement)))
+    figures = np.full((resamples, 2), np.nan)
+    starts = np.random.default_rng(seed).integers(0, judged.size, (resamples, -(-judged.size // block), 1))
+    for row, begins in zip(figures, starts, strict=True):
+        drawn = judged[((begins + np.arange(block)) % judged.size).ravel()[: judged.size]]
+        if judgement.findable[drawn].any():
+            curve = PrecisionRecall.of(ordered, np.bincount(drawn, minlength=order.size)[order])
+            row[:] = curve.auc, curve.recall_at_100_precision
+    return figures

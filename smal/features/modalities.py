@@ -1,25 +1,22 @@
 """Feature modalities by name."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from typing import Final
 
 from smal.features import color, depth, gist, hog, ldb, onnx, thumbnail
 from smal.features.modality import Modality
 
 #: Those that need no file.
-MODALITIES: Mapping[str, Modality] = MappingProxyType(
-    {
-        modality.name: modality
-        for modality in (
-            Modality("color", color.SIZE, "color", color.color_descriptor),
-            Modality("hog", hog.SIZE, "color", hog.hog_descriptor),
-            Modality("depth", depth.SIZE, "depth", depth.depth_descriptor),
-            Modality("gist", gist.SIZE, "color", gist.gist_descriptor),
-            Modality("ldb", ldb.SIZE, "color", ldb.ldb_descriptor),
-            Modality("thumbnail", thumbnail.SIZE, "color", thumbnail.thumbnail_descriptor),
-        )
-    }
-)
+MODALITIES: Final = {
+    modality.name: modality
+    for modality in (
+        Modality("color", color.SIZE, "color", color.color_descriptor),
+        Modality("hog", hog.SIZE, "color", hog.hog_descriptor),
+        Modality("depth", depth.SIZE, "depth", depth.depth_descriptor),
+        Modality("gist", gist.SIZE, "color", gist.gist_descriptor),
+        Modality("ldb", ldb.SIZE, "color", ldb.ldb_descriptor),
+        Modality("thumbnail", thumbnail.SIZE, "color", thumbnail.thumbnail_descriptor),
+    )
+}
 
 #: Names that users may give.
 MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")

@@ -1,8 +1,8 @@
 """The table of methods."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,20 +86,18 @@ def _paper(references: Features, queries: Features, settings: MatchSettings, pro
 #: What looks at the whole image, and changes little where light and season do.
 FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))
 
-METHODS: Mapping[str, Method] = MappingProxyType(
-    {
-        "smal": Method(
-            "a hidden Markov model over places, speeds and 'no reference shows it'; the score is a probability",
-            FEATURES, _smal, any_length=False, probable=True,
-        ),
-        "nearest": Method("largest sum of products along the sequence, at equal speeds", FEATURES, _nearest, 10),
-        "seqslam": Method(
-            "Milford and Wyeth 2012", FeatureSettings.of(("thumbnail",)), _seqslam, 10, any_features=False
-        ),
-        "paper": Method(
-            "Eq. 7 as published, with colour and HOG: sequences without order, cut at fixed phases",
-            FeatureSettings(), _paper, 10,
-        ),
-        "image": Method("the paper's baseline: Eq. 7 of single images", FeatureSettings(), _paper, any_length=False),
-    }
-)  # fmt: skip
+METHODS: Final = {
+    "smal": Method(
+        "a hidden Markov model over places, speeds and 'no reference shows it'; the score is a probability",
+        FEATURES, _smal, any_length=False, probable=True,
+    ),
+    "nearest": Method("largest sum of products along the sequence, at equal speeds", FEATURES, _nearest, 10),
+    "seqslam": Method(
+        "Milford and Wyeth 2012", FeatureSettings.of(("thumbnail",)), _seqslam, 10, any_features=False
+    ),
+    "paper": Method(
+        "Eq. 7 as published, with colour and HOG: sequences without order, cut at fixed phases",
+        FeatureSettings(), _paper, 10,
+    ),
+    "image": Method("the paper's baseline: Eq. 7 of single images", FeatureSettings(), _paper, any_length=False),
+}  # fmt: skip
