@@ -38,24 +38,14 @@ _MOST_DISTORTION: Final = 1e6
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that looks level, and as far to the left as to the right; ValueError says why no camera sees so.
+    """A camera that looks level, and as far to the left as to the right; ValueError says why no camera sees so."""
 
-    Parameters
-    ----------
-    focal : float
-        Focal length over the image's width, 0.04 to 12; the same across and down.
-    lens : str
-        A model of OpenCV and ROS; "plumb_bob" without distortion is rectilinear.
-    distortion : tuple of float
-        Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are
-        left out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
-    centre : (float, float)
-        Where the axis meets the image, right of and below its middle, over the image's width; -0.5 to 0.5.
-    """
-
-    focal: float
-    lens: Lens = "plumb_bob"
+    focal: float  # Focal length over the image's width, 0.04 to 12; the same across and down.
+    lens: Lens = "plumb_bob"  # A model of OpenCV and ROS; without distortion this one is rectilinear.
+    #: Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are left
+    #: out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
     distortion: tuple[float, ...] = ()
+    #: Where the axis meets the image, right of and below its middle, over the image's width; -0.5 to 0.5.
     centre: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -20,45 +20,24 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A drive of a person or the expert, or a part of one where frames were lost.
+    """A drive of a person or the expert, or a part of one where frames were lost: f frames.
 
     ValueError where lengths do not fit each other, or numbers are out of range; it names the demonstration.
-
-    Parameters
-    ----------
-    name : str
-        Its episode.
-    features : float32 array (f, m)
-        Raw features of every frame (`smal.features.extract`), without dropped frames.
-    atoms : int8 array (f,)
-        `Atom` k was executed between frames k and k + 1; the last one after the last frame.
-    successful, recovery : bool
-        Whether it ended at the goal; whether it began off the route, to show the way back to it.
-    images : sequence of uint8 arrays (height, width, 3), optional
-        RGB of every frame; read when they are wanted. The map of views is made of them.
-    odometry : float64 array (f, 3), optional
-        x, y and heading in radians of every frame by the wheels.
-    episode : str
-        Which drive it is a part of, where frames between parts were lost; its name if empty.
-    goal : str
-        Where it leads.
-    camera : Camera, optional
-        Estimated from the images if not given.
-    ahead : float32 array (f,), optional
-        How fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does; on
-        the spot if not given.
     """
 
-    name: str
-    features: NDArray[np.float32]
+    name: str  # Its episode.
+    features: NDArray[np.float32]  # (f, m) raw features (`smal.features.extract`), without dropped frames.
+    #: (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
     atoms: NDArray[np.int8]
-    successful: bool = True
-    recovery: bool = False
-    images: Sequence[Image] | None = None
-    odometry: NDArray[np.float64] | None = None
-    episode: str = ""
+    successful: bool = True  # Whether it ended at the goal.
+    recovery: bool = False  # Whether it began off the route, to show the way back to it.
+    images: Sequence[Image] | None = None  # RGB; read when they are wanted. The map of views is made of them.
+    odometry: NDArray[np.float64] | None = None  # (f, 3) x, y and heading in radians by the wheels.
+    episode: str = ""  # Which drive it is a part of, where frames between parts were lost; its name if empty.
     goal: str = USUAL_GOAL
-    camera: Camera | None = None
+    camera: Camera | None = None  # Estimated from the images if not given.
+    #: (f,) how fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does;
+    #: on the spot if not given.
     ahead: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:

@@ -35,28 +35,15 @@ from smal.settings import SETTINGS
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the robot may be: particles beside keyframes, and how probable each is.
-
-    Parameters
-    ----------
-    keyframes : int array (p,)
-    offsets : float64 array (p, 3)
-        How far ahead and to the left of its keyframe each is, in the map's unit, and turned left, radians.
-    weights : float64 array (p,)
-        Probabilities given that the robot is not lost; they sum to 1.
-    lost : float
-        Probability, 0 to 1, that the robot is nowhere near what was taught.
-    cosine : float
-        Mean cosine of the last view with the views of these places.
-    tracked : float
-        Way that nine tenths of the particles have been followed for since they were drawn as scouts, in the map's unit.
-    """
+    """Where the robot may be: p particles beside keyframes, and how probable each is."""
 
     keyframes: NDArray[np.intp]
+    #: (p, 3) how far ahead and to the left of its keyframe each is, in the map's unit, and turned left, radians.
     offsets: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    lost: float
-    cosine: float
+    weights: NDArray[np.float64]  # Probabilities given that the robot is not lost; they sum to 1.
+    lost: float  # Probability, 0 to 1, that the robot is nowhere near what was taught.
+    cosine: float  # Mean cosine of the last view with the views of these places.
+    #: Way that nine tenths of the particles have been followed for since they were drawn as scouts, in the map's unit.
     tracked: float
 
     def summary(self, most: int = SETTINGS.places) -> "Belief":

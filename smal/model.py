@@ -26,68 +26,34 @@ from smal.settings import SETTINGS
 
 @dataclass(frozen=True, eq=False)
 class VisualMap:
-    """Taught ways, and how they look.
+    """Taught ways, and how they look: f frames, of which k are keyframes.
 
     Poses are x, y and heading in radians in axes of their own for each drive, by its odometry; lengths are in metres,
     or in units of one forward atom where a drive has no odometry.
-
-    Parameters
-    ----------
-    poses : float64 array (f, 3)
-        Of every taught frame.
-    drives : int32 array (f,)
-        Which demonstration it is of, ascending.
-    keyframes : int32 array (k,)
-        Taught frames that are keyframes, ascending; the first and last frame of every drive are among them.
-    basis : float32 array (m, r)
-        Components of centred features.
-    views : int8 array (k, 3, turns, r)
-        Components of each keyframe's views, of any length (`packed`): from `aside` to the right, from there, from the
-        left; each turned by `TURNS_DEG`.
-    blank : float32 array (r,)
-        Components of a picture that shows nothing, of unit length.
-    aside : float
-        How far the views from aside are from the keyframe, in the map's unit.
-    correlation_length, correlation_rad : float
-        Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
-    log_ratio : float64 array (shares, z)
-    gamma : float
-        What views say of places, see `smal.likelihood.Likelihood`.
-    movements : float64 array (5, 2)
-        What each atom does between two frames (`smal.movement.atom_movements`).
-    tick_s : float
-        Time between two taught frames.
-    odometry : bool
-        Whether poses are of odometry, or the usual movements of atoms added up.
-    scene : float64 array (3,)
-        Field of view in degrees, height of the camera and distance of what it sees, for people.
-    goals : tuple of str
-        Where each drive leads.
-    names : tuple of tuples of str
-        Demonstrations that each drive is made of, in order: several where frames between them were lost.
-    stitched : int32 array (s, 2)
-        Pairs of keyframes of different drives that show one place (`smal.stitches`), ascending.
-    stitch_offsets : float64 array (s, 3)
-        Of the first one as seen from the second one: ahead, left, turned left in radians.
     """
 
-    poses: NDArray[np.float64]
-    drives: NDArray[np.int32]
-    keyframes: NDArray[np.int32]
-    basis: NDArray[np.float32]
+    poses: NDArray[np.float64]  # (f, 3) of every taught frame.
+    drives: NDArray[np.int32]  # (f,) which demonstration it is of, ascending.
+    keyframes: NDArray[np.int32]  # (k,) frames, ascending; the first and last of every drive are among them.
+    basis: NDArray[np.float32]  # (m, r) components of centred features.
+    #: (k, 3, turns, r) components of each keyframe's views, of any length (`packed`): from `aside` to the right, from
+    #: there, from the left; each turned by `TURNS_DEG`.
     views: NDArray[np.int8]
-    blank: NDArray[np.float32]
-    aside: float
+    blank: NDArray[np.float32]  # (r,) components of a picture that shows nothing, of unit length.
+    aside: float  # How far the views from aside are from the keyframe, in the map's unit.
+    #: Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
     correlation_length: float
     correlation_rad: float
-    log_ratio: NDArray[np.float64]
+    log_ratio: NDArray[np.float64]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
     gamma: float
-    movements: NDArray[np.float64]
-    tick_s: float
-    odometry: bool
-    scene: NDArray[np.float64]
-    goals: tuple[str, ...]
-    names: tuple[tuple[str, ...], ...]
+    movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.movement.atom_movements`).
+    tick_s: float  # Time between two taught frames.
+    odometry: bool  # Whether poses are of odometry, or the usual movements of atoms added up.
+    scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees: for people.
+    goals: tuple[str, ...]  # Where each drive leads.
+    names: tuple[tuple[str, ...], ...]  # Demonstrations of each drive: several where frames between them were lost.
+    #: (s, 2) pairs of keyframes of different drives that show one place (`smal.stitches`), ascending; and of the first
+    #: as seen from the second, (s, 3): ahead, left, turned left in radians.
     stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
 

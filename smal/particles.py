@@ -14,29 +14,15 @@ from smal.settings import SETTINGS
 
 
 class View(NamedTuple):
-    """What a robot's view looks like.
+    """What a robot's view looks like, and at which n keyframes it was looked for."""
 
-    Parameters
-    ----------
-    components : float32 array (r,)
-        Of the map (`VisualMap.described`).
-    keyframes, stand_for : int and float64 arrays (n,)
-        That were looked at, and how many keyframes each of them stands for.
-    cosines : float32 array (n, turns)
-        With the views from there.
-    middle, spread : float
-        Median and spread of its cosines with the sample of elsewhere.
-    newness : float
-        How much of it the views before have not told, 0 to 1.
-    """
-
-    components: NDArray[np.float32]
+    components: NDArray[np.float32]  # (r,) of the map (`VisualMap.described`).
     keyframes: NDArray[np.intp]
-    stand_for: NDArray[np.float64]
-    cosines: NDArray[np.float32]
-    middle: float
+    stand_for: NDArray[np.float64]  # How many keyframes each of them stands for.
+    cosines: NDArray[np.float32]  # (n, turns) with the views from there.
+    middle: float  # Median, and spread, of its cosines with the sample of elsewhere.
     spread: float
-    newness: float
+    newness: float  # How much of it the views before have not told, 0 to 1.
 
     def stands_out(self, cosines: NDArray[Any]) -> NDArray[Any]:
         """Return by how much cosines stand out."""

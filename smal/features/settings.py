@@ -48,19 +48,14 @@ class FeatureSettings:
         return cls(names, (1.0,) * len(names) if weights is None else tuple(weights))
 
     @classmethod
-    def parse(cls, modalities: str, weights: str | None = None) -> Self:
-        """Read what a user says: names separated by commas, for example ``color,hog``, and as many weights.
+    def parse(cls, modalities: str) -> Self:
+        """Read what a user says: names separated by commas, for example ``color,hog``.
 
         For ``onnx:FILE`` the file is read, and the network gets the name that its contents have. The name of the file
         has no comma and no blank at its end. ValueError as above, or where a network's file cannot be used, or was not
         given.
         """
-        names = [_given(name.strip()) for name in modalities.split(",")]
-        try:
-            numbers = None if weights is None else [float(weight) for weight in weights.split(",")]
-        except ValueError:
-            raise ValueError(f"modality weights must be numbers separated by commas, got {weights!r}") from None
-        return cls.of(names, numbers)
+        return cls.of(_given(name.strip()) for name in modalities.split(","))
 
     def of_images(self) -> "FeatureSettings | None":
         """Return those that a colour image alone gives, or None where there are none."""

@@ -23,60 +23,27 @@ _STREAMS = ("state_streams", "atoms")
 
 @dataclass(frozen=True, eq=False)
 class Model(Stored):
-    """A learned model of the paper's scheme; `state` below is a template sequence, `demonstration` is d.
-
-    Parameters
-    ----------
-    feature_settings : FeatureSettings
-    mean : float32 array (m,)
-        Mean raw feature vector.
-    sequence_length : int
-        l.
-    lambda1, lambda2 : float
-        Of Eq. 7.
-    templates : float32 array (m, n)
-        X; state j is the columns j * l and following.
-    actions : int8 array (number of actions, l)
-        Atoms of every action.
-    state_streams : tuple of int32 arrays (f_d // l,)
-        The sequences of every demonstration in time; they end with its last frame.
-    atoms : tuple of int8 arrays (f_d,)
-        Atom k was executed between frames k and k + 1.
-    names : tuple of str
-        Episode of each demonstration.
-    successful, recovery : tuples of bool
-        Whether it ended at the goal; whether it began off the route.
-    transitions : Transitions
-        T.
-    reward : float64 array (states,)
-        R.
-    policy : int32 array (states,)
-        Action of every state; -1 in goals and dead ends.
-    value : float64 array (states,)
-        V of the policy.
-    gamma : float
-        Discount factor.
-    """
+    """A learned model of the paper's scheme: of demonstrations d, each of f_d frames."""
 
     scheme = "paper"
 
     feature_settings: FeatureSettings
-    mean: NDArray[np.float32]
-    sequence_length: int
-    lambda1: float
+    mean: NDArray[np.float32]  # (m,) mean raw feature vector.
+    sequence_length: int  # l.
+    lambda1: float  # Of Eq. 7.
     lambda2: float
-    templates: NDArray[np.float32]
-    actions: NDArray[np.int8]
-    state_streams: tuple[NDArray[np.int32], ...]
-    atoms: tuple[NDArray[np.int8], ...]
-    names: tuple[str, ...]
-    successful: tuple[bool, ...]
-    recovery: tuple[bool, ...]
-    transitions: Transitions
-    reward: NDArray[np.float64]
-    policy: NDArray[np.int32]
-    value: NDArray[np.float64]
-    gamma: float
+    templates: NDArray[np.float32]  # X (m, n); state j is the columns j * l and following.
+    actions: NDArray[np.int8]  # (number of actions, l) atoms of every action.
+    state_streams: tuple[NDArray[np.int32], ...]  # (f_d // l,) sequences in time; they end with the last frame.
+    atoms: tuple[NDArray[np.int8], ...]  # (f_d,) atom k was executed between frames k and k + 1.
+    names: tuple[str, ...]  # Episode of each demonstration.
+    successful: tuple[bool, ...]  # Whether it ended at the goal.
+    recovery: tuple[bool, ...]  # Whether it began off the route.
+    transitions: Transitions  # T.
+    reward: NDArray[np.float64]  # R (states,).
+    policy: NDArray[np.int32]  # (states,) action of every state; -1 in goals and dead ends.
+    value: NDArray[np.float64]  # V (states,) of the policy.
+    gamma: float  # Discount factor.
 
     def __post_init__(self) -> None:
         l, states = self.sequence_length, self.transitions.states  # noqa: E741

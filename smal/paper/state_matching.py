@@ -20,37 +20,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A certified solution of Eq. 7.
+    """A certified solution of Eq. 7, of n template and q query frames."""
 
-    Parameters
-    ----------
-    active : intp array (p,)
-        Template frames (rows of W) that may have a weight, ascending.
-    active_weights : float64 array (p, q)
-        Their rows of W; all other rows are zero.
-    shape : (n, q)
-    sequence_length : int
-    objective : float
-        Eq. 7 at W.
-    duality_gap : float
-        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
-    iterations : int
-        Newton steps in all rounds of the working set.
-    converged : bool
-        Whether the gap is within the tolerance that was asked for.
-    residual_norms : float64 array (q,)
-        ||y_i - X w_i||.
-    """
-
-    active: NDArray[np.intp]
-    active_weights: Array
-    shape: tuple[int, int]
+    active: NDArray[np.intp]  # (p,) template frames (rows of W) that may have a weight, ascending.
+    active_weights: Array  # (p, q) their rows of W; all other rows are zero.
+    shape: tuple[int, int]  # (n, q).
     sequence_length: int
-    objective: float
+    objective: float  # Eq. 7 at W.
+    #: Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
     duality_gap: float
-    iterations: int
-    converged: bool
-    residual_norms: Array
+    iterations: int  # Newton steps in all rounds of the working set.
+    converged: bool  # Whether the gap is within the tolerance that was asked for.
+    residual_norms: Array  # (q,) ||y_i - X w_i||.
 
     @property
     def weights(self) -> Array:

@@ -13,37 +13,21 @@ NO_ACTION = -1
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """T as one row per seen pair (s, a).
+    """T as one row per seen pair (s, a), p pairs.
 
-    Pairs are sorted by state, then action. A pair that was never seen is not a transition. A goal state has
-    exactly one pair, with the action `NO_ACTION`, that stays there for ever. A state without any pair is a
-    dead end: a demonstration stopped there without success and no other passed through.
-
-    Parameters
-    ----------
-    state, action : int32 array (p,)
-        The pairs.
-    offsets : int64 array (p + 1,)
-        Successors of pair i are the entries offsets[i] to offsets[i + 1].
-    next_state : int32 array (t,)
-    count : int32 array (t,)
-        How often pair i led to that state; 0 for a goal that stays.
-    probability : float64 array (t,)
-        T(s, a, s'); sums to 1 over the successors of a pair.
-    goals : int32 array (g,)
-        Last states of the successful demonstrations, ascending.
-    states : int
-        Number of states.
+    Pairs are sorted by state, then action. A pair that was never seen is not a transition. A goal state has exactly one
+    pair, with the action `NO_ACTION`, that stays there for ever. A state without any pair is a dead end: a
+    demonstration stopped there without success and no other passed through.
     """
 
-    state: NDArray[np.int32]
+    state: NDArray[np.int32]  # (p,) with the action the pairs.
     action: NDArray[np.int32]
-    offsets: NDArray[np.int64]
-    next_state: NDArray[np.int32]
-    count: NDArray[np.int32]
-    probability: NDArray[np.float64]
-    goals: NDArray[np.int32]
-    states: int
+    offsets: NDArray[np.int64]  # (p + 1,) successors of pair i are the entries offsets[i] to offsets[i + 1].
+    next_state: NDArray[np.int32]  # (t,)
+    count: NDArray[np.int32]  # (t,) how often pair i led to that state; 0 for a goal that stays.
+    probability: NDArray[np.float64]  # (t,) T(s, a, s'); sums to 1 over the successors of a pair.
+    goals: NDArray[np.int32]  # Last states of the successful demonstrations, ascending.
+    states: int  # Number of states.
 
     @property
     def sound(self) -> bool:

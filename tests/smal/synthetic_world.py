@@ -41,8 +41,10 @@ Image = NDArray[np.uint8]
 Pose = NDArray[np.float64]
 
 
-def paint(rng: np.random.Generator, rows: int, columns: int, texels: int) -> Image:
+@cache
+def paint(seed: int, part: int, rows: int, columns: int, texels: int) -> Image:
     """Make a texture of coloured spots, the largest of so many texels, that joins itself at its borders."""
+    rng = np.random.default_rng([seed, part])
     picture = np.zeros((rows, columns, 3))
     for size, strength in ((texels, 1.0), (texels // 2, 0.7), (texels // 4, 0.4)):
         spots = rng.uniform(-1.0, 1.0, (rows // size, columns // size, 3))
@@ -69,23 +71,18 @@ class Room:
 
     @cached_property
     def _floor(self) -> Image:
-        return paint(np.random.default_rng([self.seed, 0]), 512, 512, 16)
+        return paint(self.seed, 0, 512, 512, 16)
 
     @cached_property
     def _walls(self) -> Image:
-        return paint(np.random.default_rng([self.seed, 1]), 256, 2048, 64)
+        return paint(self.seed, 1, 256, 2048, 64)
 
     def look(
         self, pose: Sequence[float] | Pose, rows: int = ROWS, columns: int = COLUMNS, camera: Camera = CAMERA
     ) -> Image:
         """Render what a camera at x, y, heading sees: 20 texels a metre on the floor, 40 on the walls."""
         x, y, heading = pose
-        focal = camera.focal * columns
-        v, u = np.mgrid[0:rows, 0:columns]
-        down, right = (v - (rows - 1) / 2.0) / focal, (u - (columns - 1) / 2.0) / focal
-        out = np.hypot(right, down)
-        angle = camera.angle(out)
-        down, right, ahead = np.sin(angle) * down / out, np.sin(angle) * right / out, np.cos(angle)
+        down, right, ahead = _rays(camera, rows, columns)
         ray_x = math.cos(heading) * ahead + math.sin(heading) * right
         ray_y = math.sin(heading) * ahead - math.cos(heading) * right
         with np.errstate(divide="ignore"):
@@ -100,6 +97,16 @@ class Room:
         floor = _sampled(self._floor, at_x * 20.0, at_y * 20.0)
         walls = _sampled(self._walls, side * 512.0 + along * 40.0, height * 40.0)
         return np.where((to_floor <= np.minimum(to_x, to_y))[..., None], floor, walls)
+
+
+@cache
+def _rays(camera: Camera, rows: int, columns: int) -> tuple[NDArray[np.float64], ...]:
+    focal = camera.focal * columns
+    v, u = np.mgrid[0:rows, 0:columns]
+    down, right = (v - (rows - 1) / 2.0) / focal, (u - (columns - 1) / 2.0) / focal
+    out = np.hypot(right, down)
+    angle = camera.angle(out)
+    return np.sin(angle) * down / out, np.sin(angle) * right / out, np.cos(angle)
 
 
 def _sampled(texture: Image, u: NDArray[np.float64], v: NDArray[np.float64]) -> Image:
@@ -170,7 +177,7 @@ def taught(
     scene: Scene | None = None,
     ahead: NDArray[np.float32] | None = None,
 ) -> tuple[VisualMap, Centering]:
-    """Learn the map of drives through a room; a scene that is given is not fitted, which takes half of the time.
+    """Learn the map of drives through a room; a scene that is given is not fitted, which takes most of the time.
 
     A car's drives say how fast it goes ahead in turning.
     """
@@ -179,6 +186,7 @@ def taught(
     with ExitStack() as changed:
         changed.enter_context(patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)))
         if scene is not None:
+            changed.enter_context(patch("smal.mapping.fit_camera", lambda *_: scene.camera))
             changed.enter_context(patch("smal.mapping.fit_scene", lambda *_: scene))
         found = learn(
             [

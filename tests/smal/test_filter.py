@@ -242,11 +242,10 @@ def elsewhere(seed: int) -> tuple[list[float], Filter]:
 
 def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
     """Rooms may look alike by chance: lost in most of them."""
-    rooms = [elsewhere(seed) for seed in range(1, 6)]
+    rooms = [elsewhere(seed) for seed in range(1, 4)]
     assert max(lost[0] for lost, _ in rooms) < 0.2
     assert float(np.median([lost[-1] for lost, _ in rooms])) > 0.5
-    for _, found in rooms[:2]:
-        at_home(found)
+    at_home(rooms[0][1])
 
 
 @settings(deadline=None, derandomize=True, max_examples=15)

@@ -78,7 +78,7 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
 
 def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
     text = network(tmp_path / "mix.onnx")
-    name, chosen = given(text), FeatureSettings.parse(f"hog,{text}", "1,2")
+    name, chosen = given(text), FeatureSettings.of(FeatureSettings.parse(f"hog,{text}").modalities, (1.0, 2.0))
     image = picture(60, 80)
     assert (chosen.modalities, chosen.size, chosen.needs) == (("hog", name), 5944, {"color"})
     vector = extract(image, chosen)

@@ -221,7 +221,7 @@ def meetings(draw: st.DrawFn) -> Stitches:
     return tuple(sorted(found.items()))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 @given(meetings())
 def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(stitches: Stitches) -> None:
     three = map_of(*LENGTHS_M, goals=("victim", "victim", "elsewhere"), stitches=stitches)

@@ -36,7 +36,7 @@ def extended(problem: Problem, active: np.ndarray, weights: np.ndarray) -> np.lo
 @pytest.mark.parametrize("lambda_", [1e-6, 1e-4, 1e-3])
 def test_gaps_are_true_where_rounding_is_as_large_as_the_objective(lambda_: float) -> None:
     solutions: list[Solution] = []
-    for seed, noise in ((seed, noise) for seed in range(2) for noise in NOISES):
+    for seed, noise in ((seed, noise) for seed in range(1) for noise in NOISES):
         problem, start = near_copy(seed, lambda_, noise)
         copied = np.arange(start, start + problem.length)
         best = extended(problem, copied, np.eye(problem.length))

@@ -19,17 +19,16 @@ from tests.smal.paper.matching import (
 )
 from tests.smal.worlds import matching_problem
 
-TOLERANCES = [1e-3, 1e-5, 1e-6]
 # Templates that span the whole space leave no residuals: `solve` promises no more than about 1e-5 there, and is slow.
 CASES = [
-    (one, tolerance) for one in STRUCTURES for tolerance in TOLERANCES if one != "rank deficient" or tolerance > 1e-5
+    (one, tolerance) for one in STRUCTURES for tolerance in (1e-3, 1e-6) if (one, tolerance) != ("rank deficient", 1e-6)
 ]
 # A problem is a seed: there is nothing to shrink.
 GENERATE = (Phase.explicit, Phase.generate)
 
 
 @pytest.mark.parametrize(("structure", "tolerance"), CASES)
-@settings(max_examples=6, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False)
+@settings(max_examples=5, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False)
 @given(seed=st.integers(0, 2**31))
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
     """The gap is within the tolerance and true: no entry finds less than what another one calls a lower bound."""
@@ -44,8 +43,8 @@ def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_agrees_with_cvxpy(structure: str) -> None:
-    seeds = [seed for seed in range(60) if structured(structure, seed).X.shape[1] <= 60][:3]
-    assert len(seeds) == 3
+    seeds = [seed for seed in range(60) if structured(structure, seed).X.shape[1] <= 60][:2]
+    assert len(seeds) == 2
     for problem in (structured(structure, seed) for seed in seeds):
         best, norms = optimum(problem), float(np.linalg.norm(problem.Y, axis=0).sum())
         for name, solution in answers(problem, 1e-6):
@@ -64,8 +63,7 @@ def test_agrees_with_algorithm_2(length: int) -> None:
     np.testing.assert_allclose(solution.weights, published.weights, atol=5e-3)
 
 
-@pytest.mark.parametrize("length", [1, 5, 10])
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
+@pytest.mark.parametrize(("length", "tolerance"), [(1, 1e-5), (5, 1e-5), (10, 1e-4)])
 def test_exact_duplicate_of_a_template(length: int, tolerance: float) -> None:
     X, _ = matching_problem(5, blocks=6, length=length, size=200)
     Y = X[:, length : 2 * length].copy()
