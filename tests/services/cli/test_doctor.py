@@ -38,6 +38,12 @@ def test_rendering_that_fails(command: tuple[str, ...], text: str) -> None:
     assert str(caught.value).startswith(text)
 
 
+def test_no_vulkan_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")
+    with pytest.raises(JobError, match=r"nonexistent\.json, a missing file; unset it, or install Mesa"):
+        check_rendering()
+
+
 @pytest.mark.rendering
 def test_rendering_for_real() -> None:
     assert "first frame after" in check_rendering()

@@ -58,7 +58,8 @@ def make(folder: Path) -> None:
     for path in find_recordings([recordings]):
         teacher.read(path)
     fewer = replace(SETTINGS, sampled_views=500)
-    with patch("smal.mapping.SETTINGS", fewer), patch("smal.mapping.fit_scene", lambda *_: SCENE):
+    told = {"fit_camera": lambda *_: SCENE.camera, "fit_scene": lambda *_: SCENE}
+    with patch.multiple("smal.mapping", SETTINGS=fewer, **told):
         learn_map(teacher.teaching.demonstrations, COLOR).save(folder / "two.smal")
     learn(teacher.teaching.demonstrations, LearningSettings(COLOR)).save(folder / "paper.smal")
 
