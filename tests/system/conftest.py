@@ -30,7 +30,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     (root / "worlds" / "near.json").write_text(text)
     below = flags(root=root)
     own = {
-        "robot": flags(world="yard", camera_width=320, camera_height=240) + below,
+        "robot": flags(world="yard", camera_width=160, camera_height=120) + below,
         **dict.fromkeys(("recognition", "policy", "recorder"), below),
         "console": flags(console=address) + below,
     }

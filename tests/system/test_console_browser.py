@@ -57,7 +57,7 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
     assert time.monotonic() - began_s <= WHOLE_LOOP_S
-    assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 320
+    assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
 
 
 def in_page(script: str) -> Callable[[Page], None]:

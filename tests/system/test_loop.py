@@ -91,5 +91,7 @@ def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
 
 
 def test_the_papers_scheme_runs(taught_paper: Path, tmp_path: Path, running: str) -> None:
-    found = run_json(taught_paper, tmp_path / "paper.json", "--scheme", "paper", "--connect", running)
+    found = run_json(
+        taught_paper, tmp_path / "paper.json", "--scheme", "paper", "--connect", running, "--max-ticks", 60
+    )
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}

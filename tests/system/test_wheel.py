@@ -53,12 +53,14 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_command(wheel: Path) -
 
 
 @pytest.mark.rendering
-def test_a_world_by_its_name_is_demonstrated_from_another_folder(wheel: Path, tmp_path: Path) -> None:
+def test_a_world_by_its_name_is_drawn_from_another_folder(wheel: Path, tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     zipfile.ZipFile(wheel).extractall(installed)
     # It comes before the project in development mode.
     where = {"PYTHONPATH": str(installed)}
     assert str(installed) in _run("import services.cli as one; print(one.__file__)", folder=tmp_path, **where)
-    drive = ("--world", "yard", "--episodes", 0, "--recoveries", 1, "--camera", "64x48", "--out", "drives")
-    assert "recorded 1 drives in drives" in _run(SMAL, "demonstrate", *drive, folder=tmp_path, **where)
-    assert len(list((tmp_path / "drives").glob("*.mcap"))) == 1
+    wanted = ("--views", 2, "--camera", "64x48", "--out", "views")
+    assert "wrote the map and 2 views in views" in _run(
+        SMAL, "world", "render", "yard", *wanted, folder=tmp_path, **where
+    )
+    assert len(list((tmp_path / "views").glob("*.png"))) == 3
