@@ -5,13 +5,15 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from schemas.base import Atom, Message
+from schemas.episode import Said
 
 
 class Action(Message):
     """One decision: the atom movements that follow, one a frame, until the next decision replaces them."""
 
     topic: ClassVar[str] = "action"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
+    reads: ClassVar[tuple[int, ...]] = (3,)
 
     kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "stop"]
     """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
@@ -23,4 +25,6 @@ class Action(Message):
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]
     """The planned atom movements, one a frame."""
     arrived: bool = False
-    """Whether the robot says that it is at the goal and has nothing left to do; of the filter."""
+    """Whether the robot takes itself to be where it was taught that the goal is; of the filter."""
+    says: Said | None = None
+    """What it says of the goal, having nothing left to do: found, or not here; of the filter."""

@@ -9,7 +9,11 @@ from schemas.base import Message, Source
 
 Purpose = Literal["drive", "recovery", "run"]
 EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
-Outcome = Literal["found", "collision", "timeout", "aborted"]
+Outcome = Literal["found", "false_goal", "missed", "not_here", "collision", "timeout", "aborted"]
+#: What a robot says that ends its run.
+Said = Literal["found", "not_here"]
+#: How the victim of a simulated run lies: as in the world; nowhere; a little elsewhere; something else in its place.
+Victim = Literal["there", "absent", "moved", "decoy"]
 Judge = Literal["task", "operator"]
 
 
@@ -30,8 +34,8 @@ class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
-    version: ClassVar[int] = 3
-    reads: ClassVar[tuple[int, ...]] = (1, 2)
+    version: ClassVar[int] = 4
+    reads: ClassVar[tuple[int, ...]] = (1, 2, 3)
 
     event: EventName
     """What happened."""
@@ -46,10 +50,14 @@ class Episode(Message):
     goal: GoalName = "victim"
     """Where a drive leads, by the name that it has for those who send the robot there."""
     outcome: Outcome | None = None
-    """How it ended; given with ``ended`` only. ``found``: the goal was reached in the last frame (tick of this
-    message); a drive that passed it and went on ends otherwise."""
+    """How it ended; given with ``ended`` only. found: the goal was reached in the last frame (tick of this message),
+    and where a run ends by the robot's word it said so. false_goal: it said so, and was wrong. missed: it reached the
+    goal, and said nothing until its time was out. not_here: it said that the goal is not there. aborted: somebody ended
+    it, or nobody was there to judge what it said."""
     judge: Judge | None = None
     """Who says so of ``found``: the task (in simulation: near the victim, and the victim in view), or the operator."""
+    right: bool | None = None
+    """Whether ``not_here`` is so; None where nobody knows."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -57,4 +65,6 @@ class Episode(Message):
             raise ValueError("outcome is given exactly with the event 'ended'")
         if self.judge is not None and self.outcome != "found":
             raise ValueError("judge is given with the outcome 'found' only")
+        if self.right is not None and self.outcome != "not_here":
+            raise ValueError("right is given with the outcome 'not_here' only")
         return self

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator, Field
 
 from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
-from schemas.episode import GoalName, Purpose
+from schemas.episode import GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
 #: About the world's start, or anywhere beside the way from there to the victim.
@@ -134,6 +134,10 @@ class ResetRequest(Strict):
     """Where a run begins; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40 degrees."""
     kidnap_tick: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = None
     """Frame at which the robot is carried to another such place, without its wheels turning."""
+    victim: Victim = "there"
+    """How the victim lies (simulated robots); moved: up to 3 m from its place, less indoors."""
+    until_said: bool = False
+    """Whether a run goes on until the robot says something; else it ends where the goal is reached."""
     goal: GoalName = "victim"
     """Where the drive leads, for those who learn from it."""
     mode: Mode = "lockstep"
@@ -155,6 +159,8 @@ class ResetReply(Strict):
     """Way points from the start to the victim, metres, for the scripted expert; none where the way is not known."""
     found_m: Annotated[float, Field(gt=0)] | None = None
     """How near the victim counts as found, if it is seen."""
+    victim: tuple[float, float] | None = None
+    """Where the victim lies, metres; none where that is not known, or nowhere."""
 
 
 class CancelRequest(Strict):
@@ -171,6 +177,8 @@ class EndRequest(Strict):
     """Which; refused when another one runs."""
     found: bool = False
     """Whether the operator says that the goal is reached; otherwise the robot's task says whether it is."""
+    said: Said | None = None
+    """What the robot says, whom the task judges; None where it has said nothing."""
     session: SessionId = ""
     """Who asks; while an operator is heard, only they say that something was found."""
 

@@ -23,6 +23,7 @@ from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 
 Kind = Literal["follow", "look_around", "guess", "dead_end", "goal"]
+Said = Literal["found", "not_here"]
 _SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 
 
@@ -124,7 +125,12 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
         self._looked_rad = self._guessed_s = self._driven = 0.0
-        self.done = False
+        self.said: Said | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it has said something."""
+        return self.said is not None
 
     def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:
         """Say what to do until the next frame.
@@ -150,10 +156,11 @@ class Planner:
         at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
-        self.done = self.done or (ended and sure and (tracked or looked))
+        if ended and sure and (tracked or looked):
+            self.said = "found"
 
         kind: Kind
-        if self.done:
+        if self.said is not None:
             kind = "goal"
         elif clear and (looked or not ended):
             kind = "follow"

@@ -12,7 +12,7 @@ from smal.features import extract
 from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
-from smal.planning import Decision, Planner
+from smal.planning import Decision, Planner, Said
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,11 @@ class Robot:
         return self.belief.lost > 0.5
 
     @property
+    def said(self) -> Said | None:
+        """What it says of the goal, having nothing left to do."""
+        return self._planner.said
+
+    @property
     def done(self) -> bool:
-        """Whether it says that it has arrived."""
-        return self._planner.done
+        """Whether it has said so."""
+        return self.said is not None

@@ -11,7 +11,7 @@ from typer import Option
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.progress import Bars
-from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_runs
+from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_runs, with_victim
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
 from services.kit.errors import UsageError
@@ -27,6 +27,7 @@ def evaluate(
     runs: Annotated[
         int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
+    victim: options.Victim = "there",
     laps: Annotated[
         Path | None,
         Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
@@ -64,6 +65,8 @@ def evaluate(
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     if runs is not None:
         plan = with_runs(plan, runs)
+    if victim != "there":
+        plan = with_victim(plan, victim)
     planned = units(plan)
     results = Results(out, planned)
     with interrupted_by_signals():

@@ -11,6 +11,7 @@ from typer import Option
 
 from schemas.codec import describe
 from schemas.episode import GoalName
+from schemas.episode import Victim as VictimLies
 from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
 from services.cli.stack import flags
@@ -51,6 +52,10 @@ class Camera:
 
 
 USUAL_CAMERA: Final = Camera(1024, 768)
+Victim = Annotated[
+    VictimLies,
+    Option("--victim", help="How the victim lies; moved: a little elsewhere; decoy: something else in its place."),
+]
 
 
 def checked(check: Callable[[str], T]) -> Callable[[str], T]:

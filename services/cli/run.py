@@ -1,5 +1,6 @@
 """``smal run``: the robot searches by itself with a learned model."""
 
+from collections import Counter
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,6 +36,7 @@ def run(
     use: options.Use,
     start: Annotated[Start, Option(help="Begin about the world's start, or anywhere beside the way.")] = "start",
     kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
+    victim: options.Victim = "there",
     realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
     json_file: options.JsonFile = None,
@@ -77,6 +79,9 @@ def run(
             max_ticks=max_ticks or most_ticks(loaded.longest),
             start=start,
             kidnap_tick=kidnap,
+            victim=victim,
+            # The paper's scheme says nothing.
+            until_said=isinstance(loaded, Model),
             goal=use.goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),
         )
         for k in range(episodes)
@@ -111,6 +116,9 @@ def run(
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found, (low, high) = round(summary["success_rate"] * len(records)), summary["wilson_95"]
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
+    others = Counter(record.outcome for record in records if record.outcome != "found")
+    if others:
+        typer.echo("; ".join(f"{outcome.replace('_', ' ')}: {count}" for outcome, count in others.most_common()))
 
 
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:
@@ -124,6 +132,7 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
             {
                 "seed": record.request.seed,
                 "outcome": record.outcome,
+                "right": record.right,
                 "ticks": record.ticks,
                 "decisions": len(record.decisions),
                 "unknown": len(record.unrecognized),

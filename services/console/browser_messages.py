@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, TypeAdapter
 
 from schemas.base import Atom, Strict
-from schemas.episode import GoalName
+from schemas.episode import GoalName, Victim
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
 #: What is said of what came late.
@@ -79,7 +79,8 @@ class Drive(Begin):
 class Run(Begin):
     """Have the robot search by itself with a model, which recognition and policy load first.
 
-    A model of the paper's scheme has no goal to choose. ``start`` and ``seed`` say where it begins.
+    A model of the paper's scheme has no goal to choose. ``start`` and ``seed`` say where it begins, ``victim`` how that
+    lies, in simulation.
     """
 
     do: Literal["run"]
@@ -87,6 +88,7 @@ class Run(Begin):
     goal: GoalName | None = None
     start: Start
     seed: Annotated[int, Field(ge=0, lt=2**31)]
+    victim: Victim = "there"
 
 
 class Learn(Asked):

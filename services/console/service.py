@@ -212,6 +212,8 @@ class ConsoleService:
             start=ask.start,
             goal=goal or self.library.leads_to(model),
             max_ticks=most_ticks(model.longest),
+            victim=ask.victim,
+            until_said=bool(model.goals),
         )
 
         def prepare() -> None:
@@ -225,8 +227,8 @@ class ConsoleService:
         self._operator.begin(request, prepare, lambda: self.attended, self._show_goal)
 
     def _show_goal(self, begun: ResetReply) -> None:
-        """Show where the way leads, which only a simulator knows."""
-        goal = [round(metres, 2) for metres in begun.route[-1]] if begun.route else None
+        """Show where the victim lies, which only a simulator knows."""
+        goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
         self._board.put("goal", {"episode": begun.episode, "at": goal})
 
     def _record(self) -> None:
@@ -278,8 +280,8 @@ class ConsoleService:
         self._live.on_action(action)
         operator = self._operator
         began = operator.request is not None and operator.request.driver == "policy"
-        if action.arrived and began and action.episode == operator.mine and not operator.asking:
-            operator.end_mine()
+        if action.says and began and action.episode == operator.mine and not operator.asking:
+            operator.end_mine(action.says)
 
     def _detail(self) -> Detail:
         return {"watchers": self._board.watchers, "root": str(self.library.root)}

@@ -14,7 +14,7 @@ from typing import Any, Final
 from schemas import topics
 from schemas.base import NO_EPISODE, Atom, Strict
 from schemas.command import CommandApplied
-from schemas.episode import Episode
+from schemas.episode import Episode, Said
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
@@ -22,7 +22,7 @@ from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
-from services.operator.report import Report
+from services.operator.report import Report, told_of
 
 #: How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
 POLL_S: Final = 0.02
@@ -91,7 +91,7 @@ class Operator:
             return
         if applied.episode != self.report.episode:
             # It began before this process did, and nobody has told how.
-            self._note(purpose=None, driver=None, goal=None, world=None, outcome=None)
+            self._note(purpose=None, driver=None, goal=None, world=None, outcome=None, right=None)
         self._note(
             **{name: getattr(applied, name) for name in ("episode", "tick", "atom", "source", "reason", "refused")},
             cause=applied.stop_cause,
@@ -102,13 +102,14 @@ class Operator:
 
     def _on_event(self, event: Episode) -> None:
         self.commands.on_event(event)
-        told = {name: getattr(event, name) for name in ("purpose", "driver", "goal", "world", "outcome", "tick")}
+        names = ("purpose", "driver", "goal", "world", "outcome", "right", "tick")
+        told = {name: getattr(event, name) for name in names}
         named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
         if event.event == "started":
             self._note(**told, at=self._clock(), waiting=False, episode=event.episode)
         elif event.event == "ended":
             self._note(**told, at=self._clock(), episode=None)
-            self._say(f"{named}: {event.outcome} after {event.tick} frames")
+            self._say(f"{named}: {told_of(event)} after {event.tick} frames")
             if event.episode == self.mine:
                 self.mine = None
         else:
@@ -267,10 +268,10 @@ class Operator:
             request = EndRequest(episode=applied.episode, found=found, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
-    def end_mine(self) -> None:
-        """End the episode that was begun here, as its task says."""
+    def end_mine(self, said: Said | None = None) -> None:
+        """End the episode that was begun here, with what the robot says, if it says anything."""
         if self.mine is not None:
-            request = EndRequest(episode=self.mine, session=self._node.session)
+            request = EndRequest(episode=self.mine, said=said, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
     # -- asking ---------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from schemas.base import Atom, Source
 from schemas.command import StopCause
-from schemas.episode import Outcome, Purpose
+from schemas.episode import Episode, Outcome, Purpose
 
 
 @dataclass(frozen=True)
@@ -35,3 +35,11 @@ class Report:
     world: str | None = None
     #: How it ended.
     outcome: Outcome | None = None
+    #: Whether what it said is so, of "not here"; None where nobody knows.
+    right: bool | None = None
+
+
+def told_of(event: Episode) -> str:
+    """Return how an episode ended, for people."""
+    rightly = {True: ", rightly", False: ", wrongly", None: ""}[event.right]
+    return (event.outcome or "").replace("_", " ") + rightly

@@ -108,7 +108,14 @@ class _ByFilter:
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
         return [
-            Action.after(state, kind=decision.kind, state=known, atoms=(atom,), arrived=self._planner.done),
+            Action.after(
+                state,
+                kind=decision.kind,
+                state=known,
+                atoms=(atom,),
+                arrived=self._planner.said is not None,
+                says=self._planner.said,
+            ),
             Command.after(state, source="policy", atom=atom),
         ]
 

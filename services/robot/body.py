@@ -69,6 +69,8 @@ class Beginning:
     """Way points from there to the goal, metres; none where the way is not known."""
     found_m: float | None = None
     """How near the goal counts as found; None where nobody knows where it is."""
+    victim: tuple[float, float] | None = None
+    """Where the victim lies, metres; None where it is not known, or nowhere."""
 
 
 V_co = TypeVar("V_co", bound=View, covariant=True)

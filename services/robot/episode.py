@@ -1,19 +1,19 @@
 """One episode: frame after frame, and how it ends. The one loop that services, experiments and Gymnasium share."""
 
-from typing import Generic, Literal, TypeVar
+from typing import Generic, TypeVar
 
-from schemas.episode import Outcome
+from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
 from services.robot.body import Body, View
 from services.robot.task import Task
 
-#: How a run ended; false_goal: the robot said that it was there, and was not.
-RunOutcome = Outcome | Literal["false_goal"]
 V = TypeVar("V", bound=View)
 
 
 class Episode(Generic[V]):
     """One episode of a body; whoever drives it acts between one frame and the next.
+
+    ``passed`` is whether a run has reached its goal in some frame.
 
     The request says the seed, the purpose, where to begin, and after how many frames the time is out, if ever. Raises
     ServiceError when the body cannot do that.
@@ -26,6 +26,7 @@ class Episode(Generic[V]):
         self._body = body
         self._task = task
         self._reached: bool | None = None
+        self.passed = False
         self.tick = self._timed = 0
         self.view = body.look(0)
 
@@ -33,14 +34,15 @@ class Episode(Generic[V]):
     def reached(self) -> bool:
         """Whether the last frame shows that the goal is reached; looked at once a frame."""
         if self._reached is None:
-            self._reached = self._task.reached(self.view)
+            self._reached = self._task.reached(self.view, self.request.goal)
         return self._reached
 
     def next_frame(self, *, by_hand: bool = False) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
 
-        A collision counts before the goal. A search ends as soon as its goal is reached; a demonstration goes on until
-        its driver has arrived, or the time is out. While a person has taken over, no time passes. Frame 0 ends nothing.
+        A collision counts before the goal. A run ends as soon as its goal is reached, or, `until_said`, by `say`; a
+        drive goes on until its driver has arrived, or the time is out. While a person has taken over, no time passes.
+        Frame 0 ends nothing.
         """
         self.tick += 1
         self._timed += not by_hand
@@ -51,7 +53,23 @@ class Episode(Generic[V]):
             self.outcome = "collision"
         # Whether the goal is reached is asked only where it matters: to look for a victim takes a picture more.
         elif (self.request.purpose == "run" or timed_out) and self.reached:
-            self.outcome = "found"
-        elif timed_out:
-            self.outcome = "timeout"
+            self.passed = True
+            self.outcome = None if self.request.until_said else "found"
+        if timed_out and self.outcome is None:
+            self.outcome = "missed" if self.passed else "timeout"
         return self.view
+
+    def say(self, said: Said) -> bool | None:
+        """End with what the robot says; return whether it is so, None where nobody knows."""
+        gone = self._task.gone(self.view, self.request.goal)
+        if said == "not_here":
+            self.outcome = "not_here"
+            return gone
+        self.outcome = "found" if self.reached else "aborted" if gone is None else "false_goal"
+        return self.reached
+
+    def told(self) -> None:
+        """End with the operator's word that the goal is reached."""
+        if not self.reached:
+            self._task.told(self.view, self.request.goal)
+        self.outcome = "found"

@@ -34,7 +34,9 @@ CLIENT_S: Final = 2.0
 #: Frames whose readiness is remembered; an older one's command is stale anyway.
 READY_KEPT: Final = 10
 # What is told of before the end is; that the goal is reached is told when it is first seen.
-_ENDING_EVENTS: Final[dict[Outcome, EventName]] = {"collision": "collision", "timeout": "timed_out"}
+_ENDING_EVENTS: Final[dict[Outcome, EventName]] = {
+    "collision": "collision", "timeout": "timed_out", "missed": "timed_out"
+}  # fmt: skip
 V = TypeVar("V", bound=View)
 
 
@@ -154,6 +156,7 @@ class EpisodeRunner(Generic[V]):
             speed_m_s=self.body.speed_m_s,
             route=episode.beginning.route,
             found_m=episode.beginning.found_m,
+            victim=episode.beginning.victim,
         )
         return reply, messages
 
@@ -169,9 +172,15 @@ class EpisodeRunner(Generic[V]):
         driven = self.gate.taken_over or run.request.driver == "teleop"
         if request.found or (driven and request.session != run.request.session):
             self._unless(self.gate.not_theirs(request.session))
-        return self.end("found", "operator") if request.found else self.end()
+        if request.found:
+            run.episode.told()
+            return self.end("found", "operator")
+        if request.said is None:
+            return self.end()
+        right = run.episode.say(request.said)
+        return self.end(run.episode.outcome, right=right if request.said == "not_here" else None)
 
-    def end(self, outcome: Outcome | None = None, judge: Judge = "task") -> list[Message]:
+    def end(self, outcome: Outcome | None = None, judge: Judge = "task", *, right: bool | None = None) -> list[Message]:
         """End the running episode; without an outcome it is ``found`` if the last frame shows the goal reached.
 
         That frame is what a drive teaches as its goal; one that passed the goal and went on is ``aborted``.
@@ -182,7 +191,7 @@ class EpisodeRunner(Generic[V]):
         self._running = None
         run.pace.end()
         outcome = outcome or ("found" if run.episode.reached else "aborted")
-        return [self._event(run, "ended", outcome, judge)]
+        return [self._event(run, "ended", outcome, judge, right)]
 
     # -- what happens ---------------------------------------------------------------------------------------------
 
@@ -290,7 +299,12 @@ class EpisodeRunner(Generic[V]):
         return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=run.stamp_ns)
 
     def _event(
-        self, run: Running[V], name: EventName, outcome: Outcome | None = None, judge: Judge = "task"
+        self,
+        run: Running[V],
+        name: EventName,
+        outcome: Outcome | None = None,
+        judge: Judge = "task",
+        right: bool | None = None,
     ) -> EpisodeEvent:
         return EpisodeEvent.after(
             self.header(run),
@@ -302,6 +316,7 @@ class EpisodeRunner(Generic[V]):
             goal=run.request.goal,
             outcome=outcome,
             judge=judge if outcome == "found" else None,
+            right=right,
         )
 
     @staticmethod

@@ -10,13 +10,26 @@ V_contra = TypeVar("V_contra", bound=View, contravariant=True)
 class Task(Protocol[V_contra]):
     """What the robot is there for."""
 
-    def reached(self, view: V_contra) -> bool:
-        """Return whether a frame shows that the goal is reached."""
+    def reached(self, view: V_contra, goal: str) -> bool:
+        """Return whether a frame shows that a goal is reached."""
+
+    def gone(self, view: V_contra, goal: str) -> bool | None:
+        """Return whether a goal is nowhere; None where nobody knows."""
+
+    def told(self, view: V_contra, goal: str) -> None:
+        """Take from the operator that a frame shows a goal."""
 
 
 class OperatorsTask:
     """The goal is where the operator says that it is."""
 
-    def reached(self, view: View) -> bool:
+    def reached(self, view: View, goal: str) -> bool:
         """Return False: nothing in a frame tells."""
         return False
+
+    def gone(self, view: View, goal: str) -> bool | None:
+        """Return None: nothing in a frame tells."""
+        return None
+
+    def told(self, view: View, goal: str) -> None:
+        """Do nothing: what the operator says next counts again."""

@@ -62,13 +62,15 @@ class SimulatedBody:
         """Put the robot at a seeded start; ServiceError where the world cannot be used, and the robot stays."""
         self._go_where_asked(request)
         with self._lock:
-            self.simulation.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")
+            anywhere = request.start == "anywhere"
+            self.simulation.reset(request.seed, request.purpose, anywhere=anywhere, victim=request.victim)
             self._kidnap_tick = request.kidnap_tick
             self._realtime = request.mode == "realtime"
             self._order = ("stop", 0.0)
             self._ordered_s = self._moved_s = self._clock()
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
-        return Beginning(route, self.simulation.found_m)
+        lies = self.simulation.victim
+        return Beginning(route, self.simulation.found_m, None if lies is None else (lies.x, lies.y))
 
     def _go_where_asked(self, request: ResetRequest) -> None:
         wished = request.world, request.variation

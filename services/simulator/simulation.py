@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Atom
-from schemas.episode import Purpose
+from schemas.episode import Purpose, Victim
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.sensors.camera import CameraSettings, SimulatedView
@@ -16,7 +16,7 @@ from services.simulator.sensors.readings import Sensors
 from services.simulator.variation import DAY, Variation
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
-from services.simulator.world.task import sample_start
+from services.simulator.world.task import moved_victim, sample_start
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
@@ -34,6 +34,7 @@ class Simulation:
 
     pose: Pose  # Where it truly is.
     collided: bool  # Whether it has touched anything since the reset.
+    victim: Pose | None  # Where the victim truly lies.
 
     def __init__(
         self,
@@ -56,11 +57,11 @@ class Simulation:
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
         self.reset(0, "drive")
 
-    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> Pose:
+    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False, victim: Victim = "there") -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
         Different purposes with one seed are independent. `anywhere` begins beside the way, as recovery drives do.
-        Returns the start pose.
+        Where the `victim` is moved to, and what lies in its place, is by the seed too. Returns the start pose.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
@@ -68,7 +69,13 @@ class Simulation:
         self._base.put(self._start, wheels)
         self._sensors.begin(self._start, odometry, imu, shake)
         self.collided = False
+        self._lay(victim)
         return self.pose
+
+    def _lay(self, victim: Victim) -> None:
+        chance, there = self._chance(7), self.world.victim
+        self.victim = there if victim == "there" else moved_victim(self.world, chance) if victim == "moved" else None
+        self._seen[1].lay(self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16)))
 
     def carry_away(self) -> Pose:
         """Put the robot anywhere beside the way, as the episode's seed has it; its wheels do not turn meanwhile."""
@@ -95,7 +102,7 @@ class Simulation:
         felt = self._sensors
         return SimulatedView(
             *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
-            captured_s, wanted,
+            self.victim, captured_s, wanted,
         )  # fmt: skip
 
     def route(self) -> NDArray[np.float64]:

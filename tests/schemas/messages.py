@@ -184,6 +184,7 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
         ended = fields["outcome"] is not None
         fields["event"] = "ended" if ended else fields["event"].replace("ended", "started")
         fields["judge"] = fields["judge"] if fields["outcome"] == "found" else None
+        fields["right"] = fields["right"] if fields["outcome"] == "not_here" else None
     elif cls is State:
         if fields["status"] == "idle":
             fields |= {"model": None, "places": ()}

@@ -198,9 +198,10 @@ def test_describe_names_the_field_and_counts_the_others() -> None:
 
 def test_episodes_of_the_versions_before_are_read_and_lead_to_the_victim() -> None:
     event = EXAMPLES[Episode]
-    for version, lacks in ((2, {"judge"}), (1, {"judge", "goal"})):
+    for version, lacks in ((3, {"right"}), (2, {"judge", "right"}), (1, {"judge", "goal", "right"})):
         fields = {name: value for name, value in msgpack.unpackb(encode(event)).items() if name not in lacks}
-        before = encoding_of(Episode).replace("/3", f"/{version}")
+        before = encoding_of(Episode).replace("/4", f"/{version}")
         read = decode(Episode, msgpack.packb(fields), before)
-        assert read == event.model_copy(update={"judge": None, "goal": "victim"})
-    assert "expected" in refusal(Episode, encode(event), encoding_of(Episode).replace("/3", "/4"))
+        without = {"judge": None, "goal": "victim", "right": None}
+        assert read == event.model_copy(update={name: without[name] for name in lacks})
+    assert "expected" in refusal(Episode, encode(event), encoding_of(Episode).replace("/4", "/5"))

@@ -16,7 +16,7 @@ from schemas.action import Action
 from schemas.base import Message
 from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
-from schemas.episode import Episode
+from schemas.episode import Episode, Outcome, Said
 from schemas.heartbeat import Heartbeat
 from schemas.pose import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
@@ -26,7 +26,6 @@ from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.robot.episode import RunOutcome
 
 #: How often the robot hears that whoever began its episode is there.
 BEAT_S: Final = 0.5
@@ -45,11 +44,13 @@ class EpisodeRecord:
     world: str = ""
     #: Frames that passed.
     ticks: int = 0
-    outcome: RunOutcome = "aborted"
+    outcome: Outcome = "aborted"
+    #: Whether "not here" was so, where somebody knows.
+    right: bool | None = None
     #: True poses, (x, y) metres.
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
-    #: Whether the robot said that it was at the goal.
-    arrived: bool = False
+    #: What the robot said of the goal.
+    said: Said | None = None
     #: Kind of every decision.
     decisions: dict[int, str] = field(default_factory=dict)
     #: Decisions that were taken without a recognized state.
@@ -114,7 +115,7 @@ class EpisodeClient:
         """Run one episode to its end; JobError when the robot is in another world than asked for, or falls silent.
 
         `on_begin` is called with the robot's reply, before any message of the episode is handled, and may raise
-        JobError. `done` ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
+        JobError. `done` ends the episode when it holds; the robot ends it as well, by what it says of the goal.
         `on_tick` is called with the tick, now and then, and `check` raises when the stack can no longer work.
         """
         self._record = record = EpisodeRecord(request)
@@ -133,16 +134,16 @@ class EpisodeClient:
             # Nobody will drive it.
             self._end()
             raise
-        while not self.node.spin(until=lambda: self._ended or record.arrived or done(), timeout_s=0.5):
+        while not self.node.spin(until=lambda: self._ended or record.said is not None or done(), timeout_s=0.5):
             on_tick(record.ticks)
             check()
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
-        if record.arrived and not self._ended:
+        if record.said == "found" and not self._ended:
             self._await_judge()
         if not self._ended:
-            self._end()
-        if record.arrived and record.outcome == "aborted":
+            self._end(record.said)
+        if record.said == "found" and record.outcome == "aborted":
             record.outcome = "false_goal"
         on_tick(record.ticks)
         return record
@@ -158,7 +159,7 @@ class EpisodeClient:
         done: Callable[[], bool] = lambda: False,
     ) -> Iterator[EpisodeRecord]:
         """Run one episode after another, with one bar over all of them; see `run`."""
-        outcomes: list[RunOutcome] = []
+        outcomes: list[Outcome] = []
         with tqdm(requests, desc=what, unit="episode", dynamic_ncols=True) as bar:
 
             def show(tick: int) -> None:
@@ -204,10 +205,11 @@ class EpisodeClient:
             own = {"session": self.node.session, "name": self.node.name, "sequence": next(self._beats)}
             self.node.publish(Heartbeat.after(header, **own))
 
-    def _end(self) -> None:
+    def _end(self, said: Said | None = None) -> None:
         refusal: RpcError | None = None
         try:
-            self.node.bus.call("robot", "end", EndRequest(episode=self._episode, session=self.node.session), Nothing)
+            request = EndRequest(episode=self._episode, said=said, session=self.node.session)
+            self.node.bus.call("robot", "end", request, Nothing)
         except RpcError as error:
             # It may have ended by itself in the meantime; then its last message is on the way.
             refusal = error
@@ -221,7 +223,7 @@ class EpisodeClient:
     def _on_event(self, event: Episode) -> None:
         record = self._of(event)
         if record and event.event == "ended":
-            record.ticks, record.outcome = event.tick, event.outcome or "aborted"
+            record.ticks, record.outcome, record.right = event.tick, event.outcome or "aborted", event.right
             # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
             record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
             record.unrecognized = {tick for tick in record.unrecognized if tick < event.tick}
@@ -238,7 +240,8 @@ class EpisodeClient:
         if record := self._of(action):
             record.decisions[action.tick] = action.kind
             # The policy speaks also where somebody else drives.
-            record.arrived |= action.arrived and record.request.driver == "policy"
+            if record.request.driver == "policy":
+                record.said = record.said or action.says
             # Not the kind says so: the robot also looks around where the state is known but has no way on.
             if action.state is None:
                 record.unrecognized.add(action.tick)

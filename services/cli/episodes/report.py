@@ -18,7 +18,8 @@ from smal.files.stored import Stored
 #: Camera images shown of the example run.
 STRIP: Final = 6
 OUTCOME_COLOURS: Final = {
-    "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666"
+    "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666",
+    "missed": "#c98f00", "not_here": "#1565c0",
 }  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import { $, element, say } from "./element.js";
 import { percent, recordingFacts } from "./words.js";
-import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
+import { chosenVictim, chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
 const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job");
@@ -14,7 +14,7 @@ export function wireTeaching(ask) {
   const begin = (what) => ask({ ...what, ...chosenWorld() });
   send($("#drive-form"), ({ goal, name }) => begin({ do: "drive", goal: goal.trim(), name: plain(name) }));
   send(learn, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
-  send(run, ({ goal = null, seed, ...what }) => begin({ do: "run", goal, seed: Number(seed), ...what }));
+  send(run, ({ goal = null, seed, ...what }) => begin({ do: "run", goal, seed: Number(seed), ...chosenVictim(), ...what }));
   $("#cancel").onclick = () => ask({ do: "cancel" });
   list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
   list.onclick = ({ target }) => {

@@ -2,7 +2,11 @@
 
 export const OUTCOMES = {
   found: "found", collision: "collision", timeout: "out of time", aborted: "ended before the goal",
+  false_goal: "it said “found”, and was wrong", missed: "it passed the goal without a word",
+  not_here: "it said “not here”",
 };
+/** How an episode ended, and whether what the robot said was so. */
+const ended = ({ outcome, right }) => OUTCOMES[outcome] + ({ true: ", rightly", false: ", wrongly" }[right] ?? "");
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
@@ -42,7 +46,7 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
   if (robot.emergency || robot.cause === "emergency_stop") return ["bad", CAUSES.emergency_stop];
   if (robot.waiting) return ["warn", `Waiting for the robot${opening ? ` to open ${opening}` : ""} …`];
   if (robot.cause) return [robot.cause === "not_armed" ? "warn" : "bad", CAUSES[robot.cause]];
-  const last = robot.outcome ? `. The last ${robot.purpose}: ${OUTCOMES[robot.outcome]}` : "";
+  const last = robot.outcome ? `. The last ${robot.purpose}: ${ended(robot)}` : "";
   if (!robot.episode) return ["good", `Armed${last}`];
   if (age > SILENT_S) return ["bad", `No sign of the robot for ${seconds(age)}`];
   if (robot.reason === "taken_over") {
@@ -61,7 +65,7 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
 export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
   const now = robot.episode ? `, it ${DOES[robot.atom] ?? "stands"}` : "";
-  const end = robot.outcome ? `, ${OUTCOMES[robot.outcome]}` : "";
+  const end = robot.outcome ? `, ${ended(robot)}` : "";
   return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
 }
 

@@ -35,6 +35,9 @@ export function chosenWorld() {
   return form.hidden ? {} : { world: other(form.elements.world), variation: other(form.elements.variation) };
 }
 
+/** How the victim of the next run lies, in simulation. */
+export const chosenVictim = () => (form.hidden ? {} : { victim: form.elements.victim.value });
+
 /** The world of the next drive or run, for a robot that is in `here`. */
 export const worldOf = (here) => (form.hidden ? here : form.elements.world.value);
 

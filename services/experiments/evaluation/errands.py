@@ -70,8 +70,8 @@ TASKS: Final = {
     ),
     "joined, southwards": Task("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
     "nobody there": Task(
-        "the person lies elsewhere now: it has to say that it has arrived, and be wrong",
-        (_TO_NORTH,), _WEST, "north", _SOUTH, "false_goal",
+        "the person lies elsewhere now: it has to say that they are not here",
+        (_TO_NORTH,), _WEST, "north", _SOUTH, "not_here",
     ),
 }  # fmt: skip
 
@@ -96,7 +96,7 @@ def run_errand(
     simulation = open_simulation(world, camera, task=(task.start, task.victim))
     robot, patience = Robot(model, task.goal), 3 * max(len(one.poses) for one in made)
     requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
-    found = [search(simulation, robot, request) for request in requests]
+    found = [search(simulation, robot, request, until_said=True) for request in requests]
     return {
         "right": task.right,
         "outcomes": [one.outcome for one in found],

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from schemas.episode import Victim
 from schemas.rpc import Start
 from smal.paper.learning import LearningSettings
 
@@ -30,6 +31,8 @@ _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
 _RECOVERIES: Final = 5
 #: Light and season other than those of the drives.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
+#: How the victim can lie other than where it was when the way was taught.
+ELSEWHERE: Final[tuple[Victim, ...]] = ("absent", "moved", "decoy")
 #: Frame at which robots are carried away: a good way from the start, and far from the goal.
 _KIDNAP: Final = 100
 
@@ -79,6 +82,7 @@ class Trial:
     start: Start = "start"
     kidnap_tick: int = 0
     sets: int = 1
+    victim: Victim = "there"
 
     @property
     def recoveries(self) -> int:
@@ -99,6 +103,7 @@ class Trial:
             self.degradation: self.degradation != "clean",
             "from anywhere": self.start == "anywhere",
             "kidnapped": self.kidnap_tick > 0,
+            f"victim {self.victim}": self.victim != "there",
         }
         return ", ".join(name for name, holds in said.items() if holds) or "as taught"
 
@@ -158,10 +163,11 @@ def _usual(runs: int) -> tuple[Trial, ...]:
 
 
 def _conditions(runs: int) -> tuple[Trial, ...]:
-    """Return those, and the same from the start with a poor camera and in other light."""
+    """Return those, the same from the start with a poor camera and in other light, and SMAL's without the victim."""
     spoilt = [{"degradation": "poor"}, *({"variation": name} for name in VARIATIONS)]
     usual = _usual(runs)
-    return (*usual, *(replace(trial, **one) for trial in usual[: len(_BEST)] for one in spoilt))  # type: ignore[arg-type]
+    elsewhere = (replace(usual[0], victim=victim) for victim in ELSEWHERE)
+    return (*usual, *(replace(trial, **one) for trial in usual[: len(_BEST)] for one in spoilt), *elsewhere)  # type: ignore[arg-type]
 
 
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
@@ -219,6 +225,15 @@ def with_runs(plan: Plan, runs: int) -> Plan:
     """Return a plan with so many searches after one drive in each cell, at least one for each set of drives."""
     worlds = (
         replace(world, trials=tuple(replace(one, runs=runs) if one.sets > 1 else one for one in world.trials))
+        for world in plan.worlds
+    )
+    return replace(plan, worlds=tuple(worlds))
+
+
+def with_victim(plan: Plan, victim: Victim) -> Plan:
+    """Return a plan whose victims lie so in every search."""
+    worlds = (
+        replace(world, trials=tuple(dict.fromkeys(replace(one, victim=victim) for one in world.trials)))
         for world in plan.worlds
     )
     return replace(plan, worlds=tuple(worlds))

@@ -8,18 +8,18 @@ frame on. So the same seed gives the same poses (a test says so).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, Protocol, cast
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from schemas.base import Atom as AtomName
+from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import Degrader
 from services.experiments.evaluation.plan import Criterion
 from services.robot.clock import TICK_S
-from services.robot.episode import RunOutcome
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
@@ -34,7 +34,8 @@ PICTURE_TICKS: Final = 10
 class Driver(Protocol):
     """Who drives: `smal.Robot`, the paper's `Robot`, or a peer.
 
-    One that has ``where`` says where it is, unless it is ``lost``; one that has ``done`` says that it has arrived.
+    One that has ``where`` says where it is, unless it is ``lost``; one that has ``said`` says what ends its run, one
+    that has ``done`` alone says that it has found its goal.
     """
 
     def reset(self) -> None:
@@ -48,8 +49,8 @@ class Driver(Protocol):
 class Search:
     """What happened in one search."""
 
-    outcome: RunOutcome | Literal["missed"]
-    """"false_goal": the robot said that it was there, and was not; "missed": it passed by the victim without a word."""
+    outcome: Outcome
+    """See `schemas.episode.Episode`."""
     poses: NDArray[np.float64]
     """(ticks + 1, 3): x, y in metres, heading in radians."""
     atoms: NDArray[np.int8]
@@ -61,6 +62,8 @@ class Search:
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     """What the robot saw at chosen ticks, (height, width, 3) RGB."""
     kidnap_tick: int = 0
+    right: bool | None = None
+    """Whether "not here" was so."""
 
     @property
     def driven_m(self) -> float:
@@ -83,40 +86,44 @@ def search(
     """Let somebody search for the victim, who sees images through a degrader.
 
     Where a degradation shakes the camera, the simulation is opened with that shake. `picture_ticks` are the frames from
-    one kept picture to the next; 0: none is kept. A search ends where the victim is found, or, `until_said`, where a
-    driver that has ``done`` says that it is there.
+    one kept picture to the next; 0: none is kept. A search ends where the victim is found, or, `until_said`, by what a
+    driver says that can say anything.
     """
-    episode = LockstepEpisode(simulation, request)
+    kind = type(driver)
+    says = hasattr(kind, "said") or hasattr(kind, "done")
+    episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said and says}))
     driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
-    tells, says = hasattr(type(driver), "where"), until_said and hasattr(type(driver), "done")
-    passed = False
+    tells, right = hasattr(kind, "where"), None
     poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
-    outcome: RunOutcome | Literal["missed"] | None = None
     while True:
         tick, view = episode.tick, episode.view
         image = view.image if degrader is None else degrader.apply(tick, view.image)
         if picture_ticks and tick % picture_ticks == 0:
             pictures[tick] = image
-        if outcome is not None:
+        if episode.outcome is not None:
             break
         atom = driver.step(image, rounded(view.odometry)[:3])
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
-        if (tells or says) and driver.done:  # type: ignore[attr-defined]
-            outcome = "found" if episode.reached else "false_goal"
+        if says and (said := _said(driver)) is not None:
+            right = episode.say(said)
             break
         poses.append(episode.step(cast(AtomName, atom.name.lower())).pose)
         atoms.append(atom)
-        outcome = episode.outcome
-        if says and outcome == "found":
-            passed, outcome, episode.outcome = True, None, None
-        elif passed and outcome == "timeout":
-            outcome = "missed"
+    assert episode.outcome is not None  # noqa: S101 - it has ended
     way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
     made = np.array(atoms, dtype=np.int8)
-    return Search(outcome, way, made, shortest_m, tuple(places), pictures, request.kidnap_tick or 0)
+    kidnapped = request.kidnap_tick or 0
+    return Search(episode.outcome, way, made, shortest_m, tuple(places), pictures, kidnapped, right)
+
+
+def _said(driver: Driver) -> Said | None:
+    """Return what a driver says that can say something."""
+    if hasattr(driver, "said"):
+        return cast("Said | None", driver.said)
+    return "found" if driver.done else None  # type: ignore[attr-defined]
 
 
 def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
@@ -128,6 +135,7 @@ def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) ->
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
     said: dict[str, Any] = {
         "outcome": found.outcome,
+        "right": found.right,
         "ticks": len(found.atoms),
         "shortest_m": round(found.shortest_m, 2),
         "driven_m": round(found.driven_m, 2),

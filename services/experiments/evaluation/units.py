@@ -242,7 +242,12 @@ class Searches(Unit):
         found, shown = [], False
         for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
             request = ResetRequest(
-                seed=seed, purpose="run", start=trial.start, kidnap_tick=trial.kidnap_tick or None, max_ticks=most_ticks
+                seed=seed,
+                purpose="run",
+                start=trial.start,
+                kidnap_tick=trial.kidnap_tick or None,
+                max_ticks=most_ticks,
+                victim=trial.victim,
             )
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0

@@ -39,7 +39,7 @@ def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
     """Make the meshes, pictures and lights of a world, with ``shadows`` or without; takes seconds."""
     terrain = world.place
     if isinstance(terrain, Room):
-        return room.build(terrain, world.victim, light, shadows=shadows)
+        return room.build(terrain, light, shadows=shadows)
     shaded = shadows and light.casts_shadows
     shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
@@ -47,7 +47,8 @@ def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
     return Scene(
         lights=_lights(light),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),
-        victim=surfaces((finish, mesh.placed(world.victim)) for finish, mesh in bodies.body("person")),
+        victim=surfaces(bodies.body("person")),
+        decoys=tuple(surfaces(bodies.body(name)) for name in ("sacks", "trunk", "barrels")),
         sky=_sky(light),
     )
 

@@ -62,15 +62,27 @@ class SceneCamera:
             self._scene = sapien.Scene([sapien.render.RenderSystem()])
             self._light(scene.lights)
             # In the order of drawing: what is drawn first hides the others; the sky is last, and goes with the camera.
-            self._add(self._body(scene.victim, VICTIM))
+            self._victim = self._add(self._body(scene.victim, VICTIM))
+            self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
             self._robot = self._add(self._body(scene.robot, ROBOT))
             self._add(self._body(scene.still, STILL))
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
             self._mast = self._add(self._camera)
             self._above = None if above is None else self._look_down(above)
+            self.lay(world.victim)
         except RuntimeError as error:
             raise cannot_render(error) from error
+
+    def lay(self, victim: Pose | None, decoy: Pose | None = None, which: int = 0) -> None:
+        """Put the victim somewhere, or nowhere, and in its place one of the things that are taken for it, or none."""
+        places = [victim, *([None] * len(self._decoys))]
+        places[1 + which % len(self._decoys)] = decoy
+        for entity, at in zip((self._victim, *self._decoys), places, strict=True):
+            # Under the ground nothing sees it.
+            at_m = (0.0, 0.0, -_FAR_M) if at is None else (at.x, at.y, 0.0)
+            entity.set_pose(self._sapien.Pose(at_m, _turn(0.0 if at is None else at.heading)))
+        self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
         """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely import Polygon
 
 from services.simulator.scene import bodies
 from services.simulator.scene.furniture import furnish
@@ -15,7 +14,7 @@ from services.simulator.scene.meshes import Mesh, flat, panel, quads
 from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, Vector, surfaces
 from services.simulator.scene.textures import as_picture, coloured, layered, noise
 from services.simulator.variation import Daylight
-from services.simulator.world.place import Pose, Rgb
+from services.simulator.world.place import Rgb
 from services.simulator.world.room import Fitting, FittingKind, Room, Wall, WallFrame
 
 # Lamps above light level things most; the windows' light, from the north, keeps upright things apart from each other.
@@ -25,7 +24,6 @@ _LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
     ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
     ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
 )
-_FEET_M: Final = 0.08
 #: The ceiling's picture is four tiles of 0.6 m wide.
 _CEILING_M: Final = 2.4
 #: How far each kind stands off the wall.
@@ -48,8 +46,8 @@ Metres = NDArray[np.float64]
 _UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
 
 
-def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
-    """Make the meshes and pictures of a room with a victim standing in it."""
+def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
+    """Make the meshes and pictures of a room."""
     hung = [(fitting.kind, *hang(fitting, room)) for fitting in room.fittings]
     pieces = [*skirting(room), *(piece for furniture in room.furniture for piece in furnish(furniture))]
     for kind, face, rim in hung:
@@ -57,7 +55,6 @@ def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
     shining = [face for kind, face, _ in hung if kind == "window"]
     x, y = room.east_west_m, room.north_south_m
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
-    feet = shapely.Point(victim.x, victim.y).buffer(_FEET_M)
     tag = room.robot.tag
     return Scene(
         # As bright and in the colour that the time of day gives them.
@@ -69,9 +66,10 @@ def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
             Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
-            Surface(quads([corners], [_UPRIGHT]), paint_floor(room, feet, shadows=shadows)),
+            Surface(quads([corners], [_UPRIGHT]), paint_floor(room, shadows=shadows)),
         ),
-        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.body("nao")),
+        victim=surfaces(bodies.body("nao")),
+        decoys=tuple(surfaces(bodies.body(name)) for name in ("bottle", "cartons", "bin")),
         robot=(*surfaces(bodies.turtlebot(room.robot)), *(() if tag is None else (bodies.tag(tag),))),
     )
 
@@ -134,11 +132,8 @@ def _slab(frame: WallFrame, left: float, right: float, low: float, high: float, 
     return quads(faces, uvs)
 
 
-def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.uint8]:
-    """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it.
-
-    `standing` is what stands on it besides the furniture, seen from above, metres.
-    """
+def paint_floor(room: Room, *, shadows: bool) -> NDArray[np.uint8]:
+    """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it."""
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
     sizes = zip(shape, (room.north_south_m, room.east_west_m), strict=True)
     down, across = ((np.arange(count) + 0.5) / count * size_m for count, size_m in sizes)
@@ -146,11 +141,11 @@ def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.u
     plain = coloured(colour, tone)
     if not shadows:
         return plain
-    shade = cv2.resize(floor_light(room, standing), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    shade = cv2.resize(floor_light(room), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     return as_picture(plain * np.asarray(shade, dtype=np.float64)[..., None])
 
 
-def floor_light(room: Room, standing: Polygon) -> NDArray[np.float64]:
+def floor_light(room: Room) -> NDArray[np.float64]:
     """Return which share of the light reaches the floor, 0 to 1, (rows, columns), the first row in the north.
 
     Whatever stands on the floor, walls too, keeps light off close to it; whatever is above the floor, tables too,
@@ -161,7 +156,7 @@ def floor_light(room: Room, standing: Polygon) -> NDArray[np.float64]:
     shape = round((y_max - y_min) * scale), round((x_max - x_min) * scale)
     on_floor, above = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     parts = [(solid.shape, solid.low_m) for piece in room.furniture for solid in piece.solids]
-    for outline, low_m in [*parts, (standing, 0.0)]:
+    for outline, low_m in parts:
         ring = (shapely.get_coordinates(shapely.get_exterior_ring(outline)) - (x_min, y_max)) * (scale, -scale)
         # Points are centres of pixels, in sixteenths.
         corners = np.round((ring - 0.5) * 16).astype(np.int32)

@@ -37,7 +37,8 @@ class Scene(NamedTuple):
 
     lights: Lights
     still: tuple[Surface, ...]  # What never moves.
-    victim: tuple[Surface, ...]  # The victim, in its place.
+    victim: tuple[Surface, ...]  # The victim, about its own origin, x forward.
+    decoys: tuple[tuple[Surface, ...], ...]  # What can lie in its place instead, of its size.
     robot: tuple[Surface, ...] = ()  # The robot, about its own origin, x forward; nothing where no camera sees it.
     sky: Surface | None = None  # The dome that goes with the camera; None under a ceiling.
 

@@ -106,6 +106,7 @@ class SimulatedView:
     contact: bool  # Whether the robot has touched anything since the reset.
     odometry: OdometryReading
     imu: tuple[ImuReading, ...]
+    victim: Pose | None  # Where the victim truly lies.
     captured_s: float = 0.0  # When, by the actuator's clock.
     wanted: Callable[[Topic], bool] = lambda _topic: False
     """Whether anybody listens to a topic whose messages are costly."""
@@ -143,10 +144,12 @@ class SimulatedView:
     @cached_property
     def victim_found(self) -> bool:
         """Whether the victim is near and in view; the image is only searched when near."""
-        world = self.world
-        away = math.hypot(world.victim.x - self.pose.x, world.victim.y - self.pose.y)
-        near = away <= world.scale.found_m
+        near = self.victim is not None and self.near(self.victim)
         return near and self.camera.victim_pixels(self.pose, self.tilt) >= VISIBLE_FRACTION
+
+    def near(self, place: Pose) -> bool:
+        """Return whether a place is so near that it counts as found."""
+        return math.hypot(place.x - self.pose.x, place.y - self.pose.y) <= self.world.scale.found_m
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
@@ -181,8 +184,23 @@ def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadM
 
 
 class FindVictim:
-    """The task of every simulated world: the victim is near, and in view."""
+    """The task of every simulated world: the victim is near, and in view.
 
-    def reached(self, view: SimulatedView) -> bool:
+    Where a person says that a goal is elsewhere, it is there.
+    """
+
+    def __init__(self) -> None:
+        self._told: dict[tuple[str, str], list[Pose]] = {}
+
+    def reached(self, view: SimulatedView, goal: str = "victim") -> bool:
         """Return whether a frame shows it so."""
-        return view.victim_found
+        places = self._told.get((view.world.name, goal))
+        return view.victim_found if places is None else any(map(view.near, places))
+
+    def gone(self, view: SimulatedView, goal: str) -> bool:
+        """Return whether the victim lies nowhere."""
+        return view.victim is None and (view.world.name, goal) not in self._told
+
+    def told(self, view: SimulatedView, goal: str) -> None:
+        """Take a place from a person."""
+        self._told.setdefault((view.world.name, goal), []).append(view.pose)

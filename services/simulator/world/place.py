@@ -59,6 +59,7 @@ class Scale:
     aside_m: float = 1.5  # How far beside the route recovery drives begin.
     last_m: float = 3.0  # So long before the route's end no recovery drive begins.
     found_m: float = 5.0  # From the victim where the robot has found it, if it also sees it.
+    moved_m: float = 3.0  # From its place where a victim lies that has moved, at most.
 
 
 @checked(frozen=True, config=STRICT)

@@ -38,6 +38,7 @@ _SCALE: Final = Scale(
     aside_m=0.3,
     last_m=0.8,
     found_m=1.2,
+    moved_m=0.7,
 )
 # Room that a standing victim takes, from its middle.
 _VICTIM_RADIUS_M: Final = 0.16

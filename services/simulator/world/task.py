@@ -105,6 +105,21 @@ def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[n
     return np.asarray(~seen.any(axis=1))
 
 
+def moved_victim(world: World, rng: np.random.Generator) -> Pose:
+    """Draw where a victim lies that has moved by up to `Scale.moved_m`: free, and in sight of its place.
+
+    Raises WorldError where no such place was found in 1000 draws.
+    """
+    there, obstacles, scale = world.victim, obstacles_of(world.place), world.scale
+    for _ in range(_TRIES):
+        away_m, towards = scale.moved_m * math.sqrt(rng.uniform()), rng.uniform(0.0, math.tau)
+        x, y = there.x + away_m * math.cos(towards), there.y + away_m * math.sin(towards)
+        sight = np.array([[(there.x, there.y), (x, y)]])
+        if obstacles.is_free(x, y, scale.clearance_m) and obstacles.in_sight(sight)[0]:
+            return Pose(x, y, there.heading)
+    raise WorldError(f"{world.name}: no free place within {scale.moved_m:g} m of the victim")
+
+
 def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Pose:
     """Draw a free start pose; the same chance gives the same pose.
 

@@ -118,5 +118,11 @@ class LineBody:
 class Reach:
     """The task of being between the goal and as far behind it as it can be seen from."""
 
-    def reached(self, view: LineView) -> bool:
+    def reached(self, view: LineView, _goal: str) -> bool:
         return view.body.goal <= view.x <= view.body.goal + view.body.sight
+
+    def gone(self, view: LineView, _goal: str) -> bool:
+        return view.body.goal > 1e6
+
+    def told(self, view: LineView, _goal: str) -> None:
+        view.body.goal = view.x

@@ -360,6 +360,60 @@ def test_what_the_operator_says_was_found_was_found() -> None:
         runner.end_by(EndRequest(episode=run.id))
 
 
+@pytest.mark.parametrize(
+    ("goal", "frames", "said", "outcome", "right"),
+    [
+        (0.3, 3, "found", "found", None),
+        (0.3, 1, "found", "false_goal", None),
+        (0.3, 3, "not_here", "not_here", False),
+        (1e9, 3, "not_here", "not_here", True),
+        (1e9, 3, "found", "false_goal", None),
+    ],
+)
+def test_what_the_robot_says_ends_its_run_and_is_judged(
+    goal: float, frames: int, said: str, outcome: str, right: bool | None
+) -> None:
+    runner, _ = begin(LineBody(Clock(), goal=goal), until_said=True)
+    for _ in range(frames):
+        assert ("ended", "found") not in events(answer(runner)), "it has said nothing yet"
+    run = runner.running
+    assert run is not None
+    (ended,) = runner.end_by(EndRequest.model_validate({"episode": run.id, "said": said}))
+    assert isinstance(ended, Episode)
+    assert (ended.outcome, ended.right) == (outcome, right)
+
+
+@pytest.mark.parametrize(("goal", "outcome"), [(0.3, "missed"), (1e9, "timeout")])
+def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(goal: float, outcome: str) -> None:
+    runner, _ = begin(LineBody(Clock(), goal=goal, sight=0.2), until_said=True, max_ticks=8)
+    assert [e for _ in range(8) for e in events(answer(runner))][-2:] == [("timed_out", None), ("ended", outcome)]
+
+
+def test_where_a_person_says_that_the_goal_is_it_is() -> None:
+    """In runs after that too, wherever the task had it."""
+    runner, _ = begin(LineBody(Clock(), goal=1e9), purpose="drive", driver="teleop")
+    for _ in range(3):
+        answer(runner, source="teleop")
+    drive = runner.running
+    assert drive is not None
+    runner.end_by(EndRequest(episode=drive.id, found=True))
+    reset(runner, until_said=True)
+    for _ in range(3):
+        answer(runner)
+    run = runner.running
+    assert run is not None
+    assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "found")]
+
+
+def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
+    body, gate = LineBody(Clock()), armed()
+    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
+    reset(runner, until_said=True)
+    run = runner.running
+    assert run is not None
+    assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "aborted")]
+
+
 def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
     body = LineBody(Clock(), goal=0.3)
     gate = armed()

@@ -3,9 +3,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from pathlib import Path
+from typing import Final
 
 from matplotlib.figure import Figure
 
+from schemas.episode import Outcome
 from services.experiments import html
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drives import load_arrays
@@ -15,6 +17,12 @@ from services.experiments.evaluation.report import figures
 from services.experiments.evaluation.report.summary import SOON_S, Recognized, Success, WorldResults
 from services.experiments.words import counted
 from smal.evaluation.success import wilson_interval
+
+#: How searches end that do not find the victim, and what that is called.
+SHOWN: Final[dict[Outcome, str]] = {
+    "collision": "collisions", "timeout": "out of time", "missed": "missed", "false_goal": "false goals",
+    "not_here": "“not here”",
+}  # fmt: skip
 
 #: Name, figure and caption (HTML) to HTML.
 Put = Callable[[str, Figure, str], str]
@@ -102,7 +110,7 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
     rows = [
         [
             one.trial.condition, str(one.trial.drives), one.trial.title, one.said, _interval(one.wilson_95, ".0%"),
-            *(str(one.outcomes.count(outcome)) for outcome in ("collision", "timeout", "missed", "false_goal")),
+            *(str(one.outcomes.count(outcome)) for outcome in SHOWN),
             _or_dash(one.spl, ".2f"), f"{one.aside_rms_m:.2f}", f"{one.aside_max_m:.2f}",
             _or_dash(one.interventions_per_km, ".1f"), _or_dash(one.wrong_share, ".1%"),
             "-" if one.right_soon is None else "{} of {}".format(*one.right_soon),
@@ -110,7 +118,7 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
         for one in [*sorted(usual, key=lambda one: one.trial.drives), *special]
     ]  # fmt: skip
     yield html.table(
-        ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "missed", "false goals", "SPL",
+        ["condition", "drives", "driver", "found", "95 %", *SHOWN.values(), "SPL",
          "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {SOON_S:g} s"],
         rows, left=3,
     )  # fmt: skip

@@ -21,7 +21,6 @@ from services.kit.model_service import identity_of
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings
-from services.robot.episode import RunOutcome
 from smal.features import FeatureSettings
 from tests import corridor
 from tests.services.cli.conftest import Mistake, Smal
@@ -65,7 +64,9 @@ class FakeSimulator:
         self.begun = True
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
-            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",), arrived=kind == "goal"))
+            self._node.publish(
+                Action.after(cause, kind=kind, state=state, atoms=("left",), says="found" if kind == "goal" else None)
+            )
         return ResetReply(episode="e", world="campus", route=self.route, speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
@@ -96,11 +97,11 @@ def client(settings: ServiceSettings) -> Iterator[EpisodeClient]:
 
 @pytest.mark.parametrize(("truth", "outcome"), [("found", "found"), ("aborted", "false_goal")])
 def test_a_robot_that_says_that_it_has_arrived_is_judged(
-    truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, client: EpisodeClient
+    truth: Outcome, outcome: Outcome, simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     simulator.decisions, simulator.outcome = (("follow", 4), ("goal", 9)), truth
     record = client.run(REQUEST)
-    assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
+    assert (record.outcome, record.said, simulator.ended) == (outcome, "found", ["e"])
 
 
 def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, client: EpisodeClient) -> None:
