@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from smal.evaluation.reliability import Reliability
+
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
@@ -53,6 +55,15 @@ def look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float,
     x_min, y_min, x_max, y_max = bounds
     axes.set_xlim(max(x_min, middle[0] - half_m), min(x_max, middle[0] + half_m))
     axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))
+
+
+def draw_reliability(axes: Axes, reliability: Reliability) -> None:
+    """Draw how often answers are right over what they say: the larger a point, the more answers it stands for."""
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
+    sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
+    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3)
+    axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="score", ylabel="share that is right", aspect="equal")
+    axes.set_title(f"calibration error {reliability.error:.3f}")
 
 
 def legend(drawn: Figure, panels: Sequence[Axes], columns: int = 2) -> None:

@@ -7,11 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, styled
+from services.experiments.drawing import COLOURS, MUTED, draw_reliability, styled
 from services.experiments.matching.report import Quality
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall
-from smal.evaluation.reliability import Reliability
 from smal.place_recognition import Matches
 
 _BAND: Final = "#cfe8cf"
@@ -41,7 +40,7 @@ def draw_matches(
     if quality is not None:
         _draw_curve(more[0], quality.curve)
     if reliability is not None:
-        _draw_reliability(more[1], reliability)
+        draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():
         # Beside the matches, where it hides none.
         figure.legend(loc="outside lower center", ncols=4)
@@ -83,12 +82,3 @@ def _draw_curve(axes: Axes, curve: PrecisionRecall) -> None:
         axes.plot([at_100], [1.0], "o", color=COLOURS[0], label=f"recall {at_100:.2f} at 100 % precision")
     axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal")
     axes.set_title(f"area under the curve {curve.auc:.3f}")
-
-
-def _draw_reliability(axes: Axes, reliability: Reliability) -> None:
-    # The larger a point, the more answers it stands for; on the line scores are what they say.
-    axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
-    sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
-    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3)
-    axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="score", ylabel="share that is right", aspect="equal")
-    axes.set_title(f"calibration error {reliability.error:.3f}")

@@ -1,0 +1,1 @@
+"""What each part of the filter is for, and whether its probabilities hold."""
