@@ -97,8 +97,13 @@ class Newness:
 class Filter:
     """Follows the robot from frame to frame.
 
-    The centering is of the features, the seed of the particles' noise: the same frames and movements give the same
-    belief.
+    Parameters
+    ----------
+    visual_map : VisualMap
+    centering : Centering
+        Of the features.
+    seed : int
+        Of the particles' noise: the same frames and movements give the same belief.
     """
 
     def __init__(self, visual_map: VisualMap, centering: Centering, seed: int = 0) -> None:
@@ -130,9 +135,19 @@ class Filter:
     ) -> Belief:
         """Take one frame.
 
-        `raw_features` (m,) are from `smal.features.extract`, the movement, with its noise, since the frame before; that
-        before the first frame does not count. Features of the wrong length, or features or a movement that are NaN or
-        infinite, raise ValueError, and the frame does not count.
+        Parameters
+        ----------
+        raw_features : array (m,)
+            From `smal.features.extract`.
+        movement : Movement
+            Since the frame before; that before the first frame does not count.
+        noise : MotionNoise
+            Of the movement.
+
+        Raises
+        ------
+        ValueError
+            Features of the wrong length, or features or a movement that are NaN or infinite: the frame does not count.
         """
         if raw_features.ndim != 1:
             raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")

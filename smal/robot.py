@@ -17,10 +17,16 @@ from smal.planning import Decision, Planner, Said
 
 @dataclass(frozen=True)
 class Place:
-    """Where in what was taught: a drive of the map, a frame, counted over all its drives, and the robot's pose there.
+    """Where in what was taught.
 
-    `ahead` and `left` (metres, or forward atoms without odometry) and `turned_rad` (to the left) are of the robot as
-    seen from the frame; `probability` is of being beside it, given that the robot is not lost.
+    Parameters
+    ----------
+    drive, frame : int
+        Of the map; frames are counted over all its drives.
+    ahead, left, turned_rad : float
+        Of the robot as seen from there: metres (or forward atoms, without odometry), and radians to the left.
+    probability : float
+        Of being beside that frame, given that the robot is not lost.
     """
 
     drive: int
@@ -34,7 +40,16 @@ class Place:
 class Localizer:
     """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
 
-    `features` (FeatureSettings) are those that it goes by; the seed is of the filter's noise.
+    Parameters
+    ----------
+    model : Model
+    seed : int
+        Of the filter's noise.
+
+    Attributes
+    ----------
+    features : FeatureSettings
+        That it goes by.
     """
 
     def __init__(self, model: Model, seed: int = 0) -> None:
@@ -67,8 +82,12 @@ class Localizer:
         atoms : sequence of Atom
             Made since the frame before, for equal parts of the time; they count where there is no odometry.
         elapsed_s : float, optional
-            Time since the frame before, finite and not negative, or ValueError; a taught tick if not given. Features
-            are refused as by `Filter.observe`.
+            Time since the frame before; a taught tick if not given.
+
+        Raises
+        ------
+        ValueError
+            A time that is not finite or negative, or as `Filter.observe`.
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
             raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
@@ -90,8 +109,24 @@ class Localizer:
 class Robot:
     """Finds the goal: takes an image, gives the atom to make until the next one.
 
-    The goal may be left out where all drives lead to one; ValueError where the model has not this goal, or several and
-    none is named. The seed is of the filter's noise. `belief` and `decision` are those of the last image.
+    Parameters
+    ----------
+    model : Model
+    goal : str, optional
+        Where to go; may be left out where all drives lead to one goal.
+    seed : int
+        Of the filter's noise.
+
+    Attributes
+    ----------
+    belief : Belief
+        After the last image.
+    decision : Decision
+
+    Raises
+    ------
+    ValueError
+        The model has not this goal, or several and none is named.
     """
 
     belief: Belief
@@ -111,11 +146,21 @@ class Robot:
     def step(
         self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
     ) -> Atom:
-        """Take one image, uint8 (height, width, 3) RGB; return the atom to make until the next image.
+        """Take one image.
 
-        `odometry` is the pose by the wheels at the image, (x, y, heading in radians); without it the robot is taken to
-        have made the last atom, as usual. `elapsed_s` is the time since the image before; as between taught images if
-        not given.
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+            RGB.
+        odometry : (x, y, heading in radians), optional
+            Pose by the wheels at the image. Without it the robot is taken to have made the last atom, as usual.
+        elapsed_s : float, optional
+            Time since the image before; as between taught images if not given.
+
+        Returns
+        -------
+        Atom
+            To make until the next image.
         """
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)

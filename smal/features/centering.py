@@ -20,7 +20,14 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Centering:
-    """Turns raw features into the columns of X and Y, by the mean raw feature vector (m,) of the demonstrations."""
+    """Turns raw features into the columns of X and Y.
+
+    Parameters
+    ----------
+    mean : float32 array (m,)
+        Mean raw feature vector of the demonstrations.
+    settings : FeatureSettings
+    """
 
     mean: NDArray[np.float32]
     settings: FeatureSettings
@@ -46,10 +53,23 @@ class Centering:
         return cls((total / count).astype(np.float32), settings)
 
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
-        """Centre, normalize and weight raw features (..., m), from `extract`.
+        """Centre, normalize and weight raw features.
 
-        Each modality of the result, less its mean, is of unit length times its unit weight: a full vector has norm 1. A
-        modality equal to the mean stays zero. ValueError where the last axis is not m, or a value is not finite.
+        Parameters
+        ----------
+        raw : array (..., m)
+            From `extract`.
+
+        Returns
+        -------
+        float32 array (..., m)
+            Each modality minus its mean, of unit length times its unit weight: a full vector has norm 1.
+            A modality equal to the mean stays zero.
+
+        Raises
+        ------
+        ValueError
+            The last axis is not m, or a value is not finite.
         """
         if raw.ndim == 0 or raw.shape[-1] != self.settings.size:
             raise ValueError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")

@@ -35,14 +35,27 @@ def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> It
 def extract(
     image: NDArray[np.uint8], settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
 ) -> NDArray[np.float32]:
-    """Compute the raw features (m,) of one frame.
+    """Compute the raw features of one frame.
 
-    The image is RGB, uint8 (height, width, 3), at least 24 rows and 32 columns. The modality "depth" needs a depth
-    image of the same view, uint16 (height, width) of any size, in millimetres, 0 where nothing is in range. The
-    modalities stand one after the other, each of unit length (or zero, see the modality); neither centred nor weighted,
-    which `Centering.apply` does once the mean is known.
+    Parameters
+    ----------
+    image : uint8 array (height, width, 3)
+        RGB, at least 24 rows and 32 columns.
+    settings : FeatureSettings
+    depth_mm : uint16 array (height, width), optional
+        Depth of the same view, of any size, in millimetres, 0 where nothing is in range; needed by the
+        modality "depth".
 
-    ValueError where an image has another type or shape or is too small, or a depth image is needed and not given.
+    Returns
+    -------
+    float32 array (m,)
+        The modalities one after the other, each of unit length (or zero, see the modality); neither
+        centred nor weighted, which `Centering.apply` does once the mean is known.
+
+    Raises
+    ------
+    ValueError
+        An image has another type, shape or is too small, or there is no depth image though one is needed.
     """
     _check_image(image)
     inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}
