@@ -45,6 +45,8 @@ class Belief:
     cosine: float  # Mean cosine of the last view with the views of these places.
     #: Way that nine tenths of the particles have been followed for since they were drawn as scouts, in the map's unit.
     tracked: float
+    #: Logarithm of how much likelier the last view was, after all before it, than a view of elsewhere.
+    evidence: float = 0.0
 
     def summary(self, most: int = SETTINGS.places) -> "Belief":
         """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
@@ -59,7 +61,7 @@ class Belief:
         order = np.argsort(-weights, kind="stable")[:most]
         order = order[weights[order] > 0.0]
         kept = weights[order] / weights[order].sum()
-        return Belief(keys[order], mean[order], kept, self.lost, self.cosine, self.tracked)
+        return Belief(keys[order], mean[order], kept, self.lost, self.cosine, self.tracked, self.evidence)
 
 
 class _Odds(NamedTuple):
@@ -165,7 +167,7 @@ class Filter:
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
-        self._started = True
+        self._started, self._evidence = True, 0.0
         if seen.newness > 0.0:
             self._last, self._since = components, np.zeros(3)
             self._weigh(seen)
@@ -179,7 +181,9 @@ class Filter:
         """
         keyframes, stand_for = self._map.likely(components)
         places, turns = np.full(TURNS_DEG.size, 1), np.arange(TURNS_DEG.size)
-        cosines = self._map.cosines(components, keyframes[:, None], places, turns)
+        cosines = self._map.best_look(
+            keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
+        )
         middle, spread = scale(self._map.sample @ components)
         nothing = not components.any() or components @ self._map.blank > cosines.max()
         if nothing or np.array_equal(components, self._last):
@@ -226,6 +230,7 @@ class Filter:
             self._jumped, tracked, jumped = None, tracked + jumped, 0.0
         total = tracked + jumped + lost
         self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
+        self._evidence = math.log(total)
 
     def _scouts(self, seen: View) -> tuple[Particles, float]:
         """Draw particles by what one view says: half of them near the last sure pose, half from everywhere.
@@ -291,4 +296,5 @@ class Filter:
             lost / (tracked + jumped + lost),
             min(every.cosine(seen), 1.0),
             float(every.tracked[order[least]]),
+            self._evidence,
         )

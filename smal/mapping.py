@@ -193,27 +193,31 @@ def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], len
     return np.array(chosen, dtype=np.int32)
 
 
+def virtual_poses(aside: float) -> list[tuple[float, float, float]]:
+    """Return from where a keyframe's virtual views are seen: ahead, left, turned left in radians."""
+    return [(0.0, left, math.radians(turn)) for left in (-aside, 0.0, aside) for turn in TURNS_DEG]
+
+
 def _make_views(
     frames: TaughtFrames, keyframes: NDArray[np.int32], scene: Scene, aside: float, progress: Progress
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
-    lefts = (-aside, 0.0, aside)
 
     # Drives may be of cameras of different sizes.
     @cache
     def maps_of(shape: tuple[int, ...]) -> list[Maps]:
-        return [scene.maps(shape, 0.0, left, math.radians(turn)) for left in lefts for turn in TURNS_DEG]
+        return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
 
     def views_of(frame: int) -> NDArray[np.float32]:
         image = frames.images[frame]
         return frames.describe(remapped(image, one) for one in maps_of(image.shape[:2]))
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
-    each = len(lefts) * TURNS_DEG.size
+    each = len(virtual_poses(aside))
     sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
     made = dict(zip(sample, in_parallel(views_of, sample), strict=True))
     basis = _components(np.concatenate(list(made.values())))
-    views = np.empty((keyframes.size, len(lefts), TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
+    views = np.empty((keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
 
     def keep(key: int) -> None:
         frame = int(keyframes[key])

@@ -8,9 +8,10 @@ time. `smal.mapping` makes the map of drives.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood
 from smal.movement import Atom, Movement, leads_on
 from smal.settings import SETTINGS
+
+_T = TypeVar("_T", bound=np.floating[Any])
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +39,8 @@ class VisualMap:
     drives: NDArray[np.int32]  # (f,) which demonstration it is of, ascending.
     keyframes: NDArray[np.int32]  # (k,) frames, ascending; the first and last of every drive are among them.
     basis: NDArray[np.float32]  # (m, r) components of centred features.
-    #: (k, 3, turns, r) components of each keyframe's views, of any length (`packed`): from `aside` to the right, from
-    #: there, from the left; each turned by `TURNS_DEG`.
+    #: (k + e, 3, turns, r) components of each keyframe's views, of any length (`packed`): from `aside` to the right,
+    #: from there, from the left; each turned by `TURNS_DEG`. After the taught ones come further looks.
     views: NDArray[np.int8]
     blank: NDArray[np.float32]  # (r,) components of a picture that shows nothing, of unit length.
     aside: float  # How far the views from aside are from the keyframe, in the map's unit.
@@ -56,6 +59,8 @@ class VisualMap:
     #: as seen from the second, (s, 3): ahead, left, turned left in radians.
     stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    #: (e,) keyframe of each further look (`smal.living`), the oldest first.
+    looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     def __post_init__(self) -> None:
         check_map(self)
@@ -74,6 +79,30 @@ class VisualMap:
         return by_turn, by_place
 
     @cached_property
+    def further(self) -> list[NDArray[np.intp]]:
+        """Rows of `views` of each keyframe's second look, its third and so on, (k,) each; -1 where it has none."""
+        rows: list[NDArray[np.intp]] = []
+        rank = np.zeros(len(self.keyframes), dtype=np.intp)
+        for row, key in enumerate(self.looks.tolist(), len(self.keyframes)):
+            if rank[key] == len(rows):
+                rows.append(np.full(len(self.keyframes), -1))
+            rows[rank[key]][key] = row
+            rank[key] += 1
+        return rows
+
+    def best_look(self, keyframes: NDArray[np.intp], say: Callable[..., NDArray[_T]]) -> NDArray[_T]:
+        """Return what is said of keyframes (n,) by their best look, (n, ...).
+
+        `say` gives it of some of the n, by a slice or their numbers, with those rows of `views`.
+        """
+        found = say(slice(None), keyframes)
+        for rows in self.further:
+            some = np.flatnonzero(rows[keyframes] >= 0)
+            if some.size:
+                found[some] = np.maximum(found[some], say(some, rows[keyframes[some]]))
+        return found
+
+    @cached_property
     def reference(self) -> NDArray[np.intp]:
         """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
         return evenly(len(self.keyframes), SETTINGS.reference)
@@ -89,8 +118,16 @@ class VisualMap:
 
         Views change slowly along the way, and slowly with the turn: where these are alike is where to look closely.
         """
-        middle = self.views[SETTINGS.views_a_length // 2 :: SETTINGS.views_a_length, 1, STRAIGHT % 2 :: 2]
+        middle = self.views[self._middles[0], 1, STRAIGHT % 2 :: 2]
         return np.ascontiguousarray(unpacked(middle)[..., : SETTINGS.leading])
+
+    @cached_property
+    def _middles(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows of `views` in the overview, and which fifth keyframe each is a look of."""
+        step, first = SETTINGS.views_a_length, SETTINGS.views_a_length // 2
+        of = np.append(np.arange(len(self.keyframes)), self.looks).astype(np.intp)
+        rows = np.flatnonzero(of % step == first)
+        return rows, of[rows] // step
 
     @cached_property
     def likelihood(self) -> Likelihood:
@@ -156,7 +193,10 @@ class VisualMap:
         places: NDArray[np.intp],
         turns: NDArray[np.intp],
     ) -> NDArray[np.float32]:
-        """Return the cosines of a frame's components (r,) with some views, in the shape of their indices together."""
+        """Return the cosines of a frame's components (r,) with some views, in the shape of their indices together.
+
+        Rows of `views` that are no keyframes are further looks.
+        """
         views = np.ravel_multi_index(np.broadcast_arrays(keyframes, places, turns), self.views.shape[:3])
         each, where = np.unique(views, return_inverse=True)
         rows = self.views.reshape(-1, components.size)[each].astype(np.float32)
@@ -173,7 +213,9 @@ class VisualMap:
         count, step = len(self.keyframes), SETTINGS.views_a_length
         if count <= SETTINGS.looked_at:
             return np.arange(count), np.ones(count)
-        alike = (self.overview @ components[: SETTINGS.leading]).max(axis=1)
+        _, middle = self._middles
+        alike = np.full(middle.max() + 1, -np.inf, dtype=np.float32)
+        np.maximum.at(alike, middle, (self.overview @ components[: SETTINGS.leading]).max(axis=1))
         best = np.argpartition(-alike, SETTINGS.looked_at // step)[: SETTINGS.looked_at // step]
         near = (best[:, None] * step + np.arange(step)).ravel()
         near = near[near < count]

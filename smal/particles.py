@@ -102,7 +102,6 @@ class Particles:
         """
         offsets = self.offsets()
         by_turn, by_place = self._map.neighbour_cosines
-        k = self.keyframes
         turned = (np.degrees(offsets[:, 2]) - TURNS_DEG[0]) / STEP_DEG
         inside = np.clip(turned, 0.0, TURNS_DEG.size - 1)
         t = np.minimum(inside.astype(np.intp), TURNS_DEG.size - 2)
@@ -111,11 +110,15 @@ class Particles:
         p = np.minimum(aside.astype(np.intp), 1)
         g = aside - p
 
-        places = np.stack([p, p + 1])
-        less, more = self._map.cosines(components, k, places, np.stack([t, t + 1])[:, None])
-        here, beside = ((1.0 - f) * less + f * more) / _norm(f, by_turn[k, places, t])
-        places_alike = (1.0 - f) * by_place[k, p, t] + f * by_place[k, p, t + 1]
-        found = ((1.0 - g) * here + g * beside) / _norm(g, places_alike)
+        def between(some: Any, rows: NDArray[np.intp]) -> NDArray[np.float64]:  # noqa: ANN401 - a slice or numbers
+            first, left, turn, off = p[some], g[some], t[some], f[some]
+            places = np.stack([first, first + 1])
+            less, more = self._map.cosines(components, rows, places, np.stack([turn, turn + 1])[:, None])
+            here, beside = ((1.0 - off) * less + off * more) / _norm(off, by_turn[rows, places, turn])
+            places_alike = (1.0 - off) * by_place[rows, first, turn] + off * by_place[rows, first, turn + 1]
+            return np.asarray(((1.0 - left) * here + left * beside) / _norm(left, places_alike))
+
+        found = self._map.best_look(self.keyframes, between)
         length = self._map.correlation_length
         beyond = np.hypot(
             np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,

@@ -36,6 +36,12 @@ class Settings:
     #: Views from which components are computed, and keyframes that are compared at once: memory.
     sampled_views: int = 2500
     compared_at_once: int = 32
+    #: Looks of a keyframe at most, the taught one among them: more cost memory and time, and each can be mistaken.
+    looks: int = 4
+    #: A further look is warped from a frame that is nearer to its keyframe than this.
+    look_from: float = 0.5
+    #: By so much, natural logarithms, a new map may make a view less likely: a hundredth of what views tell.
+    may_lose: float = 0.05
     #: Keyframes at which a view is looked for anywhere, and leading components by which they are chosen on longer ways.
     looked_at: int = 500
     leading: int = 64

@@ -13,6 +13,7 @@ from typer import Argument, Option
 
 from schemas.rpc import Scheme
 from services.cli import options, outputs
+from services.cli.adding import add_runs
 from services.cli.progress import Bars
 from services.experiments.showing.summary import numbers_of
 from services.experiments.words import described_by
@@ -42,6 +43,9 @@ def learn(
     gamma: Annotated[float | None, Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: options.Modalities = None,
     include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
+    add: Annotated[
+        bool, Option("--add", help="The recordings are runs by the model at --out: give its places further looks.")
+    ] = False,
     memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Paper: stop rather than take more.")] = None,
     json_file: options.JsonFile = None,
     progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,
@@ -59,6 +63,11 @@ def learn(
     The modalities may be any of those in a recording. All but depth can also be computed from the recorded images; a
     map has no depth.
 
+    With --add the model at --out learns from runs that found the victim, two or more: where the robot was sure of its
+    place though the view was unlike the taught one, the place gets a further look, four at most. Every second run is
+    kept back, and the new map taken only if these are no less likely under it. The one before is kept beside it as
+    MODEL.1 and so on; `smal model back MODEL` goes back.
+
     Example: smal learn drives --out campus.smal
     """
     began_s = time.perf_counter()
@@ -66,32 +75,43 @@ def learn(
     settings = _settings(scheme, {name: value for name, value in given.items() if value is not None})
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
-    outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
+    bar = _Lines() if progress else Bars()
+    if add:
+        if scheme != "filter" or modalities is not None:
+            raise UsageError("--add: the model at --out says by which scheme and features it learns; leave them out")
+        try:
+            found = add_runs(find_recordings(recordings), out, bar)
+        finally:
+            bar.close()
+        _say(found, out, began_s, json_file)
+        return
+    outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
     features = _features(files, scheme, modalities)
-    bar = _Lines() if progress else Bars()
     try:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
         model, found = _learn(teaching, scheme, replace(settings, features=features), bar)
     finally:
         bar.close()
-    used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
-    chosen = {"modalities": features.modalities, "weights": features.weights}
     try:
         model.save(out)
-        if json_file is not None:
-            outputs.write_json(json_file, "--json", {"model": str(out)} | used | chosen | found)
     except ModelError as error:
         raise JobError(str(error)) from None
-    rows = {
-        "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
-        "features": described_by(features),
-        **found,
-        "seconds": f"{time.perf_counter() - began_s:.1f}",
-        "model": out,
-    }
-    for name, value in rows.items():
+    used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
+    chosen = {"modalities": features.modalities, "weights": features.weights}
+    recorded = f"{teaching.recordings} ({teaching.episodes} episodes used)"
+    rows = {"recordings": recorded, "features": described_by(features)} | found
+    _say(rows, out, began_s, json_file, used | chosen | found)
+
+
+def _say(
+    rows: dict[str, Any], out: Path, began_s: float, json_file: Path | None, content: dict[str, Any] | None = None
+) -> None:
+    """Print what was found, and write it as JSON if that is wanted: the content, which is the rows if not given."""
+    if json_file is not None:
+        outputs.write_json(json_file, "--json", {"model": str(out)} | (rows if content is None else content))
+    for name, value in (rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}).items():
         typer.echo(f"{name.replace('_', ' '):16}{value}")
 
 

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import outputs
+from services.cli.adding import back, versions
 from services.cli.grouping import STYLE
 from services.cli.progress import Bars
 from services.experiments.showing.summary import lines
@@ -24,7 +25,18 @@ app = typer.Typer(help=f"Look at what was learned.\n\n{_EXAMPLE}", **STYLE)
 
 @app.callback(help=f"Look at what was learned.\n\n{_EXAMPLE}")
 def model_commands() -> None:
-    """Keep `show` a command of its own, though it is the only one."""
+    """Go to one of the commands."""
+
+
+@app.command("back")
+def go_back(
+    file: Annotated[Path, Argument(metavar="MODEL", help="Model file that `smal learn --add` changed.")],
+) -> None:
+    """Put the version of a model in its place that it had before it last learned from runs.
+
+    Example: smal model back campus.smal
+    """
+    typer.echo(f"{file}: is again what it was as {back(file)}; {len(versions(file))} earlier versions are left")
 
 
 @app.command("show")

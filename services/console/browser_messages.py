@@ -100,6 +100,14 @@ class Learn(Asked):
     scheme: Scheme = "filter"
 
 
+class Add(Asked):
+    """Have a model learn from runs of the robot's own, by their names (`smal learn --add`)."""
+
+    do: Literal["add"]
+    model: FileName
+    recordings: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
+
+
 class Delete(Asked):
     """Delete a recording, by its name."""
 
@@ -107,7 +115,7 @@ class Delete(Asked):
     recording: str
 
 
-Ask = Press | End | Drive | Run | Learn | Delete
+Ask = Press | End | Drive | Run | Learn | Add | Delete
 OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
 OF_DRIVER: TypeAdapter[Hold | Leave | Stop | Ask] = TypeAdapter(
     Annotated[Hold | Leave | Stop | Ask, Field(discriminator="do")]

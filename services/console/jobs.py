@@ -47,6 +47,8 @@ class Job:
     hidden: str
     """How the command names what it reads; on the page, where a path means nothing, that is ``called`` otherwise."""
     called: str = ""
+    renews: bool = False
+    """Whether it is there already."""
     reads: IO[bytes] | None = None
     """The open file that the command reads, where it has no name."""
 
@@ -92,7 +94,7 @@ class Jobs:
         """Begin a job; ServiceError when another is at work, or what it makes is there already."""
         if self.running:
             raise ServiceError("something else is being made; wait, or cancel that first")
-        if job.out.exists():
+        if job.out.exists() and not job.renews:
             raise ServiceError(f"there is a {job.kind} {job.name} already; choose another name")
         job.out.parent.mkdir(exist_ok=True)
         process = subprocess.Popen(  # noqa: S603 - our own command; the paths are of listed files

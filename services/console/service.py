@@ -16,7 +16,7 @@ from schemas.action import Action
 from schemas.base import Atom
 from schemas.codec import printable
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.browser_messages import LATE, Ask, Delete, Drive, End, Learn, Press, Run
+from services.console.browser_messages import LATE, Add, Ask, Delete, Drive, End, Learn, Press, Run
 from services.console.jobs import Job, Jobs
 from services.console.learned import Learned
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
@@ -154,7 +154,7 @@ class ConsoleService:
                 self._drive(ask)
             case Run():
                 self._run(ask)
-            case Learn():
+            case Learn() | Add():
                 self._learn(ask)
             case Delete():
                 self.library.delete(ask.recording)
@@ -249,21 +249,32 @@ class ConsoleService:
         for service in _CHAIN:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
 
-    def _learn(self, ask: Learn) -> None:
+    def _learn(self, ask: Learn | Add) -> None:
         recordings = [one for name in ask.recordings if (one := self.library.recording(name)) and not one.useless]
         if len(recordings) != len(ask.recordings):
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
+        if isinstance(ask, Add):
+            model = self.library.model(ask.model)
+            if model is None or model.useless:
+                raise ServiceError(f"{ask.model}: {'no such model' if model is None else model.useless}")
+            name, how, out = Path(model.name).stem, ("--add",), self.library.path(model.name)
+            doing, done = f"Learning more for {name}", f"{name} has looked at these runs."
+        else:
+            name, out = ask.name, below(self.library.root, f"{MODELS}/{ask.name}.smal")
+            doing, done = f"Learning {name}", f"{name} is learned: run it."
+            # Whoever chooses a run of the robot's own wants it to teach.
+            runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
+            how = ("--scheme", ask.scheme, *runs)
         paths = (str(self.library.path(one.name)) for one in recordings)
-        # Whoever chooses a run of the robot's own wants it to teach.
-        runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
         job = Job(
             "model",
-            ask.name,
-            doing=f"Learning {ask.name}",
-            done=f"{ask.name} is learned: run it.",
-            arguments=("learn", *paths, "--scheme", ask.scheme, "--progress", *runs),
-            out=below(self.library.root, f"{MODELS}/{ask.name}.smal"),
+            name,
+            doing=doing,
+            done=done,
+            arguments=("learn", *paths, "--progress", *how),
+            out=out,
             hidden=f"{self.library.root}/",
+            renews=isinstance(ask, Add),
         )
         self._jobs.begin(job)
 

@@ -16,6 +16,7 @@ from smal.demonstration import GOAL_NAME
 from smal.files.stored import Content
 from smal.likelihood import GRID, SHARES
 from smal.movement import Atom
+from smal.settings import SETTINGS
 
 if TYPE_CHECKING:
     from smal.model import VisualMap
@@ -31,9 +32,9 @@ _NUMBERS: dict[str, Callable[[float], bool]] = {
 #: Axes of its arrays.
 _AXES = {
     "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1,
-    "log_ratio": 2, "stitched": 2, "stitch_offsets": 2,
+    "log_ratio": 2, "stitched": 2, "stitch_offsets": 2, "looks": 1,
 }  # fmt: skip
-_WHOLE = ("drives", "keyframes", "views", "stitched")
+_WHOLE = ("drives", "keyframes", "views", "stitched", "looks")
 
 
 def check_map(one: "VisualMap") -> None:
@@ -69,7 +70,8 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         and _within(keys, frames)
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
-        "views": one.views.dtype == np.int8 and one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
+        "views": one.views.dtype == np.int8
+        and one.views.shape == (count + len(one.looks), 3, TURNS_DEG.size, one.basis.shape[1]),
         "blank": one.blank.shape == (one.basis.shape[1],) and float(np.linalg.norm(one.blank)) < 1.01,
         "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
         "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.log_ratio) < 100.0).all()),
@@ -80,6 +82,7 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "stitched": one.stitched.shape == (joined, 2)
         and _within(one.stitched, count)
         and len(np.unique(one.stitched, axis=0)) == joined,
+        "looks": _within(one.looks, count) and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
         "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
     }
 
@@ -92,7 +95,11 @@ def content_of_map(one: "VisualMap") -> Content:
     """Return what the file says of a map, and the arrays in it."""
     each = {part.name: getattr(one, part.name) for part in fields(one)}
     arrays = {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
-    return {name: value for name, value in each.items() if name not in arrays}, arrays
+    numbers = {name: value for name, value in each.items() if name not in arrays}
+    if not len(one.looks):
+        # As from before there were any, so that programs of then read it.
+        del arrays["looks"]
+    return numbers, arrays
 
 
 def parts_of_map(numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -213,6 +213,8 @@ def test_the_content_makes_the_map_again() -> None:
         ("goals", lambda _: ("victim", "victim"), "goals"),
         ("stitched", lambda _: np.array([[0, 10**6]], dtype=np.int32), "stitched"),
         ("stitched", lambda _: np.array([[0, 1], [0, 1]], dtype=np.int32), "stitched"),
+        ("looks", lambda _: np.array([10**6], dtype=np.int32), "looks"),
+        ("looks", lambda _: np.zeros(4, dtype=np.int32), "looks"),
     ],
 )
 def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: str) -> None:

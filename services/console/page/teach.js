@@ -15,6 +15,7 @@ export function wireTeaching(ask) {
   send($("#drive-form"), ({ goal, name }) => begin({ do: "drive", goal: goal.trim(), name: plain(name) }));
   send(learn, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
   send(run, ({ goal = null, seed, ...what }) => begin({ do: "run", goal, seed: Number(seed), ...chosenVictim(), ...what }));
+  $("#learn-today").onclick = () => ask({ do: "add", model: chosenModel().name, recordings: runsOfToday() });
   $("#cancel").onclick = () => ask({ do: "cancel" });
   list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
   list.onclick = ({ target }) => {
@@ -69,8 +70,19 @@ export function drawLibrary(now) {
 
 const chosenModel = () => library.models.find(({ name }) => name === run.elements.model.value);
 
-/** Say where the chosen model was taught, unless that is where the run will be. */
+/** Runs of today that found their goal where the chosen model was taught: it may learn more from two of them. */
+function runsOfToday() {
+  const { goals = [], worlds = [] } = chosenModel() ?? {}, midnight_s = new Date().setHours(0, 0, 0, 0) / 1000;
+  const good = ({ purpose, outcome, useless, when_s, goal, world: where }) =>
+    purpose === "run" && outcome === "found" && !useless && when_s >= midnight_s && goals.includes(goal) && worlds.includes(where);
+  return library.recordings.filter(good).map(({ name }) => name);
+}
+
+/** Say where the chosen model was taught, unless that is where the run will be, and offer what it may learn from. */
 function warn() {
+  const today = runsOfToday().length, more = $("#learn-today");
+  more.hidden = today < 2;
+  say(more, `Learn from today's ${today} runs`);
   const { name = "", worlds = [] } = chosenModel() ?? {}, there = worldOf(world);
   const known = !there || worlds.length === 0 || worlds.includes(there);
   const taught = `${short(name)} was taught in ${worlds.join(" and ")}`;

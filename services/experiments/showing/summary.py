@@ -88,6 +88,7 @@ def _of_map(model: Model) -> dict[str, str]:
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
         "map": f"{len(taught.keyframes)} keyframes of {len(taught.goals)} drives, {taught.basis.shape[1]} components a "
         f"view, {taught.views.nbytes / 1e6:.1f} MB, {len(taught.stitched)} joints; a frame each {taught.tick_s:g} s",
+        "further looks": f"{len(taught.looks)}, learned from runs",
         "odometry": "yes, in metres" if taught.odometry else "none: goes by what atoms usually do",
         "camera": f"{across:.0f} degrees wide{where}",
         "drives": f"{len(taught.goals)}, {len(taught.poses)} frames",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,6 +104,24 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
     page.click("#learn-form button")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "learn"), None))
     assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
+
+
+def test_a_model_learns_more_from_the_runs_of_today(page: Page, nobody: Nobody, board: Board) -> None:
+    now = {"when_s": time.time(), "purpose": "run"}
+    runs = [recording(name) | now for name in ("a", "b")]
+    others = [recording("before") | {"purpose": "run"}, recording("timed-out") | now | {"outcome": "timeout"}]
+    elsewhere = [recording("elsewhere") | now | {"world": "campus"}, recording("drive") | now | {"purpose": "drive"}]
+    models = [{"name": "models/way.smal", "goals": ["victim"], "worlds": ["yard"], "useless": ""}]
+    board.put("library", {"folder": "drives", "models": models, "recordings": [runs[0], *others, *elsewhere]})
+    page.wait_for_selector("#recordings input")
+    assert page.is_hidden("#learn-today")
+    board.put("library", {"folder": "drives", "models": models, "recordings": [*runs, *others, *elsewhere]})
+    page.wait_for_selector("#learn-today:visible")
+    assert page.inner_text("#learn-today") == "Learn from today's 2 runs"
+    page.click("#seat")
+    page.click("#learn-today")
+    ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "add"), None))
+    assert (ask.model, ask.recordings) == ("models/way.smal", ("drives/a.mcap", "drives/b.mcap"))
 
 
 def recording(name: str) -> dict[str, object]:

@@ -1,0 +1,93 @@
+"""``smal learn --add``: a model learns from its own runs; versions of it are kept, and `smal model back` goes back."""
+
+import shutil
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from services.cli.outputs import writing
+from services.kit.errors import JobError, UsageError
+from services.kit.model_service import load_model
+from services.recordings.dataset import Teacher
+from smal.files.container import ModelError
+from smal.living import Verdict, lived, whole_runs
+from smal.model import Model
+
+#: Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
+_KEPT: Final = 10
+
+
+def versions(path: Path) -> list[Path]:
+    """Return the earlier versions of a model, the oldest first."""
+    found = [one for one in path.parent.glob(f"{path.name}.*") if one.name[len(path.name) + 1 :].isdecimal()]
+    return sorted(found, key=lambda one: int(one.name.rpartition(".")[2]))
+
+
+def keep(path: Path) -> Path:
+    """Copy a model to a version of its own, and delete the oldest of too many."""
+    before = versions(path)
+    number = int(before[-1].name.rpartition(".")[2]) + 1 if before else 1
+    kept = path.with_name(f"{path.name}.{number}")
+    with writing(kept, "--out") as file, path.open("rb") as old:
+        shutil.copyfileobj(old, file)
+    for one in before[: max(len(before) + 1 - _KEPT, 0)]:
+        one.unlink()
+    return kept
+
+
+def back(path: Path) -> Path:
+    """Put the newest earlier version in the place of a model; return which that was."""
+    before = versions(path)
+    if not before:
+        raise UsageError(f"{path}: no earlier version lies beside it")
+    before[-1].replace(path)
+    return before[-1]
+
+
+def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]) -> dict[str, Any]:
+    """Have the model at a path learn from runs; return what is said of that."""
+    try:
+        model = load_model(path)
+    except ModelError as error:
+        raise UsageError(f"--out {error}; with --add it is the model that learns more") from None
+    if not isinstance(model, Model):
+        raise UsageError(f"--out {path}: a model of the paper's scheme does not learn from runs")
+    teacher = Teacher(model.feature_settings, 2, include_runs=True)
+    for number, file in enumerate(files):
+        bar("reading", number, len(files))
+        teacher.read(file)
+    bar("reading", len(files), len(files))
+    for remark in teacher.teaching.remarks:
+        sys.stderr.write(f"smal: {remark}\n")
+    runs = whole_runs(teacher.teaching.demonstrations)
+    try:
+        new, verdict = lived(model, runs, partial(bar, "following"))
+    except ValueError as error:
+        raise JobError(f"cannot learn from these runs: {error}") from None
+    found: dict[str, Any] = {"runs": len(runs), "judged_by": len(runs[1::2])}
+    if new is not model:
+        found["before"] = str(keep(path))
+        try:
+            new.save(path)
+        except ModelError as error:
+            raise JobError(str(error)) from None
+    sys.stderr.write(f"smal: {_words(verdict)}\n")
+    return found | {
+        "looks": len(new.mapped.looks),
+        "gain": verdict.gain,
+        "least_gain": verdict.least if verdict.stretches > 1 else None,
+        "false_goals": verdict.false_goals,
+        "taken": verdict.better,
+    }
+
+
+def _words(verdict: Verdict) -> str:
+    if not verdict.stretches:
+        return "no view surprised where the place was sure: the map stays as it was"
+    told = f"{verdict.gain:+.2f} of evidence a frame, at least {verdict.least:+.2f}, over {verdict.stretches} stretches"
+    if verdict.better:
+        return f"the map has more looks now: {told}"
+    wrong = f", and it would say {verdict.false_goals} times too early that it has arrived" * (verdict.false_goals > 0)
+    return f"the map stays as it was, since the other runs do not show that more looks do no harm: {told}{wrong}"

@@ -1,0 +1,92 @@
+"""``smal learn --add`` and ``smal model back``: a model learns from its runs, and may go back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.compressed_image import CompressedImage
+from schemas.odometry import Odometry
+from services.cli.adding import keep, versions
+from services.kit.jpeg import encode_jpeg
+from smal.model import Model
+from tests import corridor
+from tests.services.cli.conftest import Mistake, Smal
+from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.test_recorder_files import record
+
+
+def run(name: str, new: float) -> Iterator[Message]:
+    """Give a run along the corridor, so much of whose paint is another one."""
+    yield event(name, 0, "started", purpose="run")
+    size = {"width": corridor.WIDTH, "height": corridor.HEIGHT}
+    centre = {"centre_x_px": corridor.WIDTH / 2, "centre_y_px": corridor.HEIGHT / 2}
+    yield CameraInfo.after(header(name, 0), focal_px=0.7 * corridor.WIDTH, **size, **centre)
+    for frame in range(corridor.FRAMES):
+        cause, (x_m, y_m, heading_rad) = header(name, frame), corridor.pose(frame)
+        pixels = (1.0 - new) * corridor.view(x_m, y_m, heading_rad) + new * corridor.view(x_m + 5.0, y_m, heading_rad)
+        yield CompressedImage.after(cause, data=encode_jpeg(pixels.astype(np.uint8)), **size)
+        yield Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
+        yield applied(name, frame, atom="forward")
+    yield event(name, corridor.FRAMES - 1, "ended", "found", purpose="run")
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for number in range(4):
+        record(folder, list(run(f"run-{number}", 0.6)))
+    return folder
+
+
+def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal: Smal) -> None:
+    file, report = corridor.save_model(tmp_path / "way.smal"), tmp_path / "report.json"
+    before = file.read_bytes()
+    status, out, err = smal("learn", runs, "--add", "--out", file, "--json", report)
+    assert status == 0, err
+    assert "the map has more looks now" in err
+    said = json.loads(report.read_text())
+    assert (said["taken"], said["runs"], said["judged_by"]) == (True, 4, 2)
+    assert len(Model.load(file).mapped.looks) == said["looks"] > 0
+    assert [one.read_bytes() for one in versions(file)] == [before]
+    status, out, _ = smal("model", "back", file)
+    assert (status, file.read_bytes()) == (0, before)
+    assert "0 earlier versions are left" in out
+
+
+def test_a_model_that_nothing_surprised_stays(tmp_path: Path, smal: Smal) -> None:
+    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
+    folder.mkdir()
+    for number in range(2):
+        record(folder, list(run(f"run-{number}", 0.0)))
+    before = file.read_bytes()
+    status, _, err = smal("learn", folder, "--add", "--out", file)
+    assert (status, "no view surprised" in err) == (0, True)
+    assert (file.read_bytes(), versions(file)) == (before, [])
+
+
+def test_ten_versions_are_kept(tmp_path: Path) -> None:
+    file = tmp_path / "way.smal"
+    for number in range(1, 13):
+        file.write_text(str(number))
+        assert keep(file).name == f"way.smal.{number}"
+    assert [one.read_text() for one in versions(file)] == [str(number) for number in range(3, 13)]
+
+
+def test_what_cannot_learn_more_is_named(runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake) -> None:
+    assert "it is the model that learns more" in mistake(2, "learn", runs, "--add", "--out", tmp_path / "none.smal")
+    file = corridor.save_model(tmp_path / "way.smal")
+    one = next(iter(runs.iterdir()))
+    status, out, err = smal("learn", one, "--add", "--out", file)
+    assert (status, out, "two runs or more" in err.splitlines()[-1]) == (1, "", True)
+    assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
+    corridor.paper_model().save(file)
+    assert "does not learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)
+    assert "no earlier version" in mistake(2, "model", "back", file)

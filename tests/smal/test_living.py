@@ -1,0 +1,116 @@
+"""A map that learns from runs on other days, and keeps what was taught."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal.demonstration import Demonstration
+from smal.features import extract
+from smal.filter import Filter
+from smal.living import compared, lived, taken_up, whole_runs
+from smal.model import Model, VisualMap
+from smal.settings import SETTINGS
+from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
+
+
+@cache
+def model() -> Model:
+    mapped, centering = usual_map()
+    return Model(centering, mapped)
+
+
+def look(pose: NDArray[np.float64], paint: int, new: float) -> Image:
+    """Return what a camera sees on a day on which so much of the room's paint is another one."""
+    old, other = Room().look(pose).astype(np.float32), Room(paint).look(pose)
+    return np.asarray(np.rint((1.0 - new) * old + new * other), dtype=np.uint8)
+
+
+@cache
+def run(paint: int, new: float, aside: float = 0.05) -> Demonstration:
+    """Drive the taught way a little beside it, on another day."""
+    way: Drive = drive((START[0], START[1] + aside, START[2]), speed=2.0)
+    images = [look(pose, paint, new) for pose in way.poses]
+    return Demonstration(
+        f"run-{paint}-{new}-{aside}",
+        np.stack([extract(image, COLOR) for image in images]),
+        way.atoms,
+        images=images,
+        odometry=way.poses,
+        camera=CAMERA,
+    )
+
+
+def looks_of(mapped: VisualMap) -> int:
+    return int(np.bincount(mapped.looks, minlength=1).max())
+
+
+def test_places_that_look_otherwise_get_a_look_with_which_that_day_is_likelier() -> None:
+    grown = taken_up(model(), [run(7, 0.6)])
+    taught = model().mapped
+    count = len(taught.keyframes)
+    assert 0 < len(grown.mapped.looks) <= count
+    assert looks_of(grown.mapped) == 1
+    np.testing.assert_array_equal(grown.mapped.views[:count], taught.views)
+    that_day = compared(model(), grown, [run(7, 0.6, -0.05)])
+    assert that_day.gain > 0.05
+    assert that_day.better
+    assert not compared(grown, model(), [run(7, 0.6, -0.05)]).better
+    assert compared(model(), grown, [run(0, 0.0)]).better
+
+
+def test_the_taught_day_teaches_nothing_new() -> None:
+    assert taken_up(model(), [run(0, 0.0)]) is model()
+    unchanged, verdict = lived(model(), [run(0, 0.0), run(0, 0.0, -0.05)])
+    assert unchanged is model()
+    assert not verdict.better
+
+
+def test_the_other_half_of_the_runs_decides() -> None:
+    better, verdict = lived(model(), [run(7, 0.6), run(7, 0.6, -0.05)])
+    assert verdict.better
+    assert len(better.mapped.looks) > 0
+    with pytest.raises(ValueError, match="two runs or more"):
+        lived(model(), [run(7, 0.6)])
+
+
+def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smal.living.SETTINGS", replace(SETTINGS, looks=2))
+    taught, once = model().mapped, taken_up(model(), [run(7, 0.6)]).mapped
+    twice = taken_up(Model(model().centering, once), [run(8, 0.6)]).mapped
+    assert looks_of(twice) == 1
+    assert len(twice.looks) >= len(once.looks)
+    np.testing.assert_array_equal(twice.views[: len(taught.keyframes)], taught.views)
+    # What explains nothing of that day goes: at least one place looks like it now.
+    rows = len(taught.keyframes)
+    assert not np.isin(twice.views[rows:].sum(axis=(1, 2, 3)), once.views[rows:].sum(axis=(1, 2, 3))).all()
+
+
+def test_what_was_not_reached_or_has_no_images_teaches_nothing() -> None:
+    assert whole_runs([replace(run(7, 0.6), successful=False)]) == []
+    assert taken_up(model(), [replace(run(7, 0.6), camera=None)]) is model()
+
+
+def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
+    taught = model().mapped
+    keys = np.arange(0, len(taught.keyframes), 3, dtype=np.int32)
+    twice = replace(taught, views=np.concatenate([taught.views, taught.views[keys]]), looks=keys)
+    one, other = Filter(taught, model().centering), Filter(twice, model().centering)
+    for raw in run(0, 0.0).features[:20]:
+        before, after = one.observe(raw), other.observe(raw)
+        np.testing.assert_allclose(after.weights, before.weights, atol=1e-9)
+        assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
+
+
+def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    taught = model().mapped
+    middle = SETTINGS.views_a_length // 2
+    keys = np.arange(middle, len(taught.keyframes), SETTINGS.views_a_length, dtype=np.int32)
+    # The looks of each place are what was taught of the next one.
+    twice = replace(taught, views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]), looks=keys)
+    monkeypatch.setattr("smal.model.SETTINGS", replace(SETTINGS, looked_at=SETTINGS.views_a_length))
+    view = twice.sample[0] * 0.0 + np.asarray(twice.views[keys[1], 1, 8], dtype=np.float32)
+    found = {int(one) for one in twice.likely(view / np.linalg.norm(view))[0]}
+    assert {int(keys[0]), int(keys[1])} & found
