@@ -33,7 +33,8 @@ class State(Message):
     By the filter it is a belief over places; by the paper's scheme the learned state of Eq. 9.
     """
 
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
+    reads: ClassVar[tuple[int, ...]] = (4,)
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
@@ -49,6 +50,8 @@ class State(Message):
     """Mean cosine between the view and those of the places; of the filter."""
     tracked_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Way that the robot was followed for without a jump; of the filter."""
+    seen: Annotated[float | None, Field(ge=0, le=1)] = None
+    """Probability that what is sought is in view; none where nothing is known of it; of the filter."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized by the paper's scheme."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -70,6 +73,7 @@ class State(Message):
         keyframes: NDArray[np.intp],
         offsets: NDArray[np.float64],
         weights: NDArray[np.float64],
+        seen: float | None = None,
         **of_all: float,
     ) -> Self:
         """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
@@ -84,7 +88,7 @@ class State(Message):
         )
         lost = min(of_all.pop("lost"), 1.0)
         status = "unknown" if lost > 0.5 else "recognized"
-        return cls.after(observation, status=status, model=model, places=places, lost=lost, **of_all)
+        return cls.after(observation, status=status, model=model, places=places, lost=lost, seen=seen, **of_all)
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
         """Return what `of_belief` was given: keyframes (p,), offsets (p, 3) and weights (p,)."""

@@ -26,8 +26,10 @@ from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.demonstration import USUAL_GOAL, Chain, Demonstration, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.extraction import in_parallel
+from smal.features.picture import small
 from smal.model import Model, VisualMap, evenly, packed, unit
 from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
+from smal.seen import Sight, Taught, learn_sight
 from smal.settings import SETTINGS
 from smal.stitches import stitched
 
@@ -87,7 +89,7 @@ def learn(
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
     )
-    return Model(centering, stitched(visual_map))
+    return Model(centering, stitched(visual_map), _sights(frames.images, visual_map))
 
 
 def fit(
@@ -181,6 +183,24 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
     if any(map(len, told)):
         return float(np.median(np.concatenate(told)))
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
+
+
+def _sights(images: Sequence[Image], mapped: VisualMap) -> dict[str, Sight]:
+    """Learn what is sought at each goal, of the goals where anything stands out."""
+    keys, of = mapped.keyframes, mapped.key_drives
+    pictures = list(in_parallel(lambda frame: small(images[frame]), keys.tolist()))
+    ends = np.searchsorted(of, of, side="right") - 1
+    left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
+    drives = [np.flatnonzero(of == drive).tolist() for drive in range(len(mapped.goals))]
+    found = {}
+    for goal in sorted(set(mapped.goals)):
+        taught = [
+            Taught([pictures[k] for k in one], left_s[one], ends=mapped.goals[drive] == goal)
+            for drive, one in enumerate(drives)
+        ]
+        if (sight := learn_sight(taught)) is not None:
+            found[goal] = sight
+    return found
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:

@@ -8,7 +8,7 @@ time. `smal.mapping` makes the map of drives.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -22,6 +22,7 @@ from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood
 from smal.movement import Atom, Movement, leads_on
+from smal.seen import Sight, content_of_sights, sights_of_content
 from smal.settings import SETTINGS
 
 _T = TypeVar("_T", bound=np.floating[Any])
@@ -240,6 +241,8 @@ class Model(Stored):
 
     centering: Centering
     mapped: VisualMap
+    sights: Mapping[str, Sight] = field(default_factory=dict)
+    """What is sought at each goal; of one that has none, a robot that has arrived says that it has found it."""
 
     def __post_init__(self) -> None:
         if len(self.mapped.basis) != self.feature_settings.size:
@@ -267,13 +270,16 @@ class Model(Stored):
     def content(self) -> Content:
         """Return what its file says of it, and the arrays in it."""
         numbers, arrays = content_of_map(self.mapped)
-        return of_features(self.feature_settings) | {"map": numbers}, arrays | {"mean": self.centering.mean}
+        sights, cells = content_of_sights(self.sights)
+        meta = of_features(self.feature_settings) | {"map": numbers, "sights": sights}
+        return meta, arrays | cells | {"mean": self.centering.mean}
 
     @classmethod
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
         """Make it of what a file says."""
         mean = arrays.pop("mean")
-        return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)))
+        sights = sights_of_content(meta.get("sights", []), arrays)
+        return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights)
 
 
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ Cassandra and Kaelbling 1995). If these directions disagree, or the robot is los
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -21,8 +21,9 @@ from smal.filter import Belief
 from smal.model import VisualMap
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
+from smal.stitches import in_common_axes
 
-Kind = Literal["follow", "look_around", "guess", "dead_end", "goal"]
+Kind = Literal["follow", "look_around", "guess", "dead_end", "goal", "search"]
 Said = Literal["found", "not_here"]
 _SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 
@@ -35,7 +36,8 @@ class Decision:
     ----------
     kind : str
         "follow": along the taught way; "look_around": turn, since places disagree; "guess": drive all the same, since
-        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "goal": stop, arrived.
+        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "search": arrived, and turn
+        to see what is sought; "goal": stop, having said that it is found, or not here.
     atom : Atom
     heading_error_rad : float
         Mean direction to aim at less the heading.
@@ -56,18 +58,22 @@ def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
     return known[0] if goal is None else goal
 
 
-def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def cost_to_go(
+    visual_map: VisualMap, goal: str, tried: Iterable[int] = ()
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Return the seconds to the goal from every keyframe (k,), and the keyframe to go to next (k,).
 
-    The goal is the end of each drive that leads there. Going over to another drive costs the time for the turn and the
-    way between the two, and `Settings.go_over_s`. The robot changes drives at the first place from which the goal is
-    nearer by the other: at the last one it would be torn between both. The cost to go falls with every step, so that
-    nobody goes in circles. Where no way leads to the goal it is infinite; there, and at goals, nothing is next (-1).
+    The goal is the end of each drive that leads there, but of those drives whose end was tried. Going over to another
+    drive costs the time for the turn and the way between the two, and `Settings.go_over_s`. The robot changes drives at
+    the first place from which the goal is nearer by the other: at the last one it would be torn between both. The cost
+    to go falls with every step, so that nobody goes in circles. Where no way leads to the goal it is infinite; there,
+    and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
     of = visual_map.key_drives
     on = np.flatnonzero(of[:-1] == of[1:])
-    goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & (visual_map.key_goals == goal))
+    leads = (visual_map.key_goals == goal) & ~np.isin(of, [*tried])
+    goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & leads)
     source, target = visual_map.stitched.T
     steps = np.diff([visual_map.arc[visual_map.keyframes], np.unwrap(visual_map.key_poses[:, 2])])[:, on]
     aside, turned = visual_map.stitch_offsets[:, :2], visual_map.stitch_offsets[:, 2]
@@ -99,15 +105,23 @@ class Planner:
 
     def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
         self._map = visual_map
-        goal = chosen_goal(visual_map.goals, goal)
+        self._goal = chosen_goal(visual_map.goals, goal)
         # Turning begins where an atom of it makes the direction better, and ends where another one would not.
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
-        self._to_go_s, following = cost_to_go(visual_map, goal)
-        self._guide, self._offset = self._guides(following)
-        self._leads = visual_map.key_goals[self._guide] == goal
+        self._tried = frozenset[int]({-1})
         self.reset()
+
+    def _plan(self, tried: frozenset[int]) -> None:
+        """Plan the ways to all ends but those that were tried, by their drives."""
+        if tried == self._tried:
+            return
+        self._tried = tried
+        self._to_go_s, following = cost_to_go(self._map, self._goal, tried)
+        self._guide, self._offset = self._guides(following)
+        of = self._map.key_drives[self._guide]
+        self._leads = (self._map.key_goals[self._guide] == self._goal) & ~np.isin(of, [*tried])
 
     def _guides(self, following: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return for each keyframe the one whose drive is to be followed there, and its own offset from that one."""
@@ -124,7 +138,10 @@ class Planner:
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
-        self._looked_rad = self._guessed_s = self._driven = 0.0
+        self._looked_rad = self._guessed_s = self._driven = self._searched_s = 0.0
+        self._plan(frozenset())
+        #: Whether it takes itself to be where it was taught that the goal is.
+        self.arrived = False
         self.said: Said | None = None
 
     @property
@@ -132,11 +149,14 @@ class Planner:
         """Whether it has said something."""
         return self.said is not None
 
-    def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:
+    def decide(
+        self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0, seen: float | None = None
+    ) -> Decision:
         """Say what to do until the next frame.
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
-        what is decided moves the robot, which until then goes on turning, if it turns.
+        what is decided moves the robot, which until then goes on turning, if it turns. `seen` is how probable it is
+        that what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         directions, left_to_go, to_end = self._directions(belief)
@@ -156,12 +176,15 @@ class Planner:
         at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
-        if ended and sure and (tracked or looked):
-            self.said = "found"
+        self.arrived = self.arrived or (ended and sure and (tracked or looked))
+        if self.arrived and self.said is None:
+            self._search(belief, elapsed_s, seen)
 
         kind: Kind
         if self.said is not None:
             kind = "goal"
+        elif self.arrived:
+            kind = "search"
         elif clear and (looked or not ended):
             kind = "follow"
         elif not looked:
@@ -172,6 +195,30 @@ class Planner:
         to_turn_rad = error_rad - pending_rad * _SIDES[self._turning]
         return Decision(kind, self._atom(kind, to_turn_rad, elapsed_s), error_rad)
 
+    def _search(self, belief: Belief, elapsed_s: float, seen: float | None) -> None:
+        """Say "found" if what is sought is in view; having looked all around go to another end, or say "not here"."""
+        if seen is None or seen > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen):
+            self.said = "found"
+            return
+        self._searched_s += elapsed_s
+        around_s = math.radians(SETTINGS.search_deg) / self._turn_rad * self._map.tick_s
+        # One that turns ahead would leave the place.
+        if self._searched_s < (SETTINGS.stands_s if Atom.LEFT in self._going else around_s):
+            return
+        self._plan(self._tried | self._ends_here(belief))
+        self.arrived, self._searched_s = False, 0.0
+        if not np.isfinite(self._to_go_s[belief.keyframes]).any():
+            self.said = "not_here"
+
+    def _ends_here(self, belief: Belief) -> frozenset[int]:
+        """Return the drives that end where the robot is, and beside it."""
+        taught, poses = self._map, in_common_axes(self._map)
+        here = int(taught.key_drives[self._guide[belief.keyframes[belief.weights.argmax()]]])
+        last = np.unique(taught.key_range[1])
+        away = np.hypot(*(poses[last] - poses[last[taught.key_drives[last] == here]])[:, :2].T)
+        near = away < 2.0 * SETTINGS.goal_s * taught.speed
+        return frozenset(taught.key_drives[last[near]].tolist()) | {here}
+
     def _atom(self, kind: Kind, to_turn_rad: float, elapsed_s: float) -> Atom:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
         if kind != "follow":
@@ -179,6 +226,9 @@ class Planner:
         if kind in ("goal", "dead_end"):
             self._turning = None
             return Atom.STOP
+        if kind == "search":
+            self._turning = None if Atom.LEFT in self._going else Atom.LEFT
+            return self._turning or Atom.STOP
         if kind == "look_around":
             return self._look(to_turn_rad, elapsed_s)
         atom = self._steer(to_turn_rad)

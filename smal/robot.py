@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import extract
+from smal.features.picture import small
 from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
-from smal.planning import Decision, Planner, Said
+from smal.planning import Decision, Planner, Said, chosen_goal
+from smal.seen import Witness
+from smal.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -52,16 +55,37 @@ class Localizer:
         That it goes by.
     """
 
-    def __init__(self, model: Model, seed: int = 0) -> None:
-        self._map = model.mapped
+    def __init__(self, model: Model, seed: int = 0, goal: str | None = None) -> None:
+        self._map = mapped = model.mapped
         self.features = model.feature_settings
-        self._filter = Filter(model.mapped, model.centering, seed)
+        self._filter = Filter(mapped, model.centering, seed)
+        goals = set(mapped.goals)
+        goal = next(iter(goals)) if goal is None and len(goals) == 1 else goal
+        sight = model.sights.get(goal or "")
+        self._witness = None if sight is None else Witness(sight)
+        last = mapped.arc[mapped.keyframes[mapped.key_range[1]]]
+        left = last - mapped.arc[mapped.keyframes]
+        self._near = (mapped.key_goals == goal) & (left <= SETTINGS.approach_s * mapped.speed)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
         self._filter.reset()
         self._pose: Sequence[float] | None = None
+        if self._witness is not None:
+            self._witness.reset()
+
+    def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float | None:
+        """Return how probable it is that what is sought is in view; None where nothing is known of it.
+
+        `picture` is `smal.features.picture.small` of the frame. Far from where it was taught to be, nobody looks.
+        """
+        if self._witness is None or picture is None:
+            return None
+        if float(belief.weights @ self._near[belief.keyframes]) < 0.5:
+            self._witness.reset()
+            return 0.0
+        return self._witness.look(picture)
 
     def observe(
         self,
@@ -134,7 +158,8 @@ class Robot:
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
         self._map = model.mapped
-        self._localizer, self._planner = Localizer(model, seed), Planner(model.mapped, goal)
+        goal = chosen_goal(model.mapped.goals, goal)
+        self._localizer, self._planner = Localizer(model, seed, goal), Planner(model.mapped, goal)
         self.reset()
 
     def reset(self) -> None:
@@ -164,7 +189,8 @@ class Robot:
         """
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
-        self.decision = self._planner.decide(self.belief.summary(), elapsed_s)
+        seen = self._localizer.seen(small(image), self.belief)
+        self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen)
         self._atom = self.decision.atom
         return self._atom
 

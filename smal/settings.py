@@ -135,6 +135,35 @@ class Settings:
     tracked: float = 2.0
     goal_s: float = 1.25
 
+    # -- what is sought (`smal.seen`)
+    #: Time of driving before the end of a drive in which what it ends before may be seen well; and within which views
+    #: show the same things.
+    approach_s: float = 4.0
+    beside_s: float = 3.0
+    #: Views of the way that explain others.
+    explaining: int = 60
+    #: Shares of the cells of the way that are nearer to the rest of it: what is less near stands out; is not alike.
+    stands_out: float = 0.98
+    far: float = 0.999
+    #: Share of how far a cell is from the way within which it is like what is followed.
+    like: float = 0.7
+    #: Windows of different sizes.
+    sizes: int = 4
+    #: Contrast of a picture, of 255, with less of which it shows nothing.
+    plain: float = 4.0
+    #: Mean score where it is not in view, as a share of the best one of the approach, at least: round the end there are
+    #: things that the way does not show.
+    least_score: float = 0.025
+    #: Views of half a second say together what one says.
+    views_as_one: int = 5
+    #: Probability that it is in view of a robot that has arrived and looks around; how much worse it is to say wrongly
+    #: that it is there than to look on.
+    in_view: float = 0.2
+    false_seen: float = 40.0
+    #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
+    search_deg: float = 410.0
+    stands_s: float = 1.0
+
     # -- stitches
     #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.
     advance: int = 3

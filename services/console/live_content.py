@@ -65,6 +65,7 @@ class LiveContent:
             status=state.status,
             lost=round(state.lost, 3),
             cosine=round(state.cosine, 3),
+            seen=None if state.seen is None else round(state.seen, 3),
             gap=state.duality_gap,
             state=state.state,
             places=[[place.keyframe, round(place.weight, 3)] for place in state.places] if belief else [],

@@ -13,6 +13,7 @@ from services.kit.node import Detail, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
+from smal.features.picture import small
 
 _log = logging.getLogger("features")
 
@@ -86,6 +87,7 @@ class FeaturesService:
             fingerprint=self._features.fingerprint,
             modalities=self._names,
             features=Float32Array.from_numpy(vector),
+            picture=small(pixels).tobytes(),
         )
 
     def _give_up(self, image: CompressedImage) -> None:

@@ -104,7 +104,7 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
-        decision = self._planner.decide(belief, elapsed_s, delay_s)
+        decision = self._planner.decide(belief, elapsed_s, delay_s, state.seen)
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
         return [
@@ -113,7 +113,7 @@ class _ByFilter:
                 kind=decision.kind,
                 state=known,
                 atoms=(atom,),
-                arrived=self._planner.said is not None,
+                arrived=self._planner.arrived,
                 says=self._planner.said,
             ),
             Command.after(state, source="policy", atom=atom),

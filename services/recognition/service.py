@@ -135,7 +135,8 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 
 class _ByFilter:
     def __init__(self, model: Model, loaded: LoadedModel) -> None:
-        self._identity, self._localizer, self._mapped = loaded.identity, Localizer(model), model.mapped
+        self._identity, self._mapped = loaded.identity, model.mapped
+        self._localizer = Localizer(model, goal=loaded.goal)
         self.by_odometry = self._mapped.odometry
         self.reset()
 
@@ -151,9 +152,12 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
         belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
+        seen = self._localizer.seen(observation.small(), belief)
         told = belief.summary()
         places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
-        return State.of_belief(observation, self._identity, *places, lost=lost, cosine=cosine, tracked_m=told.tracked)
+        return State.of_belief(
+            observation, self._identity, *places, seen=seen, lost=lost, cosine=cosine, tracked_m=told.tracked
+        )
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""

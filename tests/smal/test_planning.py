@@ -107,6 +107,33 @@ def test_at_the_end_it_stops_for_good() -> None:
     assert planner.decide(belief((10, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
 
 
+END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
+
+
+def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> None:
+    planner = Planner(STRAIGHT)
+    decision = planner.decide(END, seen=0.5)
+    assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
+    assert decision.atom is Atom.LEFT
+    assert planner.decide(END, seen=0.99).atom is Atom.STOP
+    assert planner.said == "found"
+
+
+def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
+    planner = Planner(STRAIGHT)
+    turned_rad = 0.0
+    while planner.said is None:
+        assert turned_rad < 8.0, "it never says anything"
+        turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
+            planner.decide(END, seen=0.0).atom, 0.0
+        )
+    assert planner.said == "not_here"
+    assert turned_rad > 2.0 * math.pi
+    planner.reset()
+    assert not planner.arrived
+    assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "follow"
+
+
 @pytest.mark.parametrize(
     ("share", "lost", "tracked"), [(1.0, 0.0, 0.1), (1.0, 0.0, 0.25), (1.0, 0.2, 3.0), (0.8, 0.0, 3.0)]
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smal.features import Centering
-from smal.filter import Filter
+from smal.filter import Belief, Filter
 from smal.model import VisualMap
 from smal.movement import placed, seen_from
 from smal.planning import Planner
@@ -108,3 +108,20 @@ def test_each_goal_is_reached_from_the_start_of_the_other_drive(
     pose = driven(found, planner, Room(), begin.poses[0], 200)
     assert planner.done
     assert math.hypot(*(pose - finish.poses[-1])[:2]) < 0.3
+
+
+def test_where_it_is_not_at_one_taught_end_the_next_one_is_tried() -> None:
+    """Of two drives to one goal, one ends half way along the other."""
+    shorter, longer = drive(START, ((1.8, 0.0),)), drive((START[0], START[1] + 0.12, START[2]), ((3.2, 0.0),))
+    found, _ = taught(Room(), shorter, longer, scene=SCENE)
+    visual_map = stitched(replace(found, goals=("victim", "victim")))
+    planner = Planner(visual_map)
+
+    def at_end(number: int) -> Belief:
+        end = np.flatnonzero(visual_map.key_drives == number)[-1:]
+        return Belief(end, np.zeros((1, 3)), np.ones(1), 0.0, 0.9, 3.0)
+
+    kinds = [planner.decide(at_end(0), seen=0.0).kind for _ in range(150)]
+    assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
+    kinds = [planner.decide(at_end(1), seen=0.0).kind for _ in range(150)]
+    assert (kinds[0], kinds[-1], planner.said) == ("search", "goal", "not_here")

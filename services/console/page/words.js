@@ -11,9 +11,9 @@ export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
 const PLANS = {
-  follow: "follows the taught way", action: "does the action of its state", goal: "has arrived",
+  follow: "follows the taught way", action: "does the action of its state", goal: "has said what it found",
   dead_end: "knows no way on", look_around: "looks around", guess: "drives by its best guess",
-  stop: "stops: it does not know where it is",
+  stop: "stops: it does not know where it is", search: "has arrived, and looks for what it was sent to find",
 };
 const CAUSES = {
   not_armed: "The robot is not armed: a drive or a run arms it",
@@ -87,6 +87,7 @@ export function planFacts(plan, belief, goal) {
     Plan: plan ? PLANS[plan.kind] : "–",
     Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–",
     "To go": belief.cost === undefined ? "–" : cost,
+    Seen: Number.isFinite(belief.seen) ? percent(belief.seen) : "–",
   };
 }
 

@@ -1,0 +1,108 @@
+"""What a drive ends before is told from its absence, and from something else in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from smal import Model, Robot
+from smal.camera import Image
+from smal.features.picture import SHAPE
+from smal.files.container import ModelError
+from smal.seen import Sight, Taught, Witness, learn_sight
+from tests.corridor import model, moved
+from tests.corridor import view as corridor
+
+STEPS, SPEED = 80, 2.5  # Views of the drive, and how many of them a second.
+ORANGE, BLUE, GREY = (230, 110, 30), (40, 70, 150), (120, 130, 110)
+
+
+@cache
+def scenery() -> Image:
+    """Return grey-green land that the way leads along, wide enough for all of it."""
+    coarse = np.random.default_rng(3).integers(60, 180, (12, 60, 1)) + np.array([0, 10, -20])
+    return cv2.resize(np.clip(coarse, 0, 255).astype(np.uint8), (640, 60), interpolation=cv2.INTER_LINEAR)
+
+
+def view(step: float, *colours: tuple[int, int, int], aside: int = 0) -> Image:
+    """Return what is seen after so many steps, with a thing of these colours at the end of the way."""
+    picture = scenery()[:, round(6 * step) : round(6 * step) + SHAPE[1]].copy()
+    size = round(14 * 8 / (STEPS + 7 - step)) if step > STEPS - 16 else 0
+    for number, colour in enumerate(colours):
+        left = SHAPE[1] // 2 + aside + (number - 1) * size
+        picture[40 : 40 + size, left : left + size] = colour
+    return picture
+
+
+def taught(*colours: tuple[int, int, int]) -> Taught:
+    left_s = (STEPS - 1 - np.arange(STEPS)) / SPEED
+    return Taught([view(step, *colours) for step in range(STEPS)], left_s, ends=True)
+
+
+@cache
+def sight() -> Sight:
+    learned = learn_sight([taught(ORANGE, BLUE)])
+    assert learned is not None
+    return learned
+
+
+@pytest.mark.parametrize(("step", "aside"), [(STEPS - 1.4, 0), (STEPS - 2.6, 6), (STEPS - 0.8, -9)])
+def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(step: float, aside: int) -> None:
+    assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)) > 0.99
+    assert Witness(sight()).look(view(step)) < 0.1
+    assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)) < 0.5
+
+
+def test_on_the_way_nothing_is_seen() -> None:
+    assert max(Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)) < 0.5
+
+
+def test_it_is_seen_in_half_the_light() -> None:
+    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, BLUE) // 2) > 0.99
+
+
+def test_a_hidden_view_is_no_evidence() -> None:
+    witness, hidden = Witness(sight()), np.full((*SHAPE, 3), 30, np.uint8)
+    before = witness.look(hidden)
+    assert 0.1 < before < 0.5
+    found = witness.look(view(STEPS - 1.4, ORANGE, BLUE))
+    assert witness.look(hidden) == found > 0.99
+
+
+def test_where_nothing_stands_out_nothing_is_sought() -> None:
+    round_again = [view(step % 40) for step in range(STEPS)]
+    assert learn_sight([Taught(round_again, taught().left_s, ends=True)]) is None
+    assert learn_sight([Taught([view(0)] * 3, np.arange(3.0)[::-1], ends=True)]) is None
+
+
+def test_parts_that_do_not_fit_are_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="do not fit together: windows"):
+        Sight(sight().sought, sight().others, np.array([[0, 99]], np.int32), sight().far, sight().log_ratio)
+
+
+def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_path: Path) -> None:
+    """Of a model without anything to be seen, arrived is what it says; a file keeps what is sought."""
+    for sights, said in (({}, "found"), ({"victim": sight()}, "not_here")):
+        replace(model(), sights=sights).save(tmp_path / "way.smal")
+        robot, here = Robot(Model.load(tmp_path / "way.smal")), (0.1, 0.3, 0.1)
+        for _ in range(250):
+            here = moved(here, robot.step(corridor(*here), here))
+            if robot.done:
+                break
+        assert robot.said == said
+
+
+def test_a_file_whose_sights_do_not_fit_is_refused_in_one_line(tmp_path: Path) -> None:
+    harmed = replace(model(), sights={"victim": sight()})
+    vars(harmed.sights["victim"])["far"] = -1.0
+    try:
+        harmed.save(tmp_path / "way.smal")
+    finally:
+        sight.cache_clear()
+    with pytest.raises(ModelError, match="what is sought do not fit together: far"):
+        Model.load(tmp_path / "way.smal")
