@@ -107,7 +107,8 @@ def match(
     settings = replace(settings, loops=loops is not None)
     precision = _LOOP_PRECISION if loops is not None and precision is None else precision
     if (query is None) != settings.loops:
-        raise UsageError("QUERIES: missing; --loops FILE does without" if query is None else "--loops: has no QUERIES")
+        missing = "QUERIES: missing; --loops FILE does without"
+        raise UsageError(missing if query is None else "--loops: takes no QUERIES")
     read = [one for one in (reference, query, reference_depth, query_depth) if one is not None]
     told = [Path(truth)] if truth else [*(poses or ())]
     files = {"--json": json_file, "--loops": loops, "--page": page, "--plot": plot}

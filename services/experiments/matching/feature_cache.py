@@ -6,10 +6,10 @@ import sqlite3
 import sys
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ def cache_file() -> Path:
 
 class FeatureCache:
     """Finds and keeps features of some settings, in threads; where the file cannot be used it says so and goes on."""
+
+    #: What was said of the file: references and queries have a cache each, and one line is enough.
+    _said: ClassVar[set[str]] = set()
 
     def __init__(self, settings: FeatureSettings) -> None:
         self._settings, self._lock, self._new = settings, Lock(), dict[bytes, Features]()
@@ -90,10 +93,19 @@ class FeatureCache:
         try:
             yield
         except (sqlite3.Error, OSError) as error:
-            damaged = isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError)
-            went_on = "begun anew" if damaged else "features are computed, and not kept"
-            sys.stderr.write(f"smal: cache {cache_file()}: {error}; {went_on}\n")
-            self._file = None
-            if damaged:
-                cache_file().unlink()
-                self._open()
+            self._file, why, went_on = (
+                None,
+                str(error),
+                "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)",
+            )
+            if isinstance(error, OSError):
+                why = error.strerror or why
+            elif isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):
+                with suppress(sqlite3.Error, OSError):
+                    cache_file().unlink()
+                    self._open()
+                    went_on = "begun anew"
+            line = f"smal: cache {cache_file()}: {why}; {went_on}\n"
+            if line not in self._said:
+                self._said.add(line)
+                sys.stderr.write(line)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
@@ -264,8 +266,12 @@ def test_features_are_kept_and_a_damaged_cache_is_begun_anew(
         described.append(inputs)
         return smal_extract(*inputs)
 
+    def refused(*_: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
     def run() -> tuple[int, str]:
         described.clear()
+        feature_cache.FeatureCache._said.clear()
         status, _, err = smal("match", "ref", "query")
         assert status == 0
         return len(described), err
@@ -283,11 +289,18 @@ def test_features_are_kept_and_a_damaged_cache_is_begun_anew(
         assert err.startswith(f"smal: cache {file}: ")
         assert len(err.splitlines()) == 1
         assert run() == (0, "")
+    file.write_bytes(b"no database")
+    with monkeypatch.context() as read_only:
+        read_only.setattr(Path, "unlink", refused)
+        count, err = run()
+    assert count == 2 * FRAMES
+    assert "file is not a database; features are computed, and not kept" in err
+    assert len(err.splitlines()) == 1
     monkeypatch.setattr(feature_cache, "cache_file", lambda: folders / "truth.csv" / "features.sqlite")
     count, err = run()
     assert count == 2 * FRAMES
-    assert "features are computed, and not kept" in err
-    assert len(err.splitlines()) == 2  # of the references and of the queries
+    assert "; features are computed, and not kept" in err
+    assert len(err.splitlines()) == 1
 
 
 def test_the_cache_does_not_grow_beyond_its_bound(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
