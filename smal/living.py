@@ -65,9 +65,9 @@ def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
 
 
 def follow(model: Model, run: Demonstration) -> Followed:
-    """Follow a run, as a robot would have been followed that drove it."""
+    """Follow a run, as a robot would have been that drove it; ValueError where its goal is none of the map's."""
     localizer, taught = Localizer(model), model.mapped
-    planner = Planner(taught, run.goal if run.goal in taught.goals else None)
+    planner = Planner(taught, run.goal)
     rows, arrived = [], len(run.atoms)
     for frame, raw in enumerate(run.features):
         odometry = None if run.odometry is None else run.odometry[frame].tolist()
@@ -176,7 +176,7 @@ def lived(
     """Learn from every second run (`whole_runs`), compare by the others, and return the model that is better.
 
     `progress` is called with how many runs were followed, and their number. ValueError where there are fewer than two,
-    or their features are not the model's.
+    or their features or goals are not the model's.
     """
     if len(runs) < 2:
         raise ValueError("it takes two runs or more that ended at the goal: one half teaches, the other half judges")

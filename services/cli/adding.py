@@ -61,7 +61,11 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     bar("reading", len(files), len(files))
     for remark in teacher.teaching.remarks:
         sys.stderr.write(f"smal: {remark}\n")
-    runs = whole_runs(teacher.teaching.demonstrations)
+    every = whole_runs(teacher.teaching.demonstrations)
+    for run in every:
+        if run.goal not in model.mapped.goals:
+            sys.stderr.write(f"smal: {run.name} is left out: the model has no goal {run.goal}\n")
+    runs = [run for run in every if run.goal in model.mapped.goals]
     try:
         new, verdict = lived(model, runs, partial(bar, "following"))
     except ValueError as error:
@@ -76,8 +80,8 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     sys.stderr.write(f"smal: {_words(verdict)}\n")
     return found | {
         "looks": len(new.mapped.looks),
-        "gain": verdict.gain,
-        "least_gain": verdict.least if verdict.stretches > 1 else None,
+        "gain": round(verdict.gain, 4),
+        "least_gain": round(verdict.least, 4) if verdict.stretches > 1 else None,
         "false_goals": verdict.false_goals,
         "taken": verdict.better,
     }

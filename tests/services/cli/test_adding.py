@@ -22,9 +22,9 @@ from tests.services.recordings.recorded_messages import applied, event, header
 from tests.services.recordings.test_recorder_files import record
 
 
-def run(name: str, new: float) -> Iterator[Message]:
+def run(name: str, new: float, goal: str = "victim") -> Iterator[Message]:
     """Give a run along the corridor, so much of whose paint is another one."""
-    yield event(name, 0, "started", purpose="run")
+    yield event(name, 0, "started", purpose="run").model_copy(update={"goal": goal})
     size = {"width": corridor.WIDTH, "height": corridor.HEIGHT}
     centre = {"centre_x_px": corridor.WIDTH / 2, "centre_y_px": corridor.HEIGHT / 2}
     yield CameraInfo.after(header(name, 0), focal_px=0.7 * corridor.WIDTH, **size, **centre)
@@ -34,7 +34,8 @@ def run(name: str, new: float) -> Iterator[Message]:
         yield CompressedImage.after(cause, data=encode_jpeg(pixels.astype(np.uint8)), **size)
         yield Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
         yield applied(name, frame, atom="forward")
-    yield event(name, corridor.FRAMES - 1, "ended", "found", purpose="run")
+    end = event(name, corridor.FRAMES - 1, "ended", "found", purpose="run")
+    yield end.model_copy(update={"goal": goal})
 
 
 @pytest.fixture
@@ -86,6 +87,10 @@ def test_what_cannot_learn_more_is_named(runs: Path, tmp_path: Path, smal: Smal,
     one = next(iter(runs.iterdir()))
     status, out, err = smal("learn", one, "--add", "--out", file)
     assert (status, out, "two runs or more" in err.splitlines()[-1]) == (1, "", True)
+    other = record(tmp_path, list(run("elsewhere", 0.0, "dock")))
+    _, _, err = smal("learn", one, other, "--add", "--out", file)
+    assert "elsewhere is left out: the model has no goal dock" in err
+    assert "two runs or more" in err.splitlines()[-1]
     assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
     corridor.paper_model().save(file)
     assert "does not learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)

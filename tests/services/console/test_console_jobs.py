@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -74,6 +75,9 @@ def test_a_job_is_cancelled_and_one_runs_at_a_time(jobs_of: JobsOf, tmp_path: Pa
     (tmp_path / "way.smal").touch()
     with pytest.raises(ServiceError, match="choose another name"):
         jobs.begin(learning(tmp_path / "way.smal"))
+    jobs.begin(replace(learning(tmp_path / "way.smal"), renews=True))
+    jobs.cancel()
+    eventually(lambda: not jobs.running)
 
 
 #: As one that calculates something in one piece does.
