@@ -6,11 +6,19 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from services.console.browser_messages import Add
 from services.console.jobs import Job, Jobs
+from services.console.library import Library
+from services.console.service import ConsoleService
 from services.kit.node import ServiceError
+from smal.model import Model
+from tests import corridor
+from tests.services.cli.test_adding import run
+from tests.services.recordings.test_recorder_files import record
 from tests.services.waiting import eventually
 
 JobsOf = Callable[[str], tuple[Jobs, list[dict[str, object]]]]
@@ -39,9 +47,9 @@ def learning(out: Path) -> Job:
     return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
 
 
-def ended(shown: list[dict[str, object]]) -> dict[str, object]:
+def ended(shown: list[dict[str, object]], timeout_s: float = 30.0) -> dict[str, object]:
     """Wait until a job has ended; return what is shown of it."""
-    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {})
+    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {}, timeout_s)
 
 
 @pytest.mark.parametrize(
@@ -100,3 +108,23 @@ def test_a_job_that_does_not_hear_is_ended(
     end = ended(shown)
     assert (end["outcome"], str(end["why"]).startswith(why)) == (outcome, True)
     assert not jobs.running
+
+
+def test_a_model_learns_more_from_runs_and_says_what_came_of_it(tmp_path: Path) -> None:
+    (tmp_path / "models").mkdir()
+    (tmp_path / "drives").mkdir()
+    model = corridor.save_model(tmp_path / "models" / "way.smal")
+    for number in range(4):
+        record(tmp_path / "drives", list(run(f"run-{number}", 0.6)))
+    library, shown = Library(tmp_path), list[dict[str, object]]()
+    library.look()
+    console = SimpleNamespace(library=library, _jobs=Jobs(shown.append))
+    runs = tuple(one.name for one in library.recordings())
+    ask = Add(do="add", beat=0, model="models/way.smal", recordings=runs)
+    ConsoleService._learn(console, ask)  # type: ignore[arg-type]  # what it needs of a console
+    end = ended(shown, 300.0)  # it gives way to all that a busy machine does
+    assert (end["outcome"], end["done"]) == ("done", "way has looked at these runs."), end
+    assert "more looks now" in str(end["remarks"])
+    assert len(Model.load(model).mapped.looks) > 0
+    with pytest.raises(ServiceError, match="no such model"):
+        ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))  # type: ignore[arg-type]
