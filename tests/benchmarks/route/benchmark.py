@@ -4,8 +4,9 @@ The maps are made up: as many keyframes a metre as drives in streets have, each 
 components, that change smoothly along the way. A robot follows each by its wheels and by noisy views; features of an
 image and transport are apart.
 
-What is learned is a drive round a painted room, 320x240 at 1.5 m/s and 10 Hz, in processor time, which other programs
-change little. More than half of it is the histograms of gradients of 51 views a keyframe.
+What is learned is a drive round a painted room, 320x240 at 0.4 m/s and 10 Hz, so that about every third frame is a
+keyframe, as in streets; in processor time, which other programs change little. More than half of it is the histograms
+of gradients of 51 views a keyframe.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def case(metres: float, components: int, frames: int) -> dict[str, Any]:
 
 def learned(frames: int) -> dict[str, Any]:
     """Learn a drive of so many frames; return what the JSON file holds of it."""
-    room, way = Room(), drive((3.5, 3.5, 0.0), [(SIDE_M, 90.0)] * (frames // 30 + 1), speed=3.0)
+    room, way = Room(), drive((3.5, 3.5, 0.0), [(SIDE_M, 90.0)] * (frames // 30 + 1), speed=0.75)
     images, atoms = [room.look(pose, *IMAGE) for pose in way.poses[:frames]], way.atoms[:frames]
     drives = demonstrations_of([(images, atoms, way.poses[:frames])], _FEATURES)
     began_s = time.process_time()
