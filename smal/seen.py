@@ -29,13 +29,15 @@ from smal.settings import SETTINGS
 SCORES: Final = np.linspace(0.0, 1.0, 201)
 #: A cell and its eight neighbours, in three colours.
 _NUMBERS: Final = 27
-#: Cells that are taken of a view as what explains others; and of the approach, as what is sought.
-_CODES, _SOUGHT = 32, 24
+#: Cells that are taken of a view of the way, as what explains others; of the approach, beside what is sought; of that.
+_CODES, _BESIDE, _SOUGHT = 32, 128, 24
 #: Cells that are the least to be looked for.
 _FEWEST: Final = 8
 #: Rows and columns that a window has at least: fewer cells look like anything.
 _LEAST: Final = 3
 Codes = NDArray[np.float16]
+#: A small picture, its cells (60, 80, 27), and which of these are of what is sought.
+Patch = tuple[Image, NDArray[np.float32], NDArray[np.bool_]]
 _ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
 
 
@@ -199,10 +201,10 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     if not new.size:
         return None
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
-    patches = [patch for one in drives if one.ends for patch in _patches(one, codes, stands_out)]
+    patches = _lasting([patch for one in drives if one.ends for patch in _patches(one, codes, stands_out)])
     if not patches:
         return None
-    others = np.concatenate([codes, *(_spread(cells[~mask], _CODES, codes) for _, cells, mask in patches)])
+    others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
     sought = [cells[mask] for _, cells, mask in patches]
     sought = [one[_evenly(len(one), _SOUGHT)] for one in sought]
     sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, _, mask in patches]) // 2
@@ -225,6 +227,26 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio)
 
 
+def _lasting(patches: list[Patch]) -> list[Patch]:
+    """Return patches without the cells that look more like what is beside those of other views than like them.
+
+    What stands before a door or a window may be in one piece with it in some views.
+    """
+    insides = [cells[mask] for _, cells, mask in patches]
+    besides = [cells[::2, ::2][~mask[::2, ::2]] for _, cells, mask in patches]
+    found = []
+    for k, (picture, cells, mask) in enumerate(patches):
+        if len(patches) > 1:
+            inside, beside = (np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides))
+            lasts = mask.copy()
+            lasts[mask] = nearest(cells[mask], inside) < nearest(cells[mask], beside)
+            if lasts.sum() < _FEWEST:
+                continue
+            mask = lasts  # noqa: PLW2901 - what is left of it
+        found.append((picture, cells, mask))
+    return found
+
+
 def _approach(one: Taught) -> range:
     count = len(one.pictures)
     if not one.ends:
@@ -233,33 +255,37 @@ def _approach(one: Taught) -> range:
     return range(count - min(within, count // 3), count)
 
 
-def _patches(
-    one: Taught, codes: NDArray[np.float32], stands_out: float
-) -> Iterator[tuple[Image, NDArray[np.float32], NDArray[np.bool_]]]:
+def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iterator[Patch]:
     """Yield the views that show what a drive ends before, the last first, their cells, and which of these are of it."""
     known = np.empty((0, _NUMBERS), dtype=np.float32)
     middle = np.array([np.nan, (SHAPE[1] - 1) / 2.0])
     for k in reversed(_approach(one)):
         cells = cells_of(one.pictures[k])
         new = nearest(cells, codes)
-        mask = _piece(new - stands_out, middle)
-        if mask is None and not len(known):
-            return
-        # What only stands out there, and is not like what has been followed so far, is something else.
-        if mask is None or ((nearest(cells[mask], known) > SETTINGS.like * new[mask]).mean() > 0.5 and len(known)):
-            continue
+        if not len(known):
+            mask = _piece(new > stands_out, new - stands_out, middle)
+            if mask is None:
+                return
+        else:
+            away = nearest(cells, known)
+            mask = _piece(new > stands_out, np.maximum(new - away, 0.0), middle)
+            # What stands out and is not like what has been followed so far is something else.
+            if mask is None or (away[mask] > SETTINGS.like * new[mask]).mean() > 0.5:
+                continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
         yield one.pictures[k], cells, mask
 
 
-def _piece(excess: NDArray[np.float32], middle: NDArray[np.float64]) -> NDArray[np.bool_] | None:
-    """Return the piece that exceeds 0 by most in all, the nearer to a row and a column the more; None without any."""
-    import cv2  # noqa: PLC0415 - see above
+def _piece(
+    stands_out: NDArray[np.bool_], weights: NDArray[np.float32], middle: NDArray[np.float64]
+) -> NDArray[np.bool_] | None:
+    """Return the piece of a mask that weighs most, the nearer to a row and a column the more; None without any."""
+    import cv2  # noqa: PLC0415 - see `smal.features.picture`
 
-    count, labels, stats, middles = cv2.connectedComponentsWithStats((excess > 0.0).astype(np.uint8))
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
     away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)
-    sums = np.bincount(labels.ravel(), excess.ravel(), minlength=count) * np.exp(-0.5 * (away**2).sum(axis=1))
+    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * np.exp(-0.5 * (away**2).sum(axis=1))
     sums[stats[:, cv2.CC_STAT_AREA] < _FEWEST] = 0.0
     sums[0] = 0.0
     return np.asarray(labels == sums.argmax()) if sums.max() > 0.0 else None
