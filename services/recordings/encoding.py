@@ -106,11 +106,11 @@ def plain_json_schema(message: type[Message]) -> dict[str, Any]:
             return [plain(item) for item in node]
         if not isinstance(node, dict):
             return node
-        if "$ref" in node:
-            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {k: v for k, v in node.items() if k != "$ref"}
         if "anyOf" in node:
             (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
             node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
+        if "$ref" in node:
+            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {k: v for k, v in node.items() if k != "$ref"}
         if "prefixItems" in node:
             first, *others = node["prefixItems"]
             assert all(other == first for other in others)  # noqa: S101 - of our own messages

@@ -129,18 +129,15 @@ def test_bad_features_are_refused() -> None:
         Centering.fit(np.zeros((0, BOTH.size), dtype=np.float32), BOTH)
 
 
-def test_settings_are_read_from_names_and_weights() -> None:
+def test_settings_are_read_from_names() -> None:
     assert FeatureSettings.parse("color,hog") == BOTH
-    assert FeatureSettings.parse(" hog , depth", "1,2.5") == FeatureSettings(("hog", "depth"), (1.0, 2.5))
-    for modalities, weights, words in (
-        ("", None, f"unknown feature modality ''; known are {', '.join(MODALITY_NAMES)}$"),
-        ("color,hgo", None, "unknown feature modality 'hgo'"),
-        ("color,hog", "1", "2 modalities need as many weights, got 1"),
-        ("color", "x", "must be numbers"),
-        ("color", "-1", "positive"),
+    assert FeatureSettings.parse(" hog , depth") == FeatureSettings(("hog", "depth"), (1.0, 1.0))
+    for modalities, words in (
+        ("", f"unknown feature modality ''; known are {', '.join(MODALITY_NAMES)}$"),
+        ("color,hgo", "unknown feature modality 'hgo'"),
     ):
         with pytest.raises(ValueError, match=words):
-            FeatureSettings.parse(modalities, weights)
+            FeatureSettings.parse(modalities)
 
 
 def test_features_that_are_not_held_are_refused() -> None:
