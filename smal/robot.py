@@ -227,5 +227,5 @@ class Robot:
 
     @property
     def done(self) -> bool:
-        """Whether it has said so."""
+        """Whether it has said something of its goal, and has nothing left to do."""
         return self.said is not None
