@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
-from smal.likelihood import Likelihood, gamma_of, over, scale, standing_out
-from smal.model import evenly, unpacked
+from smal.likelihood import Likelihood, evenly, gamma_of, over, scale, standing_out
+from smal.model import unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 

@@ -32,6 +32,11 @@ ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)
 _FINE = np.linspace(0.0, 1.0, 101)
 
 
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most so many of the numbers below a count, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+
+
 def scale(sample: NDArray[Any]) -> tuple[float, float]:
     """Return the median of the cosines (n,) of a view with a sample of elsewhere, and their spread.
 

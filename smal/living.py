@@ -21,9 +21,9 @@ from smal.camera import STRAIGHT, Camera, Image, Scene
 from smal.demonstration import Demonstration, check_features, drives_to_goals
 from smal.features import extract
 from smal.features.extraction import in_parallel
-from smal.likelihood import over, scale
+from smal.likelihood import evenly, over, scale
 from smal.mapping import Progress, virtual_poses
-from smal.model import Model, VisualMap, evenly, packed, unpacked
+from smal.model import Model, VisualMap, packed, unpacked
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.robot import Localizer

@@ -27,7 +27,8 @@ from smal.demonstration import USUAL_GOAL, Chain, Demonstration, check_features,
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.extraction import in_parallel
 from smal.features.picture import small
-from smal.model import Model, VisualMap, evenly, packed, unit
+from smal.likelihood import evenly
+from smal.model import Model, VisualMap, packed, unit
 from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
 from smal.seen import Sight, Taught, learn_sight
 from smal.settings import SETTINGS

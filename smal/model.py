@@ -20,7 +20,7 @@ from smal.camera import STRAIGHT
 from smal.features import Centering, FeatureSettings
 from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
-from smal.likelihood import Likelihood
+from smal.likelihood import Likelihood, evenly
 from smal.movement import Atom, Movement, leads_on
 from smal.seen import Sight, content_of_sights, sights_of_content
 from smal.settings import SETTINGS
@@ -299,8 +299,3 @@ def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:
 def unpacked(vectors: NDArray[np.int8]) -> NDArray[np.float32]:
     """Return the vectors (..., r) that `packed` packed, of unit length."""
     return unit(vectors.astype(np.float32))
-
-
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most so many of the numbers below a count, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from smal.camera import Image
 from smal.features.picture import SHAPE
-from smal.likelihood import log_ratio
+from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
 
 #: What scores are tabulated for.
@@ -184,7 +184,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     Each drive's last `Settings.approach_s` are its approach, at most its last third; the rest is the way before.
     """
     way = [(d, k) for d, one in enumerate(drives) for k in range(len(one.pictures)) if k not in _approach(one)]
-    way = [way[k] for k in np.unique(np.linspace(0, len(way) - 1, min(len(way), SETTINGS.explaining)).astype(int))]
+    way = [way[k] for k in evenly(len(way), SETTINGS.explaining)]
     if len(way) < 4:
         return None
     codes, of = _codes([drives[d].pictures[k] for d, k in way])
@@ -206,10 +206,10 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         return None
     others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
     sought = [cells[mask] for _, cells, mask in patches]
-    sought = [one[_evenly(len(one), _SOUGHT)] for one in sought]
+    sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
     sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, _, mask in patches]) // 2
     sizes = np.maximum(sizes, _LEAST)
-    chosen = np.argsort(sizes.prod(axis=1))[_evenly(len(sizes), SETTINGS.sizes)]
+    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
     here = [
         _best(_speaks(cells_of(one, 2), np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far), windows)
@@ -328,7 +328,3 @@ def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray
     ratio = log_ratio(p1, p0 / p0.sum())
     tells = float(np.interp(here.max(), SCORES, ratio)) > math.log(SETTINGS.false_seen / SETTINGS.in_view)
     return np.clip(ratio, math.log(SETTINGS.hidden), 50.0) if tells else None
-
-
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

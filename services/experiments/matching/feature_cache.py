@@ -93,11 +93,8 @@ class FeatureCache:
         try:
             yield
         except (sqlite3.Error, OSError) as error:
-            self._file, why, went_on = (
-                None,
-                str(error),
-                "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)",
-            )
+            self._file, why = None, str(error)
+            went_on = "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)"
             if isinstance(error, OSError):
                 why = error.strerror or why
             elif isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):

@@ -8,6 +8,7 @@ import numpy as np
 from schemas.codec import printable
 from services.experiments import html
 from services.experiments.matching.report import Result, title_of
+from smal.likelihood import evenly
 
 #: Matches, and references to find a right one by, that a page shows: as many as a person looks at.
 _MATCHES, _REFERENCES = 200, 60
@@ -20,7 +21,7 @@ def judging_page(result: Result) -> str:
     doubt = np.abs(matches.score - 0.5) if result.probable else matches.score
     order = np.argsort(doubt, kind="stable")
     shown = [query for query in order.tolist() if matches.matched[query]][:_MATCHES]
-    spread = np.unique(np.linspace(0, len(names) - 1, min(len(names), _REFERENCES)).astype(int)).tolist()
+    spread = evenly(len(names), _REFERENCES).tolist()
     found = matches.reference[shown].tolist()
     asked, known = result.queries.source.images(shown), result.references.source.images([*found, *spread])
     cards = []

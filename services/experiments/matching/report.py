@@ -15,6 +15,7 @@ from services.kit.tables import table
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.reliability import Reliability, known_from_unknown
+from smal.likelihood import evenly
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
@@ -166,7 +167,7 @@ def _frames(traverse: Traverse) -> str:
 def _some_matches(result: Result) -> Iterator[str]:
     """Yield a few matches, evenly spread; all of them are for a file."""
     matches, count = result.matches, result.matches.matched.size
-    shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).astype(int)).tolist()
+    shown = evenly(count, _SHOWN).tolist()
     references, queries = (_printable(one.source.frames) for one in (result.references, result.queries))
     rows = [["query", "", "reference", "", "score"]]
     for query in shown:
