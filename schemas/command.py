@@ -39,8 +39,8 @@ class Command(Message):
 class CommandApplied(Message):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 4
-    reads: ClassVar[tuple[int, ...]] = (2, 3)
+    version: ClassVar[int] = 5
+    reads: ClassVar[tuple[int, ...]] = (2, 3, 4)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -54,9 +54,9 @@ class CommandApplied(Message):
     """Fraction of the nominal speed that it goes ahead at in turning, as a car does: 0 of a turn on the spot."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "silence", "taken_over", "emergency_stop"]
-    """Why: a fresh command, no fresh command from the driver, none from the person who has taken over, or a latched
-    stop."""
+    reason: Literal["command", "obstacle", "silence", "taken_over", "emergency_stop"]
+    """Why: a fresh command; one that is carried out slower, or not, since something is in the way or nothing tells that
+    it is free; no fresh command from the driver, none from the person who has taken over, or a latched stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release has to name; 0 where none is."""
     stop_cause: StopCause | None = None

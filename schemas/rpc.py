@@ -138,6 +138,10 @@ class ResetRequest(Strict):
     """How the victim lies (simulated robots); moved: up to 3 m from its place, less indoors."""
     until_said: bool = False
     """Whether a run goes on until the robot says something; else it ends where the goal is reached."""
+    obstacles: Annotated[int, Field(ge=0, le=50)] = 0
+    """How many things stand on and beside the way, which did not when it was taught (simulated robots)."""
+    blocked: bool = False
+    """Whether something closes the way (simulated robots)."""
     goal: GoalName = "victim"
     """Where the drive leads, for those who learn from it."""
     mode: Mode = "lockstep"

@@ -72,7 +72,7 @@ SERVICES: Final = {
         Service(
             "policy",
             "decides",
-            (topics.STATE, topics.APPLIED),
+            (topics.STATE, topics.APPLIED, topics.ODOMETRY, topics.DEPTH),
             (topics.ACTION, COMMANDS["policy"]),
             serves=("load",),
             image="recognition",

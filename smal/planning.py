@@ -4,7 +4,8 @@ The taught drives are a graph: keyframes, what follows each of them, and where d
 algorithm gives every keyframe its cost to go, the time to the nearest goal, and which drive to follow from there. So
 drives are joined to ways that nobody drove in one piece, and a belief that is spread over drives wants one thing.
 The robot steers in the mean direction of its likely places, each weighted by its probability (after QMDP, Littman,
-Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
+Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look. What stands in the
+way it goes round (`smal.avoidance`), where it has a depth camera.
 """
 
 import math
@@ -17,13 +18,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from smal.avoidance import Avoidance
+from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import VisualMap
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 from smal.stitches import in_common_axes
 
-Kind = Literal["follow", "look_around", "guess", "dead_end", "goal", "search"]
+Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search"]
 Said = Literal["found", "not_here"]
 _SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 
@@ -36,8 +39,9 @@ class Decision:
     ----------
     kind : str
         "follow": along the taught way; "look_around": turn, since places disagree; "guess": drive all the same, since
-        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "search": arrived, and turn
-        to see what is sought; "goal": stop, having said that it is found, or not here.
+        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "blocked": stop, since
+        something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought;
+        "goal": stop, having said that it is found, or not here.
     atom : Atom
     heading_error_rad : float
         Mean direction to aim at less the heading.
@@ -111,6 +115,7 @@ class Planner:
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
         self._tried = frozenset[int]({-1})
+        self._avoidance = Avoidance(visual_map.movements)
         self.reset()
 
     def _plan(self, tried: frozenset[int]) -> None:
@@ -150,13 +155,19 @@ class Planner:
         return self.said is not None
 
     def decide(
-        self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0, seen: float | None = None
+        self,
+        belief: Belief,
+        elapsed_s: float | None = None,
+        delay_s: float = 0.0,
+        seen: float | None = None,
+        around: Surroundings | None = None,
     ) -> Decision:
         """Say what to do until the next frame.
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
         what is decided moves the robot, which until then goes on turning, if it turns. `seen` is how probable it is
         that what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
+        `around` is what stands about the robot, in metres, round which it goes, unless the map has no metres.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         directions, left_to_go, to_end = self._directions(belief)
@@ -191,6 +202,11 @@ class Planner:
             kind = "look_around"
         else:
             kind = "guess" if has_way or lost else "dead_end"
+        if around is not None and self._map.odometry and has_way and kind in ("follow", "guess"):
+            way = self._way_ahead(belief, around.reach_m)
+            if self._avoidance.is_hit(around, way):
+                round_rad = self._avoidance.turn_rad(around, way)
+                kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
         pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
         to_turn_rad = error_rad - pending_rad * _SIDES[self._turning]
         return Decision(kind, self._atom(kind, to_turn_rad, elapsed_s), error_rad)
@@ -223,7 +239,7 @@ class Planner:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
         if kind != "follow":
             self._driven = 0.0
-        if kind in ("goal", "dead_end"):
+        if kind in ("goal", "dead_end", "blocked"):
             self._turning = None
             return Atom.STOP
         if kind == "search":
@@ -257,6 +273,22 @@ class Planner:
         least = self._turn_rad / 2.0 if self._turning is wanted else self._turn_rad
         self._turning = wanted if abs(to_turn_rad) > least else None
         return self._turning or Atom.FORWARD
+
+    def _way_ahead(self, belief: Belief, reach: float) -> NDArray[np.float64]:
+        """Return places (s, 2) of the way from where it aims on, ahead of and left of the robot: means of particles."""
+        taught = self._map
+        guide = self._guide[belief.keyframes]
+        one = taught.key_drives[guide] == taught.key_drives[guide[belief.weights.argmax()]]
+        key, drive = taught.keyframes[guide][one], taught.key_drives[guide[one][0]]
+        own = placed(belief.offsets, self._offset[belief.keyframes])[one]
+        start, end = (np.searchsorted(taught.drives, drive, side) for side in ("left", "right"))
+        stations = np.arange(self._ahead, self._ahead + reach, self._ahead / 4.0)
+        along = taught.arc[key] + own[:, 0]
+        target = np.clip(np.searchsorted(taught.arc, along[:, None] + stations), start, end - 1)
+        aims = seen_from(seen_from(taught.poses[target], taught.poses[key][:, None]), own[:, None])
+        weights = belief.weights[one] / belief.weights[one].sum()
+        left_to_go = float(taught.arc[end - 1] - weights @ along)
+        return np.asarray(np.tensordot(weights, aims[..., :2], 1)[: max(1, int((stations <= left_to_go).sum()))])
 
     def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.clearance import Mount, Surroundings
 from smal.features import extract
 from smal.features.picture import small
 from smal.filter import Belief, Filter
@@ -167,9 +168,14 @@ class Robot:
         self._localizer.reset()
         self._planner.reset()
         self._atom = Atom.STOP
+        self._around: Surroundings | None = None
 
     def step(
-        self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
+        self,
+        image: NDArray[np.uint8],
+        odometry: Sequence[float] | None = None,
+        elapsed_s: float | None = None,
+        depth: tuple[NDArray[np.float32], Mount] | None = None,
     ) -> Atom:
         """Take one image.
 
@@ -181,6 +187,9 @@ class Robot:
             Pose by the wheels at the image. Without it the robot is taken to have made the last atom, as usual.
         elapsed_s : float, optional
             Time since the image before; as between taught images if not given.
+        depth : (float32 array (height, width), Mount), optional
+            What a depth camera measures, metres, 0 where nothing, and how it sits: with it, and odometry, the robot
+            goes round what stands in its way.
 
         Returns
         -------
@@ -190,7 +199,10 @@ class Robot:
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
         seen = self._localizer.seen(small(image), self.belief)
-        self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen)
+        if depth is not None and odometry is not None:
+            self._around = self._around or Surroundings(depth[1].radius_m)
+            self._around.look(odometry, *depth)
+        self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen, around=self._around)
         self._atom = self.decision.atom
         return self._atom
 

@@ -11,7 +11,7 @@ from typer import Option
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.progress import Bars
-from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_runs, with_victim
+from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each, with_runs
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
 from services.kit.errors import UsageError
@@ -28,6 +28,10 @@ def evaluate(
         int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
     victim: options.Victim = "there",
+    obstacles: Annotated[
+        int, Option(min=0, max=50, help="Things that stand in the way of each search, and did not when it was taught.")
+    ] = 0,
+    blocked: Annotated[bool, Option(help="Close the way of each search.")] = False,
     laps: Annotated[
         Path | None,
         Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
@@ -49,7 +53,14 @@ def evaluate(
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
-        for option, given in (("--quick", quick), ("--world", world), ("--runs", runs), ("--report-only", report_only)):
+        for option, given in (
+            ("--quick", quick),
+            ("--world", world),
+            ("--runs", runs),
+            ("--report-only", report_only),
+            ("--obstacles", obstacles),
+            ("--blocked", blocked),
+        ):
             if given:
                 raise UsageError(f"{option}: laps of a real robot (--laps) have one size, and no world")
         typer.echo(f"results: {_evaluate_laps(laps, out)}")
@@ -65,9 +76,7 @@ def evaluate(
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     if runs is not None:
         plan = with_runs(plan, runs)
-    if victim != "there":
-        plan = with_victim(plan, victim)
-    planned = units(plan)
+    planned = units(plan := with_each(plan, victim, obstacles, blocked=blocked))
     results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:

@@ -142,6 +142,11 @@ class Simulator:
         Option(parser=checked(_variation), metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
     ] = None
 
+    depth: Annotated[
+        bool | None,
+        Option(help="With a depth camera, by which it runs into nothing and goes round it. [default: depth]"),
+    ] = None
+
     def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
         """Return the flags of the service."""
         camera = self.camera or usual

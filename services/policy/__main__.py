@@ -11,6 +11,8 @@ def serve(node: Node, settings: ModelSettings) -> None:
     """Decide until stopped."""
     service = PolicyService()
     node.subscribe(topics.APPLIED, service.see_applied)
+    node.subscribe(topics.ODOMETRY, service.sight.roll)
+    node.subscribe(topics.DEPTH, service.sight.see)
     serve_model(node, settings, service, topics.STATE)
 
 

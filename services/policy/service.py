@@ -13,6 +13,8 @@ from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail
 from services.kit.throttle import Throttle
+from services.policy.sight import Sight
+from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
@@ -33,6 +35,8 @@ class PolicyService:
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
+        #: What stands about the robot; it goes round that.
+        self.sight = Sight()
         #: How long its commands take to move the robot, by what the actuator has told lately.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
@@ -62,7 +66,7 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 self._maker.reset()
-        answer = self._maker.answer(state, median(self._delays_s))
+        answer = self._maker.answer(state, median(self._delays_s), self.sight.around(state.episode))
         self._last = (state, answer)
         return answer
 
@@ -100,11 +104,11 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State, delay_s: float) -> list[Message]:
+    def answer(self, state: State, delay_s: float, around: Surroundings | None) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
-        decision = self._planner.decide(belief, elapsed_s, delay_s, state.seen)
+        decision = self._planner.decide(belief, elapsed_s, delay_s, state.seen, around)
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
         return [
@@ -133,7 +137,7 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State, _delay_s: float) -> list[Message]:
+    def answer(self, state: State, _delay_s: float, _around: Surroundings | None) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))

@@ -190,7 +190,8 @@ class Views:
     @of.register
     def _action(self, action: Action) -> Iterator[View]:
         kind = action.kind.replace("_", " ")
-        yield from self._changed(action, "policy", kind, warns=action.kind in ("dead_end", "look_around", "guess"))
+        warns = action.kind in ("dead_end", "look_around", "guess", "blocked")
+        yield from self._changed(action, "policy", kind, warns=warns)
 
     @of.register
     def _applied(self, applied: CommandApplied) -> Iterator[View]:

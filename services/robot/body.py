@@ -4,10 +4,14 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from smal.camera import Camera
+from smal.clearance import Mount
 
 
 class OdometryReading(NamedTuple):
@@ -57,6 +61,10 @@ class View(Protocol):
     def imu(self) -> tuple[ImuReading, ...] | None:
         """The inertial readings since the frame before, oldest first; None without such a unit."""
 
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """What the depth camera measures, (height, width) metres, 0 where nothing; None without a picture of it."""
+
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Make the other messages of this moment that somebody wants, but for the topics that were made before."""
 
@@ -102,6 +110,10 @@ class Body(Stops, Protocol[V_co]):
     @property
     def camera(self) -> Camera | None:
         """How the camera sees, if it is known."""
+
+    @property
+    def mount(self) -> Mount | None:
+        """How its depth camera sits; without one, nothing keeps it from running into things but itself."""
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""

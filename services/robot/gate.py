@@ -16,6 +16,7 @@ from typing import Final, Literal
 from schemas.base import Atom, Source
 from schemas.command import Command, StopCause
 from schemas.heartbeat import Heartbeat
+from services.robot.guard import Guard
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
 #: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.loop`.
@@ -36,7 +37,7 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "silence", "taken_over", "emergency_stop"]
+Reason = Literal["command", "obstacle", "silence", "taken_over", "emergency_stop"]
 #: Whoever arms the robot has to know the last of these that has stopped it.
 _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
 
@@ -89,6 +90,8 @@ class CommandGate:
 
     def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
         self.max_age_s = max_age_s
+        #: What bounds the speed of whoever drives, where the robot sees what it may run into.
+        self.guard: Guard | None = None
         self.attended = attended
         self._lock = Lock()
         self._stops = first_stop or 1 + secrets.randbits(48)
@@ -306,5 +309,9 @@ class CommandGate:
             latest = self._latest.get(source)
             if latest is not None and (age_s := now_s - latest.captured_s) <= self.max_age_s:
                 command = latest.command
-                return Applied(command.atom, command.speed, source, "command", command.tick, age_s)
+                share = 1.0 if self.guard is None else self.guard.share(command.atom, now_s)
+                if share >= command.speed:
+                    return Applied(command.atom, command.speed, source, "command", command.tick, age_s)
+                atom = command.atom if share > 0.0 else "stop"
+                return Applied(atom, share, source, "obstacle", command.tick, age_s)
             return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")

@@ -24,6 +24,7 @@ from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import now_s
 from services.robot.episode import Episode
 from services.robot.gate import Applied, CommandGate
+from services.robot.guard import guard_of
 from services.robot.loop import check_stopping
 from services.robot.messages import imu_message, odometry_message
 from services.robot.pace import Pace, Paces, RealTime, Running
@@ -141,6 +142,7 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.
         check_stopping(self.body)
+        self.gate.guard = guard_of(self.body)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self._running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
@@ -256,6 +258,8 @@ class EpisodeRunner(Generic[V]):
         view, tick = run.episode.view, run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
+        if self.gate.guard is not None:
+            self.gate.guard.look(view.depth, view.odometry and view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         # The colour image comes last: it is what the driver waits for.

@@ -45,6 +45,7 @@ class Ros2View:
     contact: bool
     odometry: OdometryReading | None
     imu: tuple[ImuReading, ...] | None
+    depth = None
 
     def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
         """Make nothing more: it has no other sensors that we know."""
@@ -75,6 +76,9 @@ class Ros2Body:
         self._last: Wheels | None = None
         self._lacked = False
         self._asked: Atom = "stop"
+
+    #: Its scanner and bumpers forbid movements, see `drive`.
+    mount = None
 
     @property
     def camera(self) -> Camera | None:
@@ -110,6 +114,8 @@ class Ros2Body:
         """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""
         if request.kidnap_tick is not None:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
+        if request.obstacles or request.blocked:
+            raise ServiceError(f"{self.name} is real: put what stands in its way there by hand")
         if request.world is not None or request.variation is not None:
             raise ServiceError(f"{self.name} is real: no world and no variation can be chosen for it")
         fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"

@@ -1,6 +1,7 @@
 """The robot's base: how its wheels are driven. This one is kinematic; `physics` has the one with mass."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -8,11 +9,11 @@ import numpy as np
 from schemas.base import Atom
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
-from services.simulator.world.place import Place, Pose
+from services.simulator.world.place import Place, Pose, Solid
 
 if TYPE_CHECKING:
     from services.simulator.physics import PhysicalBase
-from services.simulator.world.route import obstacles_of
+from services.simulator.world.route import Obstacles, obstacles_of
 
 #: What can drive a robot in a place.
 Base: TypeAlias = "KinematicBase | PhysicalBase"
@@ -84,7 +85,12 @@ class KinematicBase:
 
     def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._drive = drive or place.robot.drive
+        self._place = place
         self._obstacles = obstacles_of(place)
+
+    def obstruct(self, solids: Sequence[Solid]) -> None:
+        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+        self._obstacles = Obstacles(self._place, solids) if solids else obstacles_of(self._place)
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose; `rng` is the source of this episode's wheel errors."""

@@ -14,6 +14,7 @@ from services.simulator.base import STEP_S
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
+from services.simulator.world.place import WorldError
 from services.simulator.worlds import Worlds
 from smal.camera import Camera
 
@@ -56,14 +57,19 @@ class SimulatedBody:
     def _enter(self, simulation: Simulation) -> None:
         self.simulation, self.name = simulation, simulation.name
         self.speed_m_s, self.camera = simulation.speed_m_s, Camera.of_field(FIELD_OF_VIEW_DEG)
-        self.braking_s = simulation.braking_s
+        self.braking_s, self.mount = simulation.braking_s, simulation.mount
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Put the robot at a seeded start; ServiceError where the world cannot be used, and the robot stays."""
         self._go_where_asked(request)
         with self._lock:
-            anywhere = request.start == "anywhere"
-            self.simulation.reset(request.seed, request.purpose, anywhere=anywhere, victim=request.victim)
+            try:
+                self.simulation.reset(
+                    request.seed, request.purpose, anywhere=request.start == "anywhere", victim=request.victim,
+                    obstacles=request.obstacles, blocked=request.blocked,
+                )  # fmt: skip
+            except WorldError as error:
+                raise ServiceError(str(error)) from None
             self._kidnap_tick = request.kidnap_tick
             self._realtime = request.mode == "realtime"
             self._order = ("stop", 0.0)

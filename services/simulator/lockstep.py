@@ -8,6 +8,7 @@ from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
+from services.robot.guard import guard_of
 from services.robot.pace import Running, Teller
 from services.simulator.body import SimulatedBody
 from services.simulator.sensors.camera import FindVictim, SimulatedView
@@ -24,12 +25,20 @@ class LockstepEpisode(Episode[SimulatedView]):
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
-        self._advance = body.advance
+        self._advance, self._guard = body.advance, guard_of(body)
+        self._look()
 
     def step(self, atom: Atom) -> SimulatedView:
-        """Carry out a movement at nominal speed until the next frame, and return that."""
-        self._advance(atom, 1.0, TICK_S)
-        return self.next_frame()
+        """Carry out a movement at nominal speed, or as its guard allows, until the next frame, and return that."""
+        share = 1.0 if self._guard is None else self._guard.share(atom, self.tick * TICK_S)
+        self._advance(atom if share > 0.0 else "stop", share, TICK_S)
+        view = self.next_frame()
+        self._look()
+        return view
+
+    def _look(self) -> None:
+        if self._guard is not None:
+            self._guard.look(self.view.depth, self.view.odometry[:3], self.tick * TICK_S)
 
 
 class Lockstep:

@@ -23,13 +23,14 @@ def open_simulation(
     variation: str = "day",
     task: tuple[Pose, Pose] | None = None,
     clouds_seed: int | None = None,
+    depth: bool = True,
 ) -> Simulation:
     """Load a world by name or path, and put its robot into it.
 
     The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass. `task` is a start
     and where the victim lies, those of the world if not given; `clouds_seed` gives a day of the same light other
-    clouds. Raises WorldError where the world cannot be used, UnavailableError where this machine lacks what is needed,
-    ValueError where the variation is unknown.
+    clouds. Without a `depth` camera nothing keeps the robot from running into things. Raises WorldError where the world
+    cannot be used, UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
     """
     conditions = variation_named(variation)
     there = load_world(world)
@@ -42,4 +43,4 @@ def open_simulation(
 
         wheels = PhysicalBase(there.place)
     light = conditions.light if clouds_seed is None else replace(conditions.light, clouds_seed=clouds_seed)
-    return Simulation(there, replace(camera, light=light), wheels, shake=shake, variation=conditions)
+    return Simulation(there, replace(camera, light=light), wheels, shake=shake, variation=conditions, depth=depth)

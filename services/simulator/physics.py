@@ -1,7 +1,7 @@
 """A base with mass: wheels, friction and contacts in PhysX, as SAPIEN has it, on the CPU; no Vulkan is needed."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -191,15 +191,25 @@ class PhysicalBase:
             self._drive.speed_m_s / STOPPING_M_S2, self._drive.turn_rate_rad_s / TURN_ACCELERATION_RAD_S2
         )
         self._scene = new_scene()
-        self._obstacles = obstacles(place.solids, place.robot.top_m)
-        self._scene.add_entity(self._obstacles)
+        self._obstacles = [obstacles(place.solids, place.robot.top_m)]
+        self._scene.add_entity(self._obstacles[0])
+
+    def obstruct(self, solids: Sequence[Solid]) -> None:
+        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+        for entity in self._obstacles[1:]:
+            self._scene.remove_entity(entity)
+        more = [obstacles(solids, self._robot.top_m)] if solids else []
+        self._obstacles = [self._obstacles[0], *more]
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose, in a new scene: the engine remembers contacts, which would outlast an episode."""
-        self._scene.remove_entity(self._obstacles)
+        for entity in self._obstacles:
+            if entity.scene is not None:
+                self._scene.remove_entity(entity)
         self._scene = new_scene()
-        self._scene.add_entity(self._obstacles)
-        self._body = self._obstacles.components[0]
+        for entity in self._obstacles:
+            self._scene.add_entity(entity)
+        self._bodies = [entity.components[0] for entity in self._obstacles]
         self._articulation = add_robot(self._scene, self._robot, self._drive, pose)
         self._wheels = self._articulation.active_joints
         self._angles = self._articulation.qpos.tolist()
@@ -248,7 +258,7 @@ class PhysicalBase:
         return any(
             point.separation <= 0 or point.impulse.any()
             for contact in self._scene.physx_system.get_contacts()
-            if self._body in contact.bodies
+            if any(body in contact.bodies for body in self._bodies)
             for point in contact.points
         )
 

@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import Point
 
 from schemas.base import Atom
 from schemas.episode import Purpose, Victim
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.sensors.camera import CameraSettings, SimulatedView
+from services.simulator.sensors.camera import FOCAL, CameraSettings, SimulatedView
+from services.simulator.sensors.depth import mount_of
 from services.simulator.sensors.readings import Sensors
 from services.simulator.variation import DAY, Variation
+from services.simulator.world.obstacles import Obstacle, stand_in_the_way
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import moved_victim, sample_start
@@ -29,12 +32,14 @@ class Simulation:
 
     It sees with a rendered camera of such settings, or with a camera that is given, and drives with a `base`, a
     `KinematicBase` if not given. `shake` is how much the camera shakes, as is usual in that place if not given. Of the
-    `variation` haze and exposure are taken; the rest of it is in the world (see `vary`) and in the camera's light.
+    `variation` haze and exposure are taken; the rest of it is in the world (see `vary`) and in the camera's light. With
+    a `depth` camera it runs into nothing that it sees.
     """
 
     pose: Pose  # Where it truly is.
     collided: bool  # Whether it has touched anything since the reset.
     victim: Pose | None  # Where the victim truly lies.
+    obstacles: tuple[Obstacle, ...] = ()  # What stands in the way, and did not when it was taught.
 
     def __init__(
         self,
@@ -44,6 +49,7 @@ class Simulation:
         *,
         shake: float | None = None,
         variation: Variation = DAY,
+        depth: bool = False,
     ) -> None:
         if isinstance(camera, CameraSettings):
             from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only this needs a renderer
@@ -52,20 +58,34 @@ class Simulation:
         self.world, self.name = world, world.name
         self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
         self._seen = world, camera, variation
+        #: How its depth camera sits, if it has one.
+        self.mount = mount_of(world.robot, FOCAL) if depth else None
         self._base = base or KinematicBase(world.place)
         self.braking_s = self._base.braking_s
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
         self.reset(0, "drive")
 
-    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False, victim: Victim = "there") -> Pose:
+    def reset(
+        self,
+        seed: int,
+        purpose: Purpose,
+        *,
+        anywhere: bool = False,
+        victim: Victim = "there",
+        obstacles: int = 0,
+        blocked: bool = False,
+    ) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
         Different purposes with one seed are independent. `anywhere` begins beside the way, as recovery drives do.
-        Where the `victim` is moved to, and what lies in its place, is by the seed too. Returns the start pose.
+        Where the `victim` is moved to, and what lies in its place, is by the seed too, and so is where so many
+        `obstacles` stand in the way to its place, or what has it `blocked`. Returns the start pose, or raises
+        WorldError where there is no room for them.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
         self.pose = self._start = sample_start(self.world, start, "recovery" if anywhere else purpose)
+        self._obstruct(obstacles, blocked)
         self._base.put(self._start, wheels)
         self._sensors.begin(self._start, odometry, imu, shake)
         self.collided = False
@@ -77,9 +97,23 @@ class Simulation:
         self.victim = there if victim == "there" else moved_victim(self.world, chance) if victim == "moved" else None
         self._seen[1].lay(self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16)))
 
+    def _obstruct(self, count: int, blocked: bool) -> None:
+        """Put obstacles into the world; without any it stays as it is."""
+        things: tuple[Obstacle, ...] = ()
+        if count or blocked:
+            things = stand_in_the_way(self.world, self._start, self._chance(8), count, blocked=blocked)
+        if things == self.obstacles:
+            return
+        self.obstacles = things
+        self._base.obstruct([solid for thing in things for solid in thing.solids])
+        self._seen[1].obstruct(things)
+
     def carry_away(self) -> Pose:
         """Put the robot anywhere beside the way, as the episode's seed has it; its wheels do not turn meanwhile."""
-        self.pose = sample_start(self.world, self._chance(5), "recovery")
+        chance, room_m = self._chance(5), self.world.scale.start_room_m
+        self.pose = sample_start(self.world, chance, "recovery")
+        while any(thing.footprint.distance(Point(self.pose.x, self.pose.y)) < room_m for thing in self.obstacles):
+            self.pose = sample_start(self.world, chance, "recovery")
         self._base.put(self.pose, self._chance(6))
         return self.pose
 

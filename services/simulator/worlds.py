@@ -44,6 +44,9 @@ class SimulatorSettings(RobotSettings, RootSettings):
     variation: str = "day"
     """Conditions other than those of a fair day, for example evening, haze or moved; `smal up --help` lists them."""
 
+    depth: bool = True
+    """Whether the robot has a depth camera, by which it stands before what it would run into, and goes round it."""
+
     @field_validator("variation")
     @classmethod
     def _known(cls, name: str) -> str:
@@ -72,7 +75,9 @@ class Worlds:
         of = self._settings
         camera = CameraSettings(of.camera_width, of.camera_height, of.shadows)
         try:
-            simulation = open_simulation(self._place(world), camera, base=of.base, shake=of.shake, variation=variation)
+            simulation = open_simulation(
+                self._place(world), camera, base=of.base, shake=of.shake, variation=variation, depth=of.depth
+            )
         except JobError as error:
             # Where the files lie means nothing to who asks for a name.
             raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None

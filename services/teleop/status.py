@@ -35,6 +35,7 @@ def _robot(robot: Report, now_s: float) -> list[str]:
         return [f"NO SIGN OF THE ROBOT for {now_s - robot.at:.0f} s"]
     reasons = {
         "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
+        "obstacle": "something is in the way, or not known to be free",
         "silence": "nobody drives",
         "taken_over": "you have taken over; r resumes",
         "emergency_stop": _CAUSES[robot.cause],

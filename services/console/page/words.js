@@ -13,6 +13,7 @@ export const DOES = {
 const PLANS = {
   follow: "follows the taught way", action: "does the action of its state", goal: "has said what it found",
   dead_end: "knows no way on", look_around: "looks around", guess: "drives by its best guess",
+  blocked: "waits: something stands in the way, and nothing leads round it",
   stop: "stops: it does not know where it is", search: "has arrived, and looks for what it was sent to find",
 };
 const CAUSES = {
@@ -56,6 +57,9 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
     const free = taken ? "the driver holds no key" : "take control, then hold a key to drive";
     const why = sits ? "hold a key to drive" : free;
     return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it hears no command"}`];
+  }
+  if (robot.reason === "obstacle") {
+    return ["warn", "It stands, or goes slower: something is in the way, or nothing tells that it is free"];
   }
   const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
   return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];

@@ -83,6 +83,8 @@ class Trial:
     kidnap_tick: int = 0
     sets: int = 1
     victim: Victim = "there"
+    obstacles: int = 0
+    blocked: bool = False
 
     @property
     def recoveries(self) -> int:
@@ -104,6 +106,8 @@ class Trial:
             "from anywhere": self.start == "anywhere",
             "kidnapped": self.kidnap_tick > 0,
             f"victim {self.victim}": self.victim != "there",
+            f"{self.obstacles} obstacles": self.obstacles > 0,
+            "blocked": self.blocked,
         }
         return ", ".join(name for name, holds in said.items() if holds) or "as taught"
 
@@ -230,10 +234,11 @@ def with_runs(plan: Plan, runs: int) -> Plan:
     return replace(plan, worlds=tuple(worlds))
 
 
-def with_victim(plan: Plan, victim: Victim) -> Plan:
-    """Return a plan whose victims lie so in every search."""
+def with_each(plan: Plan, victim: Victim, obstacles: int, *, blocked: bool) -> Plan:
+    """Return a plan in each search of which the victim lies so, and so many things stand in the way, or close it."""
+    new = {"victim": victim, "obstacles": obstacles, "blocked": blocked}
     worlds = (
-        replace(world, trials=tuple(dict.fromkeys(replace(one, victim=victim) for one in world.trials)))
+        replace(world, trials=tuple(dict.fromkeys(replace(one, **new) for one in world.trials)))  # type: ignore[arg-type]
         for world in plan.worlds
     )
     return replace(plan, worlds=tuple(worlds))

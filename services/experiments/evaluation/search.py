@@ -25,7 +25,7 @@ from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
 from smal.movement import Atom, placed, seen_from
-from smal.robot import Place
+from smal.robot import Place, Robot
 
 #: Frames from one kept picture of an example route to the next.
 PICTURE_TICKS: Final = 10
@@ -104,7 +104,11 @@ def search(
             pictures[tick] = image
         if episode.outcome is not None:
             break
-        atom = driver.step(image, rounded(view.odometry)[:3])
+        pose = rounded(view.odometry)[:3]
+        if isinstance(driver, Robot) and simulation.mount is not None:
+            atom = driver.step(image, pose, depth=(view.depth, simulation.mount))
+        else:
+            atom = driver.step(image, pose)
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
         if says and (said := _said(driver)) is not None:

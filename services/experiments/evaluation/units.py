@@ -248,6 +248,8 @@ class Searches(Unit):
                 kidnap_tick=trial.kidnap_tick or None,
                 max_ticks=most_ticks,
                 victim=trial.victim,
+                obstacles=trial.obstacles,
+                blocked=trial.blocked,
             )
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0

@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
 from services.simulator.scene.build import build_scene
-from services.simulator.scene.surfaces import Lights, Surface
+from services.simulator.scene.obstacles import obstacles
+from services.simulator.scene.surfaces import Lights, Surface, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
+from services.simulator.world.obstacles import Obstacle
 from services.simulator.world.place import OverheadMount, Pose, World
 
 _MOST_PICTURES: Final = 2048
@@ -65,6 +67,7 @@ class SceneCamera:
             self._victim = self._add(self._body(scene.victim, VICTIM))
             self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
             self._robot = self._add(self._body(scene.robot, ROBOT))
+            self._obstacles = self._add(self._body((), STILL))
             self._add(self._body(scene.still, STILL))
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
@@ -82,6 +85,12 @@ class SceneCamera:
             # Under the ground nothing sees it.
             at_m = (0.0, 0.0, -_FAR_M) if at is None else (at.x, at.y, 0.0)
             entity.set_pose(self._sapien.Pose(at_m, _turn(0.0 if at is None else at.heading)))
+        self._seen_from = None
+
+    def obstruct(self, things: Sequence[Obstacle]) -> None:
+        """Show these obstacles from now on, in the place of those before."""
+        self._scene.remove_entity(self._obstacles)
+        self._obstacles = self._add(self._body(surfaces(obstacles(things)), STILL))
         self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -11,21 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Message
-from schemas.depth_image import DepthImage
+from schemas.depth_image import DepthImage, Mounting
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
+from services.simulator.sensors.depth import measured, mount_of
 from services.simulator.sensors.readings import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
+from smal.clearance import Mount
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
 
 #: How wide the robot's camera sees.
 FIELD_OF_VIEW_DEG: Final = 75.0
+#: Its focal length over the image's width.
+FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
 # Time over which one picture collects light; what moves meanwhile is blurred.
 _EXPOSURE_S: Final = 0.02
 # Less than this moves no pixel visibly.
@@ -36,9 +40,6 @@ _STEP_PX: Final = 1.5
 _CONTRAST_AT_VISIBILITY: Final = 0.05
 #: Fraction of the image that the victim must fill to be seen.
 VISIBLE_FRACTION: Final = 0.0005
-# Largest depth image, pixels, and the farthest depth that is told: 16 bits of millimetres end there.
-_MOST_COLUMNS, _MOST_ROWS = 320, 240
-_FARTHEST_M: Final = 65.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,11 @@ class SimulatedView:
         return self.camera.depth_m(self.pose, self.tilt)
 
     @cached_property
+    def depth(self) -> NDArray[np.float32]:
+        """What the depth camera measures of that, a smaller image, metres; 0 where nothing."""
+        return measured(self.depth_m, FOCAL)
+
+    @cached_property
     def overhead(self) -> NDArray[np.uint8]:
         """What the camera above the scene sees, (height, width, 3) RGB; a `LookupError` where there is none."""
         return self.camera.overhead(self.pose)
@@ -156,21 +162,17 @@ class SimulatedView:
         if PoseMessage.topic not in made:
             yield PoseMessage.after(header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading)
         if DEPTH.name not in made and self.wanted(DEPTH):
-            yield depth_message(header, self.depth_m)
+            yield depth_message(header, self.depth, mount_of(self.world.robot, FOCAL))
         mount = self.world.place.overhead
         if OVERHEAD.name not in made and mount is not None and self.wanted(OVERHEAD):
             yield overhead_message(header, self.overhead, mount)
 
 
-def depth_message(header: Message, depth_m: NDArray[np.float32]) -> DepthImage:
-    """Make a small depth message of every n-th pixel of an image (height, width) in metres, `inf` where nothing is."""
-    height, width = depth_m.shape
-    every = max(1, math.ceil(width / _MOST_COLUMNS), math.ceil(height / _MOST_ROWS))
-    # From the middle of each block, so that a pixel of the small image looks where its block does.
-    coarse = depth_m[every // 2 :: every, every // 2 :: every]
-    near = np.where(coarse <= _FARTHEST_M, coarse, 0.0)
-    rows, columns = near.shape
-    return DepthImage.after(header, width=columns, height=rows, data=np.rint(1000 * near).astype("<u2").tobytes())
+def depth_message(header: Message, depth_m: NDArray[np.float32], mount: Mount) -> DepthImage:
+    """Make the message of what a depth camera measured, (height, width) metres, 0 where nothing."""
+    rows, columns = depth_m.shape
+    millimetres = np.rint(1000 * depth_m).astype("<u2").tobytes()
+    return DepthImage.after(header, width=columns, height=rows, data=millimetres, mounting=Mounting(**asdict(mount)))
 
 
 def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadMount) -> OverheadImage:

@@ -1,5 +1,6 @@
 """Where a robot can go: what stands in the way, and the shortest way to the victim, along lanes."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Final
 
@@ -10,7 +11,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from shapely import Point, STRtree
 
-from services.simulator.world.place import Place, World, WorldError
+from services.simulator.world.place import Place, Solid, World, WorldError
 
 # Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
 _TIGHT_COST: Final = 3.0
@@ -18,11 +19,11 @@ _OFF_LANE_COST: Final = 1.5
 
 
 class Obstacles:
-    """Everything solid of a place, and its edge, seen from above."""
+    """Everything solid of a place, and its edge, seen from above; and what stands there besides, if anything does."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, more: Iterable[Solid] = ()) -> None:
         # What hangs higher than the robot is tall, as a building over a passage does, is driven under.
-        in_the_way = [solid for solid in place.solids if solid.low_m < place.robot.top_m]
+        in_the_way = [solid for solid in (*place.solids, *more) if solid.low_m < place.robot.top_m]
         self._bounds = place.bounds
         self._radius_m = place.robot.radius_m
         self._solid = STRtree([solid.shape for solid in in_the_way])

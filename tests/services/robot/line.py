@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.base import Atom, Message
 from schemas.depth_image import DepthImage
@@ -17,6 +18,7 @@ from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
 from services.robot.body import Beginning, ImuReading, OdometryReading
 from smal.camera import Camera
+from smal.clearance import Mount
 
 SPEED_M_S = 2.0
 
@@ -41,6 +43,7 @@ class LineView:
     contact: bool
     odometry: OdometryReading | None
     imu: tuple[ImuReading, ...] | None
+    depth: NDArray[np.float32] | None = None
 
     @cached_property
     def jpeg(self) -> bytes:
@@ -61,6 +64,7 @@ class LineBody:
     name = "line"
     speed_m_s = SPEED_M_S
     camera: Camera | None = Camera(0.6)
+    mount: Mount | None = None
     watchdog_s = 0.2
     braking_s = 0.0
 

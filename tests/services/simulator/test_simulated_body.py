@@ -13,9 +13,11 @@ from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
 from services.simulator.robots import Drive
-from services.simulator.sensors.camera import depth_message
+from services.simulator.sensors.camera import FOCAL, depth_message
+from services.simulator.sensors.depth import measured
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
+from smal.clearance import Mount
 from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -91,10 +93,25 @@ def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> Non
     assert carried.look(3).pose == moved, "once"
 
 
-def test_depth_is_told_in_millimetres_of_some_pixels_and_what_is_out_of_range_as_zero() -> None:
-    rows, columns = np.mgrid[:768, :1024].astype(np.float32)
-    told = depth_message(HEADER, (rows + columns / 10000) / 15).to_numpy()
+def test_depth_is_told_in_millimetres_with_how_its_camera_sits() -> None:
+    mount = Mount(0.65, 1.0, 0.35, 0.4, 1.0)
+    told = depth_message(HEADER, np.array([[0.0, 65.0, 1.2345]], dtype=np.float32), mount)
+    assert told.to_numpy().tolist() == [[0, 65000, 1234]]
+    assert told.mounting is not None
+    assert Mount(**told.mounting.model_dump()) == mount
+
+
+def test_a_depth_camera_errs_more_far_away_and_has_holes_beside_what_is_near() -> None:
+    wall = np.full((768, 1024), 4.0, dtype=np.float32)
+    wall[:, :200], wall[200:500, 500:600] = np.inf, 0.5
+    told = measured(wall, FOCAL)
     assert told.shape == (192, 256)
-    assert told[7, 3] == pytest.approx(1000 * (7 * 4 + 2 + (3 * 4 + 2) / 10000) / 15, abs=0.51)
-    depth_m = np.array([[np.inf, 65.1, 65.0, 0.0004, 1.2345]], dtype=np.float32)
-    assert depth_message(HEADER, depth_m).to_numpy().tolist() == [[0, 0, 65000, 0, 1234]]
+    near, far = told[60:110, 127:147], told[:, 60:110]
+    assert not told[:, :49].any()  # out of range
+    for part, true_m, share in ((near[near > 0], 0.5, 0.003), (far[far > 0], 4.0, 0.03)):
+        assert abs(part.mean() - true_m) < 0.01 * true_m
+        assert 0.1 * share < part.std() / true_m < share
+    assert (told[60:110, 110:124] == 0).mean() > 0.9  # what only one eye sees
+    assert (told == measured(wall, FOCAL)).all()
+    # What is told fits into the 16 bits of its message, however far it errs.
+    assert measured(np.full((240, 320), 64.9, dtype=np.float32), FOCAL).max() <= 65.0

@@ -1,0 +1,65 @@
+"""The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from schemas.base import Atom
+from services.robot.gate import CommandGate
+from services.robot.guard import MAX_LOOK_S, Guard
+from smal.movement import Atom as Key
+from tests.services.robot.gating import command
+from tests.smal.depth_world import MOUNT, SPEED_M_S, Box, depth, moved, touches
+
+WALL: Box = (8.0, -6.0, 8.4, 6.0, 2.0)
+
+
+def guard(braking_s: float = 0.22) -> Guard:
+    return Guard(MOUNT, SPEED_M_S, braking_s)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.3, -0.5])
+@pytest.mark.parametrize("high", [0.3, 2.0])
+def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, high: float) -> None:
+    wall: Box = (*WALL[:4], high)
+    gate, pose = CommandGate(first_stop=1), (0.0, 0.0, bearing)
+    gate.guard = guard(braking_s=0.0)
+    assert gate.arm(1, "") is None
+    gate.begin("e", "teleop")
+    reasons = set()
+    for tick in range(120):
+        now_s = tick / 10
+        gate.captured(tick, now_s)
+        gate.guard.look(depth([wall], pose), pose, now_s)
+        assert gate.offer(command(tick, source="teleop"), now_s) is None
+        applied = gate.applied(now_s)
+        reasons.add(applied.reason)
+        pose = moved(pose, Key[applied.atom.upper()], applied.speed)
+        assert not touches([wall], pose)
+    assert reasons == {"command", "obstacle"}
+    assert (applied.atom, applied.speed) == ("stop", 0.0)
+    assert touches([wall], (pose[0] + 0.6, pose[1], 0.0))  # it stands at the wall, and not far before it
+
+
+@pytest.mark.parametrize("shown", [None, np.zeros((60, 80), dtype=np.float32)])
+def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.ndarray | None) -> None:
+    here, ways = (0.0, 0.0, 0.0), ("forward", "backward")
+    made = guard()
+    made.look(shown, here, 0.0)
+    assert [made.share(atom, 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[arg-type]
+    made.look(depth([], here), here, 1.0)
+    assert made.share("forward", 1.0) == 1.0
+    made.look(shown, here, 1.2)
+    assert made.share("forward", 1.0 + MAX_LOOK_S) == 1.0
+    assert made.share("forward", 1.01 + MAX_LOOK_S) == 0.0
+    turns: tuple[Atom, ...] = ("left", "right", "stop")
+    assert {made.share(atom, 9.0) for atom in turns} == {1.0}
+
+
+def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
+    here, wall = (0.0, 0.0, 0.0), (1.2, -6.0, 1.6, 6.0, 2.0)
+    made = guard()
+    made.look(depth([wall], here), here, 0.0)
+    shares = [made.share("forward", 0.02 * k) for k in range(13)]
+    assert shares[0] > shares[5] > shares[12]

@@ -1,0 +1,87 @@
+"""What stands in the way after teaching: on it, with room to pass beside it; or it closes the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from scipy.ndimage import label
+
+from schemas.rpc import ResetRequest
+from services.expert.driver import RouteDriver
+from services.kit.node import ServiceError
+from services.simulator.base import KinematicBase
+from services.simulator.body import SimulatedBody
+from services.simulator.simulation import Simulation
+from services.simulator.world import load_world
+from services.simulator.world.route import Obstacles
+from tests.services.simulator.simulator_driving import StubCamera
+
+WORLDS = {name: load_world(name) for name in ("campus", "indoor")}
+
+
+class Shown(StubCamera):
+    """Remembers what it was told to show."""
+
+    def obstruct(self, things: tuple[object, ...]) -> None:
+        self.things = things
+
+
+def simulated(world: str) -> Simulation:
+    there = WORLDS[world]
+    return Simulation(there, Shown(), KinematicBase(there.place))  # type: ignore[arg-type]
+
+
+def passes(simulation: Simulation, room: float) -> bool:
+    """Tell whether a disc of so many radii of the robot gets from the first to the last part of the way beside it."""
+    radius_m = simulation.world.robot.radius_m
+    way = shapely.LineString(simulation.route())
+    corridor = way.buffer(5 * radius_m)
+    solids = [solid for thing in simulation.obstacles for solid in thing.solids]
+    there = Obstacles(simulation.world.place, solids)
+    x, y = (np.arange(low, high, radius_m / 3) for low, high in np.reshape(corridor.bounds, (2, 2)).T)
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    inside = shapely.contains_xy(corridor, grid[..., 0], grid[..., 1])
+    free = np.zeros(inside.shape, dtype=bool)
+    free[inside] = [there.is_free(*place, room * radius_m) for place in grid[inside].tolist()]
+    parts, _ = label(free, np.ones((3, 3)))
+    along = shapely.line_locate_point(way, shapely.points(grid))
+    first, last = (set(parts[free & near]) for near in (along < 0.1 * way.length, along > 0.9 * way.length))
+    return bool(first & last)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(world: str) -> None:
+    simulation = simulated(world)
+    for seed in (1, 2, 3):
+        simulation.reset(seed, "run", obstacles=3)
+        assert simulation._seen[1].things == simulation.obstacles  # type: ignore[attr-defined]
+        assert len(simulation.obstacles) == 3
+        assert passes(simulation, 1.8 if world == "campus" else 1.3)  # indoors the way itself is narrower than that
+        same = simulation.obstacles
+        simulation.reset(seed, "run", obstacles=3)
+        assert simulation.obstacles == same
+    driver = RouteDriver(simulation.route().tolist(), simulation.speed_m_s, simulation.found_m)
+    for _ in range(1500):
+        pose = simulation.pose
+        simulation.advance(driver.key(pose.x, pose.y, pose.heading), 1.0, 0.1)
+        if simulation.collided or driver.arrived(pose.x, pose.y):
+            break
+    assert simulation.collided
+    simulation.reset(3, "run")
+    assert simulation.obstacles == ()
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
+    simulation = simulated(world)
+    simulation.reset(1, "run")
+    assert passes(simulation, 1.0)
+    simulation.reset(1, "run", blocked=True)
+    assert not passes(simulation, 1.0)
+
+
+def test_a_way_too_short_for_so_many_says_so() -> None:
+    body = SimulatedBody(simulated("indoor"))
+    with pytest.raises(ServiceError, match=r"room for . of 50 obstacles"):
+        body.begin(ResetRequest(seed=1, obstacles=50))
