@@ -3,11 +3,12 @@
 The taught way ahead is laid into the grid of what stands about the robot (`smal.clearance`). If a robot that follows it
 touches nothing, nothing changes. Else every cell has a cost to go: the way to where the taught way leaves the grid,
 dearer near what stands there, dearer the further it is from the taught way, and nowhere so far aside that the filter
-would not know it. The robot then takes the short motion of its atoms that ends where least is left to go, of those
-whose swept body is hit by nothing (after the dynamic window's global form, Brock and Khatib 1999).
+would not know it. The robot then turns so that straight on leads, touching nothing, to where least is left to go (after
+the dynamic window's global form, Brock and Khatib 1999).
 """
 
 import math
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -17,87 +18,73 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
 from smal.clearance import Floats, Surroundings
-from smal.movement import Atom, dead_reckoning, turns_ahead
 
 #: How far beside the taught way it may go, in radii of the robot: 2.4 m for one of 0.4 m, where views are still known.
 _ASIDE: Final = 6.0
 #: Distance from things beyond which more is of no use, in radii, and what a metre costs more right beside them.
 _ROOM, _TIGHT_COST = 2.0, 2.0
+#: It stands so many cells before what it would touch, at the latest: before the guard has it stand.
+_MARGIN_CELLS: Final = 2
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
 _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
-#: Turns that are tried: half round to either side; and how far each then goes straight on, in radii: as far as it sees
-#: what is in the way, since over a grid a late turn seems to be as short as an early one.
-_MOST_TURN_RAD, _STRAIGHT = math.pi, 12.0
-_STEPS: Final = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
-class Avoidance:
-    """Chooses motions of a robot's atoms: what each does between two frames, (5, 2), metres and radians."""
-
-    def __init__(self, movements: Floats) -> None:
-        self._movements = movements = movements.copy()
-        if not turns_ahead(movements):
-            # It creeps ahead in the first moment of a turn only, while it still brakes.
-            movements[[Atom.LEFT, Atom.RIGHT], 0] = 0.0
-        self._step_m = max(float(movements[Atom.FORWARD, 0]), 1e-3)
-        self._turn_rad = max(abs(float(movements[Atom.LEFT, 1])), 1e-3)
-
-    def is_hit(self, around: Surroundings, way: Floats) -> bool:
-        """Tell whether a robot touches something that goes along places (s, 2), ahead and left of where it is now."""
-        return bool((around.clearance_m[around.cells(_dense(way, around.cell_m))] < _body_m(around)).any())
-
-    def turn_rad(self, around: Surroundings, way: Floats) -> float | None:
-        """Return by how much to turn, to the left, to get round to where the way (s, 2) leads; None if nothing does."""
-        to_go_m = self._to_go_m(around, way)
-        count = round(_MOST_TURN_RAD / self._turn_rad)
-        straight = max(2, round(_STRAIGHT * around.radius_m / self._step_m))
-        here = around.cells(np.zeros(2))
-        # Who stands too near to something may leave, and come no nearer.
-        free = np.minimum(_body_m(around), around.clearance_m[here]) - 1e-3
-        best_m, best_rad = math.inf, None
-        for turns in sorted(range(-count, count + 1), key=abs):
-            side = Atom.LEFT if turns > 0 else Atom.RIGHT
-            atoms = np.array([side] * abs(turns) + [Atom.FORWARD] * straight + [Atom.STOP], dtype=np.int8)
-            swept = dead_reckoning(atoms, self._movements)[1:, :2]
-            cells = around.cells(swept)
-            hit = around.clearance_m[cells] < free
-            first = int(hit.argmax()) if hit.any() else len(hit)
-            ends = slice(abs(turns), first)
-            # A frame of turning costs as much as one of driving.
-            left_m = to_go_m[cells][ends] + self._step_m * (np.arange(len(swept))[ends] + 1.0)
-            if left_m.size and left_m.min() < best_m - 1e-9:
-                best_m, best_rad = float(left_m.min()), turns * self._turn_rad
-        return best_rad
-
-    def _to_go_m(self, around: Surroundings, way: Floats) -> Floats:
-        """Return what is left to go from every cell to where the way leaves the grid, metres; infinity from nowhere."""
-        dense = _dense(way, around.cell_m)
-        inside = np.abs(dense).max(axis=1) < around.reach_m / math.sqrt(2.0)
-        dense = dense[: len(inside) if inside.all() else max(1, int(inside.argmin()))]
-        track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
-        track[around.cells(dense)] = np.arange(len(dense))
-        aside, (row, column) = distance_transform_edt(track < 0, return_indices=True)
-        aside_m, along = aside * around.cell_m, track[row, column]
-        here = around.cells(np.zeros(2))
-        clear_m, body_m = around.clearance_m, _body_m(around)
-        # A robot that stands too near to something, or too far aside, may leave.
-        ours = np.hypot(around.x_m, around.y_m) < 1.5 * around.radius_m
-        open_ = (clear_m >= body_m) | (ours & (clear_m >= clear_m[here] - 1e-3))
-        open_ &= aside_m <= max(_ASIDE * around.radius_m, float(aside_m[here]) + around.radius_m)
-        tight = np.clip((_ROOM * around.radius_m - clear_m) / (_ROOM * around.radius_m - body_m), 0.0, 1.0)
-        cost = 1.0 + _TIGHT_COST * tight + _ASIDE_COST * aside_m / around.radius_m + _UNKNOWN_COST * around.unknown
-        # Beyond the end of what is laid into the grid whatever is nearest to that end will do.
-        last = along >= len(dense) - 1 - _ENDS
-        return _distances(open_, cost * around.cell_m, open_ & last)
+def is_hit(around: Surroundings, way: Floats) -> bool:
+    """Tell whether a robot touches something that goes along places (s, 2), ahead and left of where it is now."""
+    return bool((around.clearance_m[around.cells(_dense(way, around.cell_m))] < _body_m(around)).any())
 
 
-#: Cells of the way whose sides count as its end.
-_ENDS: Final = 2
+def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float) -> float | None:
+    """Return by how much to turn, to the left, to get round to where a way (s, 2) leads; None where nothing does.
+
+    Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`.
+    """
+    count = round(math.pi / turn_rad)
+    turns = np.array(sorted(range(-count, count + 1), key=abs))
+    straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
+    towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
+    cells = around.cells(straight_m[:, None] * towards[:, None])
+    # Who stands too near to something may leave, and come no nearer.
+    free_m = min(_body_m(around), float(around.clearance_m[around.cells(np.zeros(2))])) - 1e-3
+    hit = np.logical_or.accumulate(around.clearance_m[cells] < free_m, axis=1)
+    hit[:, :-_MARGIN_CELLS] |= hit[:, _MARGIN_CELLS:]
+    left_m = np.where(hit, np.inf, _to_go_m(around, way)[cells] + straight_m) + step_m * np.abs(turns)[:, None]
+    best = np.unravel_index(left_m.argmin(), left_m.shape)
+    return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
+
+
+def _to_go_m(around: Surroundings, way: Floats) -> Floats:
+    """Return what is left to go from every cell to where the way leaves the grid, metres; infinity from elsewhere."""
+    dense = _dense(way, around.cell_m)
+    outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
+    dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
+    # What stands at its end is seen to its end later.
+    dense = dense[: 1 + np.flatnonzero(around.clearance_m[around.cells(dense)] >= _body_m(around)).max(initial=0)]
+    track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
+    track[around.cells(dense)] = np.arange(len(dense))
+    aside, (row, column) = distance_transform_edt(track < 0, return_indices=True)
+    aside_m, along = aside * around.cell_m, track[row, column]
+    here = around.cells(np.zeros(2))
+    clear_m, body_m = around.clearance_m, _body_m(around)
+    # A robot that stands too near to something, or too far aside, may leave.
+    leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (clear_m >= clear_m[here] - 1e-3)
+    may = ((clear_m >= body_m) | leaves) & (aside_m <= max(_ASIDE * around.radius_m, float(aside_m[here])))
+    tight = np.clip((_ROOM * around.radius_m - clear_m) / (_ROOM * around.radius_m - body_m), 0.0, 1.0)
+    cost = 1.0 + _TIGHT_COST * tight + _ASIDE_COST * aside_m / around.radius_m + _UNKNOWN_COST * around.unknown
+    ends = np.flatnonzero(may & (along >= len(dense) - 3))
+    if not ends.size:
+        return np.full(may.shape, np.inf)
+    one, other, apart = _edges(len(may))
+    cost_m = np.where(may, cost, np.inf).ravel() * around.cell_m
+    costs = (cost_m[one] + cost_m[other]) / 2.0 * apart
+    used = np.isfinite(costs)
+    graph = sparse.csr_array((costs[used], (one[used], other[used])), shape=(may.size, may.size))
+    return np.asarray(dijkstra(graph, directed=False, indices=ends, min_only=True)).reshape(may.shape)
 
 
 def _body_m(around: Surroundings) -> float:
     """Return how near to what stands there the robot's middle may come."""
-    return around.radius_m + around.cell_m
+    return around.radius_m + around.cell_m / 2.0
 
 
 def _dense(way: Floats, apart_m: float) -> Floats:
@@ -108,29 +95,13 @@ def _dense(way: Floats, apart_m: float) -> Floats:
     return np.stack([np.interp(places, along, column) for column in corners.T], axis=1)
 
 
-def _distances(open_: NDArray[np.bool_], cost_m: Floats, ends: NDArray[np.bool_]) -> Floats:
-    """Return the cost of the cheapest way from every open cell to the next end, by Dijkstra over eight neighbours."""
-    number = np.full(open_.shape, -1, dtype=np.intp)
-    number[open_] = np.arange(int(open_.sum()))
-    count = int(open_.sum())
-    found = np.full(open_.shape, np.inf)
-    if not ends.any():
-        return found
-    rows, columns, costs = [], [], []
-    side = len(open_)
-    for dx, dy in _STEPS:
-        one = (slice(0, side - dx), slice(max(0, -dy), side - max(0, dy)))
-        other = (slice(dx, side), slice(max(0, dy), side - max(0, -dy)))
-        both = open_[one] & open_[other]
-        rows.append(number[one][both])
-        columns.append(number[other][both])
-        costs.append((cost_m[one][both] + cost_m[other][both]) / 2.0 * math.hypot(dx, dy))
-    goal = number[ends]
-    rows.append(np.full(goal.size, count))
-    columns.append(goal)
-    costs.append(np.full(goal.size, 1e-9))
-    graph = sparse.csr_array(
-        (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=(count + 1, count + 1)
-    )
-    found[open_] = dijkstra(graph, directed=False, indices=np.array([count]))[0, :count]
-    return found
+@lru_cache(maxsize=2)
+def _edges(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+    """Return the pairs of neighbours in a grid of cells, counted row by row, and how many cells they are apart."""
+    number = np.pad(np.arange(side * side).reshape(side, side), 1, constant_values=-1)
+    inner = number[1:-1, 1:-1].ravel()
+    steps = ((1, 0), (0, 1), (1, 1), (1, -1))
+    others = [number[1 + dx : side + 1 + dx, 1 + dy : side + 1 + dy].ravel() for dx, dy in steps]
+    apart = np.repeat([math.hypot(*step) for step in steps], side * side)
+    one, other = np.tile(inner, len(steps)), np.concatenate(others)
+    return one[other >= 0], other[other >= 0], apart[other >= 0]

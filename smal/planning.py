@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from smal.avoidance import Avoidance
+from smal.avoidance import is_hit, turn_round
 from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import VisualMap
@@ -115,7 +115,6 @@ class Planner:
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
         self._tried = frozenset[int]({-1})
-        self._avoidance = Avoidance(visual_map.movements)
         self.reset()
 
     def _plan(self, tried: frozenset[int]) -> None:
@@ -167,7 +166,8 @@ class Planner:
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
         what is decided moves the robot, which until then goes on turning, if it turns. `seen` is how probable it is
         that what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
-        `around` is what stands about the robot, in metres, round which it goes, unless the map has no metres.
+        `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
+        turns on the spot.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         directions, left_to_go, to_end = self._directions(belief)
@@ -202,14 +202,19 @@ class Planner:
             kind = "look_around"
         else:
             kind = "guess" if has_way or lost else "dead_end"
-        if around is not None and self._map.odometry and has_way and kind in ("follow", "guess"):
-            way = self._way_ahead(belief, around.reach_m)
-            if self._avoidance.is_hit(around, way):
-                round_rad = self._avoidance.turn_rad(around, way)
-                kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
-        pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
-        to_turn_rad = error_rad - pending_rad * _SIDES[self._turning]
-        return Decision(kind, self._atom(kind, to_turn_rad, elapsed_s), error_rad)
+        if not self._map.odometry or Atom.LEFT in self._going or not has_way or kind not in ("follow", "guess"):
+            around = None
+        elif around is not None and is_hit(around, way := self._way_ahead(belief, around.reach_m)):
+            # Where nothing leads round it goes on until it stands before what is in the way.
+            round_rad = turn_round(around, way, self._turn_rad, self._map.speed * self._map.tick_s)
+            error_rad = error_rad if round_rad is None else round_rad
+        to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * _SIDES[self._turning]
+        atom = self._atom(kind, to_turn_rad, elapsed_s)
+        if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
+            self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
+            self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
+            kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
+        return Decision(kind, atom, error_rad)
 
     def _search(self, belief: Belief, elapsed_s: float, seen: float | None) -> None:
         """Say "found" if what is sought is in view; having looked all around go to another end, or say "not here"."""
@@ -239,7 +244,7 @@ class Planner:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
         if kind != "follow":
             self._driven = 0.0
-        if kind in ("goal", "dead_end", "blocked"):
+        if kind in ("goal", "dead_end"):
             self._turning = None
             return Atom.STOP
         if kind == "search":
@@ -275,20 +280,14 @@ class Planner:
         return self._turning or Atom.FORWARD
 
     def _way_ahead(self, belief: Belief, reach: float) -> NDArray[np.float64]:
-        """Return places (s, 2) of the way from where it aims on, ahead of and left of the robot: means of particles."""
-        taught = self._map
-        guide = self._guide[belief.keyframes]
-        one = taught.key_drives[guide] == taught.key_drives[guide[belief.weights.argmax()]]
-        key, drive = taught.keyframes[guide][one], taught.key_drives[guide[one][0]]
-        own = placed(belief.offsets, self._offset[belief.keyframes])[one]
-        start, end = (np.searchsorted(taught.drives, drive, side) for side in ("left", "right"))
-        stations = np.arange(self._ahead, self._ahead + reach, self._ahead / 4.0)
-        along = taught.arc[key] + own[:, 0]
-        target = np.clip(np.searchsorted(taught.arc, along[:, None] + stations), start, end - 1)
-        aims = seen_from(seen_from(taught.poses[target], taught.poses[key][:, None]), own[:, None])
-        weights = belief.weights[one] / belief.weights[one].sum()
-        left_to_go = float(taught.arc[end - 1] - weights @ along)
-        return np.asarray(np.tensordot(weights, aims[..., :2], 1)[: max(1, int((stations <= left_to_go).sum()))])
+        """Return places (s, 2) of the way from where it aims on, ahead of and left of the robot's likeliest place."""
+        taught, best = self._map, belief.weights.argmax()
+        here = belief.keyframes[best]
+        own, key = placed(belief.offsets[best], self._offset[here]), taught.keyframes[self._guide[here]]
+        start, end = (np.searchsorted(taught.drives, taught.drives[key], side) for side in ("left", "right"))
+        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, self._ahead / 4.0)
+        target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
+        return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 
     def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""

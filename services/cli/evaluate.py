@@ -1,5 +1,6 @@
 """``smal evaluate``: the paper's experiments in simulation, or laps of a real robot, as a page of results."""
 
+import itertools
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -28,10 +29,8 @@ def evaluate(
         int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
     victim: options.Victim = "there",
-    obstacles: Annotated[
-        int, Option(min=0, max=50, help="Things that stand in the way of each search, and did not when it was taught.")
-    ] = 0,
-    blocked: Annotated[bool, Option(help="Close the way of each search.")] = False,
+    obstacles: options.Obstacles = 0,
+    blocked: options.Blocked = False,
     laps: Annotated[
         Path | None,
         Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
@@ -53,16 +52,12 @@ def evaluate(
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
-        for option, given in (
-            ("--quick", quick),
-            ("--world", world),
-            ("--runs", runs),
-            ("--report-only", report_only),
-            ("--obstacles", obstacles),
-            ("--blocked", blocked),
-        ):
-            if given:
-                raise UsageError(f"{option}: laps of a real robot (--laps) have one size, and no world")
+        names, given = (
+            "quick world runs report-only obstacles blocked",
+            (quick, world, runs, report_only, obstacles, blocked),
+        )
+        for option in itertools.compress(names.split(), given):
+            raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
         typer.echo(f"results: {_evaluate_laps(laps, out)}")
         return
     if report_only and not out.is_dir():

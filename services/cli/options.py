@@ -56,6 +56,9 @@ Victim = Annotated[
     VictimLies,
     Option("--victim", help="How the victim lies; moved: a little elsewhere; decoy: something else in its place."),
 ]
+_LATER: Final = "Things that stand on and beside the way, and did not when it was taught."
+Obstacles = Annotated[int, Option("--obstacles", min=0, max=50, help=_LATER)]
+Blocked = Annotated[bool, Option("--blocked", help="Close the way.")]
 
 
 def checked(check: Callable[[str], T]) -> Callable[[str], T]:

@@ -37,10 +37,8 @@ def run(
     start: Annotated[Start, Option(help="Begin about the world's start, or anywhere beside the way.")] = "start",
     kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
     victim: options.Victim = "there",
-    obstacles: Annotated[
-        int, Option(min=0, max=50, help="Things that stand on and beside the way, and did not when it was taught.")
-    ] = 0,
-    blocked: Annotated[bool, Option(help="Close the way.")] = False,
+    obstacles: options.Obstacles = 0,
+    blocked: options.Blocked = False,
     realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
     json_file: options.JsonFile = None,

@@ -11,29 +11,27 @@ class Sight:
     """Keeps the surroundings of one episode, of depth images that say how their camera sits, and the wheels."""
 
     def __init__(self) -> None:
-        self._episode = ""
         self._odometry: Odometry | None = None
-        self._around: Surroundings | None = None
+        self._depth: DepthImage | None = None
+        self._around: tuple[str, Surroundings] | None = None
 
     def roll(self, odometry: Odometry) -> None:
         """Take where the wheels say that the robot is."""
-        if odometry.episode != self._episode:
-            self._episode, self._around = odometry.episode, None
         self._odometry = odometry
-        if self._around is not None:
-            self._around.move((odometry.x_m, odometry.y_m, odometry.heading_rad))
 
     def see(self, depth: DepthImage) -> None:
-        """Take a depth image, if the odometry of its frame is known."""
-        now, sits = self._odometry, depth.mounting
-        if sits is None or now is None or (now.episode, now.tick) != (depth.episode, depth.tick):
-            return
-        mount = Mount(**sits.model_dump())
-        if self._around is None or self._around.radius_m != mount.radius_m:
-            self._around = Surroundings(mount.radius_m)
-        pose = now.x_m, now.y_m, now.heading_rad
-        self._around.look(pose, (depth.to_numpy() / 1000.0).astype(np.float32), mount)
+        """Take a depth image."""
+        self._depth = depth
 
     def around(self, episode: str) -> Surroundings | None:
-        """Return what stands about the robot in an episode; None where no depth has told it."""
-        return self._around if episode == self._episode else None
+        """Return what stands about the robot now, by the newest of both; None where no depth has told it."""
+        now, depth = self._odometry, self._depth
+        if now is None or depth is None or depth.mounting is None or not episode == now.episode == depth.episode:
+            return None
+        mount = Mount(**depth.mounting.model_dump())
+        if self._around is None or self._around[0] != episode:
+            self._around = episode, Surroundings(mount.radius_m)
+        # Where the image is of another frame, only the wheels tell something.
+        image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
+        self._around[1].look((now.x_m, now.y_m, now.heading_rad), image, mount)
+        return self._around[1]

@@ -113,7 +113,7 @@ class Body(Stops, Protocol[V_co]):
 
     @property
     def mount(self) -> Mount | None:
-        """How its depth camera sits; without one, nothing keeps it from running into things but itself."""
+        """How its depth camera sits; without it nothing keeps it from running into things but itself."""
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""

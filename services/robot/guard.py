@@ -38,14 +38,11 @@ class Guard:
         #: The largest share that was granted since the last look, and since the one before.
         self._granted = self._granted_before = 0.0
 
-    def look(self, depth_m: NDArray[np.float32] | None, pose: Sequence[float] | None, captured_s: float) -> None:
-        """Take what the depth camera measured, and where the wheels say that the robot was; without, of now only."""
-        if pose is None:
-            self._around, pose = Surroundings(self._mount.radius_m), (0.0, 0.0, 0.0)
-        if not self._around.look(pose, depth_m, self._mount):
-            return
-        self._granted_before, self._granted = self._granted, 0.0
-        self._seen = captured_s, self._around.free_m(ahead=True), self._around.free_m(ahead=False)
+    def look(self, depth_m: NDArray[np.float32] | None, pose: Sequence[float], captured_s: float) -> None:
+        """Take what the depth camera measured, and where the wheels say that the robot was."""
+        if self._around.look(pose, depth_m, self._mount):
+            self._granted_before, self._granted = self._granted, 0.0
+            self._seen = captured_s, self._around.free_m(ahead=True), self._around.free_m(ahead=False)
 
     def share(self, atom: Atom, now_s: float) -> float:
         """Return the largest share of its speed, 0 to 1, at which it may make a movement."""
@@ -58,7 +55,7 @@ class Guard:
         # What it may have gone since.
         gone_m = age_s * self._speed_m_s * max(self._granted, self._granted_before)
         free_m = (ahead_m if atom == "forward" else back_m) - gone_m
-        share = most_speed(free_m, self._mount.radius_m, self._speed_m_s, self._braking_s, TICK_S)
+        share = most_speed(free_m, self._speed_m_s, self._braking_s, TICK_S)
         share = math.floor(share * _STEPS) / _STEPS
         self._granted = max(self._granted, share)
         return share

@@ -258,8 +258,8 @@ class EpisodeRunner(Generic[V]):
         view, tick = run.episode.view, run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        if self.gate.guard is not None:
-            self.gate.guard.look(view.depth, view.odometry and view.odometry[:3], captured_s)
+        if self.gate.guard is not None and view.odometry is not None:
+            self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         # The colour image comes last: it is what the driver waits for.

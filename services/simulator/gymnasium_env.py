@@ -51,8 +51,6 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         **settings: Any,  # noqa: ANN401 - checked by open_simulation
     ) -> None:
         self.render_mode = render_mode
-        # By the camera alone: what it runs into is what it has to learn.
-        settings = {"depth": False} | settings
         self._simulation = simulation or open_simulation(world, CameraSettings(width, height), **settings)
         self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.action_space = spaces.Discrete(len(ATOMS))

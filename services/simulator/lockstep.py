@@ -26,19 +26,15 @@ class LockstepEpisode(Episode[SimulatedView]):
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
         self._advance, self._guard = body.advance, guard_of(body)
-        self._look()
 
     def step(self, atom: Atom) -> SimulatedView:
         """Carry out a movement at nominal speed, or as its guard allows, until the next frame, and return that."""
-        share = 1.0 if self._guard is None else self._guard.share(atom, self.tick * TICK_S)
-        self._advance(atom if share > 0.0 else "stop", share, TICK_S)
-        view = self.next_frame()
-        self._look()
-        return view
-
-    def _look(self) -> None:
+        now_s, share = self.tick * TICK_S, 1.0
         if self._guard is not None:
-            self._guard.look(self.view.depth, self.view.odometry[:3], self.tick * TICK_S)
+            self._guard.look(self.view.depth, self.view.odometry[:3], now_s)
+            share = self._guard.share(atom, now_s)
+        self._advance(atom if share > 0.0 else "stop", share, TICK_S)
+        return self.next_frame()
 
 
 class Lockstep:

@@ -23,7 +23,7 @@ def open_simulation(
     variation: str = "day",
     task: tuple[Pose, Pose] | None = None,
     clouds_seed: int | None = None,
-    depth: bool = True,
+    depth: bool = False,
 ) -> Simulation:
     """Load a world by name or path, and put its robot into it.
 

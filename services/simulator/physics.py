@@ -196,10 +196,7 @@ class PhysicalBase:
 
     def obstruct(self, solids: Sequence[Solid]) -> None:
         """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
-        for entity in self._obstacles[1:]:
-            self._scene.remove_entity(entity)
-        more = [obstacles(solids, self._robot.top_m)] if solids else []
-        self._obstacles = [self._obstacles[0], *more]
+        self._obstacles[1:] = [obstacles(solids, self._robot.top_m)] if solids else []
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose, in a new scene: the engine remembers contacts, which would outlast an episode."""

@@ -13,13 +13,13 @@ from schemas.episode import Purpose, Victim
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.sensors.camera import FOCAL, CameraSettings, SimulatedView
-from services.simulator.sensors.depth import mount_of
 from services.simulator.sensors.readings import Sensors
 from services.simulator.variation import DAY, Variation
 from services.simulator.world.obstacles import Obstacle, stand_in_the_way
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import moved_victim, sample_start
+from smal.clearance import Mount
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
@@ -58,8 +58,9 @@ class Simulation:
         self.world, self.name = world, world.name
         self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
         self._seen = world, camera, variation
-        #: How its depth camera sits, if it has one.
-        self.mount = mount_of(world.robot, FOCAL) if depth else None
+        #: How its depth camera sits, if it has one: where its other camera does.
+        sits, radius_m = world.robot.camera, world.robot.radius_m
+        self.mount = Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m) if depth else None
         self._base = base or KinematicBase(world.place)
         self.braking_s = self._base.braking_s
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
@@ -136,7 +137,7 @@ class Simulation:
         felt = self._sensors
         return SimulatedView(
             *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
-            self.victim, captured_s, wanted,
+            self.victim, self.mount, captured_s, wanted,
         )  # fmt: skip
 
     def route(self) -> NDArray[np.float64]:

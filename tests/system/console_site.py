@@ -17,6 +17,7 @@ import pytest
 from schemas import topics
 from schemas.codec import decode
 from schemas.command import CommandApplied
+from schemas.episode import Episode
 from schemas.pose import Pose
 from schemas.rpc import Nothing, Status
 from services.cli.stack import Stack
@@ -48,14 +49,23 @@ class Site:
         self.applied: list[tuple[float, CommandApplied]] = []
         bus.subscribe(topics.POSE, lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)))
         bus.subscribe(topics.APPLIED, self._note)
+        #: The episode that ended last: from then on the robot stands, and tells no more of it.
+        self.ended = ""
+        bus.subscribe(topics.EPISODE, self._note_end)
 
     def _note(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
         self.applied.append((time.monotonic(), decode(CommandApplied, payload, encoding)))
 
+    def _note_end(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        event = decode(Episode, payload, encoding)
+        if event.event == "ended":
+            self.ended = event.episode
+
     @property
     def drives(self) -> bool:
         """Whether the robot is being moved."""
-        return bool(self.applied) and self.applied[-1][1].atom != "stop"
+        last = self.applied[-1][1] if self.applied else None
+        return last is not None and last.atom != "stop" and last.episode != self.ended
 
     def stood_s(self, since_s: float) -> float:
         """Wait until the actuator stands; return how long after a time it was last told to move."""

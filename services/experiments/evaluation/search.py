@@ -104,11 +104,10 @@ def search(
             pictures[tick] = image
         if episode.outcome is not None:
             break
-        pose = rounded(view.odometry)[:3]
-        if isinstance(driver, Robot) and simulation.mount is not None:
-            atom = driver.step(image, pose, depth=(view.depth, simulation.mount))
-        else:
-            atom = driver.step(image, pose)
+        sees: dict[str, Any] = {}
+        if isinstance(driver, Robot) and view.depth is not None:
+            sees = {"depth": (view.depth, simulation.mount)}
+        atom = driver.step(image, rounded(view.odometry)[:3], **sees)
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
         if says and (said := _said(driver)) is not None:

@@ -126,11 +126,11 @@ class Unit(ABC):
 
 @lru_cache(maxsize=4)
 def simulation_in(
-    site: Site, shake: float | None = None, variation: str = "day", clouds_seed: int | None = None
+    site: Site, shake: float | None = None, variation: str = "day", clouds_seed: int | None = None, depth: bool = False
 ) -> Simulation:
     """Open a world."""
     camera = CameraSettings(*site.camera)
-    return open_simulation(site.world, camera, shake=shake, variation=variation, clouds_seed=clouds_seed)
+    return open_simulation(site.world, camera, shake=shake, variation=variation, clouds_seed=clouds_seed, depth=depth)
 
 
 @lru_cache(maxsize=1)
@@ -235,7 +235,8 @@ class Searches(Unit):
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
         taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
         # No day has the clouds of the one of teaching.
-        simulation = simulation_in(self.site, how.shake, trial.variation, CLOUDS_SEED + self.which)
+        clouds, hindered = CLOUDS_SEED + self.which, trial.obstacles > 0 or trial.blocked
+        simulation = simulation_in(self.site, how.shake, trial.variation, clouds, hindered)
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))

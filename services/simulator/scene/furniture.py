@@ -3,7 +3,7 @@
 import math
 import zlib
 from collections.abc import Callable, Iterable
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
@@ -140,6 +140,32 @@ def _table(piece: Furniture) -> list[Piece]:
     return [(Finish("board", piece.colour), block(box, under, piece.height_m)), *_blocks(Finish("dark_plastic"), steel)]
 
 
+def _chair(piece: Furniture) -> list[Piece]:
+    x_min, y_min, _, y_max = box = piece.box
+    seat, cloth = sizes.CHAIR_FRACTION * piece.height_m, Finish("fabric", piece.colour)
+    back = x_min, y_min, x_min + sizes.CHAIR_BACK_M, y_max
+    cushions = [(box, seat - sizes.BOARD_M, seat), (back, seat, piece.height_m)]
+    return _blocks(Finish("aluminium"), [(leg, 0.0, seat) for leg in piece.legs]) + _blocks(cloth, cushions)
+
+
+def _car(piece: Furniture) -> list[Piece]:
+    paint, bonnet, (behind, right, ahead, left) = (
+        Finish("lacquer", piece.colour or (70, 92, 120)), sizes.BONNET_FRACTION * piece.height_m, piece.cabin
+    )  # fmt: skip
+    wheel, half = 0.22 * piece.height_m, piece.width_m / 2 - 0.02
+    made: list[Piece] = [
+        (paint, block(piece.box, sizes.SILLS_M, bonnet)),
+        (Finish("dark_plastic"), block(piece.cabin, bonnet, piece.height_m - 0.06)),
+        (paint, block((behind + 0.05, right, ahead - 0.3, left), piece.height_m - 0.06, piece.height_m)),
+    ]
+    for x, side in product((-0.3 * piece.depth_m, 0.3 * piece.depth_m), (1.0, -1.0)):
+        # A tube, and the disc at its outer end.
+        for inner, outer, radius in ((half - 0.2, half, wheel), (half, half + 1e-3, 1e-3)):
+            tyre = tube((x, side * inner, wheel), (x, side * outer, wheel), (wheel, radius), 16)
+            made.append((Finish("tyre"), tyre))
+    return made
+
+
 def _sofa(piece: Furniture) -> list[Piece]:
     x_min, y_min, x_max, y_max = piece.box
     colour = piece.colour or (156, 79, 67)
@@ -206,6 +232,6 @@ def _leaf(tip: NDArray[np.float64], pot: float, rng: np.random.Generator) -> lis
 
 
 _MAKERS: Final[dict[FurnitureKind, Callable[[Furniture], list[Piece]]]] = {
-    "cabinet": _cabinet, "crate": _crate, "desk": _desk, "partition": _partition, "plant": _plant,
-    "shelf": _shelf, "sofa": _sofa, "table": _table,
+    "cabinet": _cabinet, "car": _car, "chair": _chair, "crate": _crate, "desk": _desk, "partition": _partition,
+    "plant": _plant, "shelf": _shelf, "sofa": _sofa, "table": _table,
 }  # fmt: skip

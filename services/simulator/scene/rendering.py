@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
 from services.simulator.scene.build import build_scene
-from services.simulator.scene.obstacles import obstacles
+from services.simulator.scene.furniture import furnish
 from services.simulator.scene.surfaces import Lights, Surface, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
@@ -67,7 +67,7 @@ class SceneCamera:
             self._victim = self._add(self._body(scene.victim, VICTIM))
             self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
             self._robot = self._add(self._body(scene.robot, ROBOT))
-            self._obstacles = self._add(self._body((), STILL))
+            self._obstacles: list[Any] = []
             self._add(self._body(scene.still, STILL))
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
@@ -89,8 +89,11 @@ class SceneCamera:
 
     def obstruct(self, things: Sequence[Obstacle]) -> None:
         """Show these obstacles from now on, in the place of those before."""
-        self._scene.remove_entity(self._obstacles)
-        self._obstacles = self._add(self._body(surfaces(obstacles(things)), STILL))
+        for entity in self._obstacles:
+            self._scene.remove_entity(entity)
+        self._obstacles = [self._add(self._body(surfaces(furnish(one.piece)), STILL)) for one in things]
+        for entity, one in zip(self._obstacles, things, strict=True):
+            entity.set_pose(self._sapien.Pose((one.pose.x, one.pose.y, 0.0), _turn(one.pose.heading)))
         self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +17,7 @@ from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
-from services.simulator.sensors.depth import measured, mount_of
+from services.simulator.sensors.depth import measured
 from services.simulator.sensors.readings import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
@@ -108,6 +108,7 @@ class SimulatedView:
     odometry: OdometryReading
     imu: tuple[ImuReading, ...]
     victim: Pose | None  # Where the victim truly lies.
+    mount: Mount | None  # How its depth camera sits, if it has one.
     captured_s: float = 0.0  # When, by the actuator's clock.
     wanted: Callable[[Topic], bool] = lambda _topic: False
     """Whether anybody listens to a topic whose messages are costly."""
@@ -138,9 +139,9 @@ class SimulatedView:
         return self.camera.depth_m(self.pose, self.tilt)
 
     @cached_property
-    def depth(self) -> NDArray[np.float32]:
+    def depth(self) -> NDArray[np.float32] | None:
         """What the depth camera measures of that, a smaller image, metres; 0 where nothing."""
-        return measured(self.depth_m, FOCAL)
+        return None if self.mount is None else measured(self.depth_m, self.mount.focal)
 
     @cached_property
     def overhead(self) -> NDArray[np.uint8]:
@@ -161,18 +162,18 @@ class SimulatedView:
         """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
         if PoseMessage.topic not in made:
             yield PoseMessage.after(header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading)
-        if DEPTH.name not in made and self.wanted(DEPTH):
-            yield depth_message(header, self.depth, mount_of(self.world.robot, FOCAL))
-        mount = self.world.place.overhead
-        if OVERHEAD.name not in made and mount is not None and self.wanted(OVERHEAD):
-            yield overhead_message(header, self.overhead, mount)
+        if DEPTH.name not in made and self.mount is not None and self.depth is not None and self.wanted(DEPTH):
+            yield depth_message(header, self.depth, self.mount)
+        above = self.world.place.overhead
+        if OVERHEAD.name not in made and above is not None and self.wanted(OVERHEAD):
+            yield overhead_message(header, self.overhead, above)
 
 
 def depth_message(header: Message, depth_m: NDArray[np.float32], mount: Mount) -> DepthImage:
     """Make the message of what a depth camera measured, (height, width) metres, 0 where nothing."""
     rows, columns = depth_m.shape
     millimetres = np.rint(1000 * depth_m).astype("<u2").tobytes()
-    return DepthImage.after(header, width=columns, height=rows, data=millimetres, mounting=Mounting(**asdict(mount)))
+    return DepthImage.after(header, width=columns, height=rows, data=millimetres, mounting=Mounting(**mount._asdict()))
 
 
 def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadMount) -> OverheadImage:

@@ -12,9 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.robots import RobotModel
-from smal.clearance import Mount
-
 #: Largest depth image, pixels, and the farthest depth that is told: 16 bits of millimetres end there.
 _MOST_COLUMNS, _MOST_ROWS = 320, 240
 _FARTHEST_M: Final = 65.0
@@ -26,11 +23,6 @@ _SHIFT_PX, _SHIFT_WIDTH_PX = 0.08, 848
 _PATCH_PX: Final = 4
 #: Share of patches without texture that tell nothing near by, and how much more a metre further on.
 _HOLES, _HOLES_A_M = 0.01, 0.005
-
-
-def mount_of(robot: RobotModel, focal: float) -> Mount:
-    """Return how the depth camera of a robot sits, which sees as its camera does: focal length over the width."""
-    return Mount(focal, robot.camera.height_m, robot.camera.ahead_m, robot.radius_m, robot.top_m)
 
 
 def measured(depth_m: NDArray[np.float32], focal: float) -> NDArray[np.float32]:

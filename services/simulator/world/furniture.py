@@ -1,4 +1,4 @@
-"""What stands in a room: a kind, a place, a size, and which parts of it are solid at which height."""
+"""What stands in a room, or in the way: a kind, a place, a size, and which parts are solid at which height."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from shapely import Polygon, affinity
 
 from services.simulator.world.place import STRICT, Rgb, Solid
 
-FurnitureKind = Literal["cabinet", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
+FurnitureKind = Literal["cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
 #: Kinds whose footprint is a circle, `width_m` across.
 ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
@@ -27,9 +27,18 @@ SEAT_FRACTION: Final = 0.55
 ARM_FRACTION: Final = 0.75
 SOFA_BACK_M: Final = 0.22
 SOFA_ARM_M: Final = 0.18
+#: How high a chair's seat is as a fraction of its height, and how deep its back.
+CHAIR_FRACTION: Final = 0.52
+CHAIR_BACK_M: Final = 0.04
+#: How far a car's sills are above the ground, its bonnet as a fraction of its height, and where its cabin begins and
+#: ends as fractions of its length.
+SILLS_M: Final = 0.2
+BONNET_FRACTION: Final = 0.58
+CABIN_FRACTIONS: Final = (0.1, 0.68)
 # Smallest width and depth of kinds that consist of parts.
 _SMALLEST_M: Final[dict[FurnitureKind, tuple[float, float]]] = {
-    "desk": (0.8, 0.4), "shelf": (0.3, 0.15), "sofa": (0.8, 0.5), "table": (0.3, 0.3)
+    "car": (1.2, 2.0), "chair": (0.3, 0.3), "desk": (0.8, 0.4), "shelf": (0.3, 0.15), "sofa": (0.8, 0.5),
+    "table": (0.3, 0.3),
 }  # fmt: skip
 # Segments of a quarter of the polygon that stands for a circle.
 _QUADRANT_SEGMENTS: Final = 8
@@ -54,7 +63,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
-    """A piece of furniture in a room's file; tables and desks are open below, plants round, the others boxes."""
+    """A piece of furniture in a room's file; tables, desks and chairs are open below, plants round, others boxes."""
 
     kind: FurnitureKind
     x_m: Metres  # Middle of its footprint, from the west wall.
@@ -117,6 +126,14 @@ class Furniture:
             case "table" | "desk":
                 below = self.legs if self.kind == "table" else self.panels
                 return [*((shapely.box(*box), 0.0, under) for box in below), (self.outline, under, self.height_m)]
+            case "chair":
+                x_min, y_min, _, y_max = self.box
+                seat, back = CHAIR_FRACTION * self.height_m, shapely.box(x_min, y_min, x_min + CHAIR_BACK_M, y_max)
+                legs = [(shapely.box(*box), 0.0, seat) for box in self.legs]
+                return [*legs, (self.outline, seat - BOARD_M, seat), (back, seat, self.height_m)]
+            case "car":
+                bonnet = BONNET_FRACTION * self.height_m
+                return [(self.outline, SILLS_M, bonnet), (shapely.box(*self.cabin), bonnet, self.height_m)]
             case "sofa":
                 x_min, y_min, _, y_max = self.box
                 back = shapely.box(x_min, y_min, x_min + SOFA_BACK_M, y_max)
@@ -126,9 +143,16 @@ class Furniture:
 
     @property
     def legs(self) -> list[Box]:
-        """The four legs of a table."""
-        ahead, aside = (((half - LEG_M, half), (-half, LEG_M - half)) for half in (self.depth_m / 2, self.width_m / 2))
+        """The four legs of a table, or of a chair, whose are half as thick."""
+        thick = LEG_M / 2 if self.kind == "chair" else LEG_M
+        ahead, aside = (((half - thick, half), (-half, thick - half)) for half in (self.depth_m / 2, self.width_m / 2))
         return [(x_min, y_min, x_max, y_max) for x_min, x_max in ahead for y_min, y_max in aside]
+
+    @property
+    def cabin(self) -> Box:
+        """What is above the bonnet of a car."""
+        behind, ahead = ((share - 0.5) * self.depth_m for share in CABIN_FRACTIONS)
+        return behind, 0.06 - self.width_m / 2, ahead, self.width_m / 2 - 0.06
 
     @property
     def panels(self) -> tuple[Box, Box, Box]:

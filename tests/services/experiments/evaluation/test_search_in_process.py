@@ -69,7 +69,7 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
 ) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
-    simulation, model = open_simulation("yard", CameraSettings(160, 120)), load_model(file)
+    simulation, model = open_simulation("yard", CameraSettings(160, 120), depth=True), load_model(file)
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
         service.load(LoadedModel.read(file))
