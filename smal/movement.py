@@ -113,12 +113,10 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
     """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
-    It is the median over the frames of a demonstration, which a wheel that slips for a moment does not move; of several
-    the one in which it does most: who pauses between keys, or is slow, does not make the robot so. `poses` (f, 3) are
-    each one's odometry, x, y, heading in radians; atom k of its `atoms` (f,) was executed between frames k and k + 1.
-
-    Of an atom that was never made: a turn is that to the other side in a mirror, backward is the opposite of forward,
-    and a car that never drove straight on does so as fast as it turns. Else it is still.
+    It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
+    most: who pauses between keys, or is slow, does not make the robot so. Of an atom that was never made: a turn is
+    that to the other side, backward the opposite of forward, and a car that never drove straight on does so as fast as
+    it turns.
     """
     each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
     most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from services.simulator.world import Pose
+from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.command import run_smal
 from tests.sharing import made_once
 
@@ -38,12 +40,23 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture(scope="session")
-def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record one drive in a small world, and learn a model from it; return their folder."""
+def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a world where a drive takes some seconds: the yard's way with both corners, without the long stretches."""
+
+    def make(folder: Path) -> None:
+        _, text = import_map(WORLDS_FOLDER / "yard.osm", folder / "near.json", Wishes(Pose(-8.0, 1.0, 0.0)))
+        (folder / "near.json").write_text(text)
+
+    return made_once(tmp_path_factory, "near", make) / "near.json"
+
+
+@pytest.fixture(scope="session")
+def taught(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record one drive in that world, and learn a model from it; return their folder."""
 
     def make(folder: Path) -> None:
         for arguments in (
-            ("demonstrate", "--world", "yard", "--seed", 1, "--camera", "160x120", "--out", folder / "drives"),
+            ("demonstrate", "--world", near, "--seed", 1, "--camera", "160x120", "--out", folder / "drives"),
             ("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json"),
         ):
             done = run_smal(*arguments)

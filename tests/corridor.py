@@ -21,7 +21,7 @@ from smal.movement import Atom
 from smal.paper import learning
 from smal.paper.model import Model as PaperModel
 
-FEATURES: Final = FeatureSettings(("thumbnail",), (1.0,))
+FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3
 #: Of every frame, metres.
 STEP_M: Final = 0.2

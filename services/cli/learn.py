@@ -99,7 +99,7 @@ def learn(
     except ModelError as error:
         raise JobError(str(error)) from None
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
-    chosen = {"modalities": features.modalities, "weights": features.weights}
+    chosen = {"modalities": features.modalities}
     recorded = f"{teaching.recordings} ({teaching.episodes} episodes used)"
     rows = {"recordings": recorded, "features": described_by(features)} | found
     _say(rows, out, began_s, json_file, used | chosen | found)

@@ -17,8 +17,5 @@ def listed(names: Sequence[str], most: int = 10) -> str:
 
 
 def described_by(features: FeatureSettings) -> str:
-    """Name the modalities, and their weights unless all are the same."""
-    if len(set(features.weights)) == 1:
-        return " ".join(features.modalities)
-    pairs = zip(features.modalities, features.weights, strict=True)
-    return " ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
+    """Name the modalities."""
+    return " ".join(features.modalities)

@@ -20,12 +20,7 @@ _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 class Job(Strict):
-    """What is asked for; `smal import --help` says what each wish is.
-
-    Recordings of a robot on its way to a goal are written into a folder. Names of cameras, velocities and episodes are
-    the source's own; speed and turn rate are what the number 1 of the source stands for, in metres and radians a
-    second; success and field of view go before what the source says.
-    """
+    """What is asked for; `smal import --help` says what each wish is. Names are the source's own."""
 
     format: Format
     path: str

@@ -159,10 +159,9 @@ class Bus:
     def subscribe(self, topic: Topic, take: Take, refused: Refused = _ignore, *, replay: bool = False) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
 
-        It is given payload, encoding, and the seconds that the sample took from its sender, by the clocks of both
-        machines (None where it does not tell). ``refused`` is given why what came is no such sample, and whose it is as
-        far as that is known. With ``replay``, those samples are sent, in order, that were published in the last
-        ``topics.KEPT_S``, and those that get lost on the way: for what keeps a record; never for what moves a robot.
+        It is given payload, encoding, and how many seconds it took by the clocks of both machines, or None. ``refused``
+        is given why something is no such sample, and whose. With ``replay`` what was published in the last
+        ``topics.KEPT_S``, and what gets lost, is sent in order: for what keeps a record, never for what moves a robot.
         """
         key, session = topic.key(self.robot), self.sessions[topic.lane]
 

@@ -48,12 +48,9 @@ class _Sender(Generic[T]):
 class Replay(Generic[T]):
     """Asks each sender that it hears of, once, for what it kept; what is live waits until that has come.
 
-    Any thread may call. Of a sender that does not answer, samples are held until its query ends, or until there is no
-    room for them: then they are passed on, and what they waited for is left out.
-
-    ``take`` is called with each sample, by one thread at a time; ``overdue`` with a sender's name where there was no
-    room. Both must return at once, and not raise. After ``ask`` was called with a sender's name, `replayed` and then
-    `ended` must follow, on any thread.
+    Of a sender that does not answer, samples wait until its query ends or there is no room (``overdue``). Any thread
+    may call. ``take`` is called by one thread at a time; both must return at once, and not raise. After ``ask``,
+    `replayed` and then `ended` must follow.
     """
 
     def __init__(

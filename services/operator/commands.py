@@ -11,13 +11,11 @@ from schemas.episode import Episode
 class Commands:
     """What a person who drives tells the robot; each method returns the command that is to be sent, if any.
 
-    While a key is held, every heartbeat is answered by its movement. A change between two heartbeats is sent at once,
-    for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
+    While a key is held, every heartbeat is answered by its movement; a change is sent at once. When it is released one
+    ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated until the robot says that it
+    stands, and ends when it was armed; one that is pressed after that was asked for stays.
 
-    An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands.
-    It ends when the robot was armed; one that is pressed after that was asked for stays.
-
-    ``robot`` is whom an emergency stop is for before anything was heard of the robot; ``clock`` gives seconds.
+    ``robot`` is whom it is for before anything was heard of the robot; ``clock`` gives seconds.
     """
 
     def __init__(self, robot: str, clock: Callable[[], float]) -> None:

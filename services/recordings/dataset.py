@@ -47,12 +47,10 @@ class Teaching:
 
 
 class Teacher:
-    """Collects the demonstrations of one recording after the other.
+    """Collects the demonstrations of one recording after the other, of some ``episodes`` only, if these are given.
 
-    Frames that were recorded without the wanted features have them computed from their image, unless that takes depth,
-    of which there are no images in recordings. A piece needs ``shortest`` frames, one sequence, in order to teach
-    anything. Successful runs of the robot by itself teach only with ``include_runs``. Of ``episodes`` that are not
-    wanted, by their names, nothing is said.
+    Frames without the wanted features have them computed from their image, unless that takes depth. A piece needs
+    ``shortest`` frames. Successful runs of the robot by itself teach only with ``include_runs``.
     """
 
     def __init__(

@@ -48,11 +48,10 @@ def read_recording(
     allowance: Allowance | None = None,
     topics: Collection[Topic] = USUAL,
 ) -> Recording:
-    """Read a recording, sealed or left behind: the events of episodes, and some topics.
+    """Read a recording, sealed or left behind: the events of episodes, and some topics, within an ``allowance``.
 
-    Feature vectors are taken with one ``fingerprint``; none of them if it is not given. The memory that it takes is
-    bounded by an ``allowance``, one of its own if not given. Raises RecordingError when the file cannot be read, is no
-    MCAP file, holds no episode or no frame, is still being recorded, or takes too much memory.
+    Feature vectors are taken with one ``fingerprint``, or none. RecordingError where the file cannot be read, is no
+    MCAP file, holds no episode or no frame, is being recorded, or takes too much memory.
     """
     data = open_recording(path)
     allowance = allowance or Allowance()

@@ -107,11 +107,9 @@ class RecordedEpisode:
         return pose.x_m, pose.y_m, pose.heading_rad
 
     def _is_goal(self, tick: int) -> bool:
-        """Whether this is the frame that shows the goal.
+        """Whether this is the frame that shows the goal: the last one of an episode that ended with ``found``.
 
-        That is the last one of an episode that ended with ``found``: the simulator says so only if the victim is near
-        and in view in that very frame (the event ``victim_found`` says merely that it once was). A recording with
-        frames after the end contradicts itself and has no goal.
+        ``victim_found`` says merely that it once was in view. A recording with frames after the end has no goal.
         """
         if self.outcome != "found" or tick != self.end_tick:
             return False

@@ -22,12 +22,11 @@ def usual_name(path: Path, *, replace: bool) -> Path:
 
 
 def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[list[Contents], Contents | None]:
-    """Write the recording of all that is whole in others, which are of one episode, in their order, and stay.
+    """Write the recording of all that is whole in others, which are of one episode; return what was wrong, and is.
 
-    With ``replace``, a file that is there is replaced, and what was left behind is removed. Returns what was wrong with
-    each, and what still is: None where nothing was to be repaired, nor written. Raises JobError
-    when nothing can be made of them, one is still being recorded, or there is a file already; OSError when the new one
-    cannot be written.
+    The second is None where nothing was to be repaired. With ``replace``, a file that is there is replaced, and what
+    was left behind is removed. JobError where nothing can be made of them, one is being recorded, or there is a file
+    already.
     """
     before = [verify(path) for path in paths]
     if len(before) == 1 and before[0].state == "sealed" and not before[0].damage:

@@ -76,9 +76,8 @@ def summary_of(data: memoryview) -> Summary | None:
 def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapRecord]:
     """Yield the schemas and channels of the summary, then all that is whole in the data section, also behind damage.
 
-    It takes the whole file to be read, images too. A record whose length is damaged leads astray, but chunks tell by
-    their checksum that they are whole: the next one is looked for behind the last that was. ``tell`` is called with
-    each finding, a line. Raises MemoryLimitError when it unpacks to too much.
+    A record whose length is damaged leads astray: the next chunk whose checksum is right is looked for. ``tell`` is
+    called with each finding. MemoryLimitError where it unpacks to too much.
     """
     known = summary_of(data) or Summary(len(data))
     count = orphans = 0

@@ -15,13 +15,11 @@ LEARN_S: Final = 2.0
 
 
 class StampedClock:
-    """Maps the stamps of one stream of messages to when they were made by our clock.
+    """Maps the stamps of one stream of messages to when they were made by our clock; the least delay counts as none.
 
-    The least delay that was seen counts as none. So what is said is never before the truth, and after it by what the
-    fastest message took: a few milliseconds in a local network. It is never after the message's arrival.
-
-    How late a message is cannot be told from how far the other clock was set with it. So after what may be a leap of
-    that clock, as at the beginning, what is said may be believed only when it is ``known`` again.
+    So what is said is never before the truth, after it by what the fastest message took, and never after the arrival.
+    How late a message is cannot be told from how far the other clock was set: after a leap it counts when ``known``
+    again.
     """
 
     def __init__(self) -> None:

@@ -26,10 +26,9 @@ class Way(NamedTuple):
 def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
     """Return what a LaserScan says of the way ahead, and of the way back.
 
-    A beam says that something is near, as -inf or a range, also one below the scanner's least; or that nothing is, as
-    +inf or a range that the scanner can have (REP 117). All else says nothing: NaN, 0 (unless it is told what that
-    means), what is negative, beyond the scanner's range, or a part of the robot. Raises MessageError where its angles
-    or limits are those of no scanner, or of one that cannot tell what it is asked.
+    Near is -inf or a range, also below the scanner's least; free is +inf or a range that it can have (REP 117). NaN, 0
+    (unless it is told what that means), and a part of the robot say nothing. MessageError where angles or limits are
+    those of no scanner, or of one that cannot tell what it is asked.
     """
     ranges = np.asarray(message.ranges, dtype=np.float64)
     _check(message, ranges.size, scan)

@@ -28,14 +28,10 @@ Info = dict[str, Any]
 
 
 class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
-    """Find the victim by the camera alone.
+    """Find the victim by the camera alone: images (height, width, 3) uint8 RGB, an atom for each frame of 0.1 s.
 
-    Observation: the camera image, (height, width, 3) uint8 RGB. Action: one of `schemas.base.ATOMS` (forward, backward,
-    left, right, stop), held for one frame of 0.1 s. Reward: 1 when the victim is found, -1 at a collision (both end the
-    episode), else 0.
-
-    World and settings are those of `open_simulation`, and what it raises; width and height are those of the image,
-    pixels. `simulation` is one made elsewhere, whose images have that size; world and settings are then left aside.
+    The reward is 1 when the victim is found, -1 at a collision (both end the episode), else 0. World and settings are
+    those of `open_simulation`, unless a `simulation` is given.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012
@@ -59,9 +55,7 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[NDArray[np.uint8], Info]:
         """Begin an episode; the same seed gives the same, without one the environment's own chance decides.
 
-        `options` may have a `purpose`: where to start, "run" (the default), "drive" or "recovery"; see `sample_start`.
-        `info` has `pose` (x, y in metres, heading in radians) and `route`, the way points (k, 2) to the victim, for
-        experts that may know them.
+        `options` may have a `purpose` (`sample_start`); `info` has `pose`, and `route`, way points (k, 2) for experts.
         """
         super().reset(seed=seed)
         purpose = (options or {}).get("purpose", "run")

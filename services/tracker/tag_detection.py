@@ -29,16 +29,11 @@ def _detector() -> cv2.aruco.ArucoDetector:
 
 
 def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
-    """Return the corners of every marker of OpenCV's ``DICT_4X4_50`` with one number in an RGB image.
+    """Return the corners (4, 2) of each marker of ``DICT_4X4_50`` of one number in an RGB image, clockwise, pixels.
 
-    OpenCV's own refinement fits each corner by itself, which at 30 pixels a side errs by up to 2.6 pixels and
-    6 degrees when the white margin is narrow; here the corners are where straight lines along the sides meet.
-
-    Returns
-    -------
-    list of float64 arrays (4, 2)
-        Pixels right and down from the image's upper left corner (so that the first pixel's centre is at 0.5),
-        clockwise in the image from the marker's own upper left corner.
+    The first is the marker's own upper left; the first pixel's centre is at 0.5. OpenCV fits each corner by itself,
+    which at 30 pixels a side errs by up to 2.6 pixels where the margin is narrow; here corners are where lines along
+    sides meet.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     quads, numbers, _ = _detector().detectMarkers(grey)

@@ -47,14 +47,9 @@ class TagPose(NamedTuple):
 
 
 def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
-    """Return the pose of a tag in an RGB image (height, width, 3) of a camera.
+    """Return the pose of a tag in an RGB image (height, width, 3); ValueError where the camera is not above it.
 
-    Raises
-    ------
-    TagNotSeen
-        When there is no such tag in the image, more than one, or what was found is not a square of its size.
-    ValueError
-        When the camera is not above the tag.
+    TagNotSeen where there is none, more than one, or what was found is not a square of its size.
     """
     if camera.height_m <= tag.height_m:
         above = f"a camera {camera.height_m:g} m above the floor"

@@ -68,11 +68,7 @@ def judge_by_poses(
     distance_m: float,
     angle_deg: float,
 ) -> Judgement:
-    """Judge a method's answers: right are references that were taken near a query and look the same way.
-
-    References and queries (n, 3), (q, 3) are x and y in metres, and heading in radians; right is what is within both,
-    the distance and the angle.
-    """
+    """Judge answers: right is a reference within a distance and an angle of the query; poses (n, 3), (q, 3)."""
 
     def near(some: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
         apart = some - others

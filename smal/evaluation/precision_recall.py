@@ -18,10 +18,9 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A curve of precision over recall, arrays (k,): answers with a score of at least the threshold are given.
+    """A curve of precision over recall, arrays (k,), one point for each different score, by falling thresholds.
 
-    One point for each different score, so that the order of queries with equal scores does not matter; no point if
-    nothing is answered. Thresholds fall.
+    Answers with a score of at least the threshold are given; no point if nothing is answered.
     """
 
     recall: NDArray[np.float64]
@@ -32,9 +31,8 @@ class PrecisionRecall:
     def of(cls, judgement: Judgement, times: NDArray[np.int64] | None = None) -> Self:
         """Return the curve of a method's answers; ValueError when no query has anything to find.
 
-        Queries that are not judged do not count. A query that is judged and has nothing to find does not count for
-        recall; an answer to it is wrong. A query that has something to find and no answer counts for recall. Each
-        counts once, or as often as `times` (q,) says.
+        Queries that are not judged do not count; of the others each counts once, or as often as `times` (q,) says. An
+        answer to one that has nothing to find is wrong.
         """
         times = judgement.judged.astype(np.int64) if times is None else times * judgement.judged
         to_find = int(times[judgement.findable].sum())
@@ -80,25 +78,19 @@ def block_length(queries: int, length: int) -> int:
 def intervals_of(figures: NDArray[np.float64]) -> Intervals:
     """Return the intervals between which the middle 95 % of the figures of `bootstrap` lie.
 
-    They say how much the figures would vary with other queries of the same kind along the same references. Few blocks
-    make them too narrow. The recall at 100 % precision is decided by the surest wrong answer, an extreme, which a
-    third of the draws lack: its interval reaches upward, and covered the median of other draws in 61 to 71 % (400
-    independent queries, where that of the area covered it in 93 %).
+    Few blocks make them too narrow. Recall at 100 % precision is decided by the surest wrong answer, which a third of
+    the draws lack: its interval covered the median of other draws in 61 to 71 % (that of the area in 93 %).
     """
     auc, recall = np.nanpercentile(figures, (2.5, 97.5), axis=0).T.tolist()
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))
 
 
 def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0) -> NDArray[np.float64]:
-    """Compute the figures of the curve for other draws of the queries: the circular block bootstrap.
+    """Return area and recall at 100 % precision for other draws of the queries, float64 (resamples, 2).
 
-    Successive queries, in the order of the traverse, see nearly the same, so that single ones drawn at random would
-    pass for far more evidence than they are. Blocks of successive judged queries are drawn instead (`block_length`),
-    the last followed by the first (Politis & Romano 1992), until there are as many queries as before. The same seed,
-    block and judged queries give the same draws: differences of two methods' figures are paired.
-
-    Returned are area and recall at 100 % precision, float64 (resamples, 2); NaN where a draw has nothing to find.
-    ValueError as of `PrecisionRecall.of`.
+    Successive queries see nearly the same: blocks of them are drawn (`block_length`), the last followed by the first
+    (Politis & Romano 1992). The same seed, block and judged queries give the same draws, so that differences of methods
+    are paired. NaN where a draw has nothing to find; ValueError as of `PrecisionRecall.of`.
     """
     PrecisionRecall.of(judgement)
     judged = np.flatnonzero(judgement.judged)

@@ -4,6 +4,7 @@ The paper matches uncentred descriptors. Their entries are all non-negative, so 
 cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -20,16 +21,9 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Centering:
-    """Turns raw features into the columns of X and Y.
+    """Turns raw features into the columns of X and Y."""
 
-    Parameters
-    ----------
-    mean : float32 array (m,)
-        Mean raw feature vector of the demonstrations.
-    settings : FeatureSettings
-    """
-
-    mean: NDArray[np.float32]
+    mean: NDArray[np.float32]  # (m,) mean raw feature vector of the demonstrations.
     settings: FeatureSettings
 
     def __post_init__(self) -> None:
@@ -53,31 +47,18 @@ class Centering:
         return cls((total / count).astype(np.float32), settings)
 
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
-        """Centre, normalize and weight raw features.
+        """Centre and normalize raw features (..., m) of `extract`: float32 (..., m), of norm 1, all modalities alike.
 
-        Parameters
-        ----------
-        raw : array (..., m)
-            From `extract`.
-
-        Returns
-        -------
-        float32 array (..., m)
-            Each modality minus its mean, of unit length times its unit weight: a full vector has norm 1.
-            A modality equal to the mean stays zero.
-
-        Raises
-        ------
-        ValueError
-            The last axis is not m, or a value is not finite.
+        A modality that is equal to its mean stays zero. ValueError where the last axis is not m, or a value not finite.
         """
         if raw.ndim == 0 or raw.shape[-1] != self.settings.size:
             raise ValueError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")
         centred = np.asarray(raw - self.mean, dtype=np.float32)
-        for where, weight in zip(self.settings.slices, self.settings.unit_weights, strict=True):
+        share = 1.0 / math.sqrt(len(self.settings.modalities))
+        for where in self.settings.slices:
             norm = np.linalg.norm(centred[..., where], axis=-1, keepdims=True)
             if not np.isfinite(norm).all():
                 raise ValueError("features contain NaN or infinity")
-            scale = np.divide(weight, norm, out=np.zeros_like(norm), where=norm > _NOISE)
+            scale = np.divide(share, norm, out=np.zeros_like(norm), where=norm > _NOISE)
             centred[..., where] *= scale
         return centred

@@ -49,8 +49,8 @@ def extract(
     Returns
     -------
     float32 array (m,)
-        The modalities one after the other, each of unit length (or zero, see the modality); neither
-        centred nor weighted, which `Centering.apply` does once the mean is known.
+        The modalities one after the other, each of unit length (or zero, see the modality); not
+        centred, which `Centering.apply` does once the mean is known.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from smal.features.settings import FeatureSettings
 def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:
     """Take the wanted modalities, in their order, out of raw features (..., m) of those that are held.
 
-    Weights of the two do not count. ValueError where the last axis is not m, or a modality is wanted that is not held.
+    ValueError where the last axis is not m, or a modality is wanted that is not held.
     """
     if raw.ndim == 0 or raw.shape[-1] != held.size:
         raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")

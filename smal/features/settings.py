@@ -1,8 +1,7 @@
-"""Which modalities describe a frame, and how much each of them counts."""
+"""Which modalities describe a frame."""
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
@@ -19,14 +18,9 @@ DESCRIPTOR_VERSION = 2
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """The modalities of a feature vector, in order, each at most once, and their relative weights, above 0.
-
-    Weights are finite; only their ratios matter. ValueError where a modality is unknown or repeated, or weights do not
-    fit.
-    """
+    """The modalities of a feature vector, in order; ValueError where one is unknown or repeated."""
 
     modalities: tuple[str, ...] = ("color", "hog")
-    weights: tuple[float, ...] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         if not self.modalities:
@@ -36,16 +30,11 @@ class FeatureSettings:
         twice = [name for name in self.modalities if self.modalities.count(name) > 1]
         if twice:
             raise ValueError(f"the feature modality {twice[0]} is named twice")
-        if len(self.weights) != len(self.modalities):
-            raise ValueError(f"{len(self.modalities)} modalities need as many weights, got {len(self.weights)}")
-        if not all(math.isfinite(weight) and weight > 0.0 for weight in self.weights):
-            raise ValueError(f"modality weights must be finite and positive, got {', '.join(map(str, self.weights))}")
 
     @classmethod
-    def of(cls, modalities: Iterable[str], weights: Iterable[float] | None = None) -> Self:
-        """Make the settings of some modalities, equal in weight unless weights are given."""
-        names = tuple(modalities)
-        return cls(names, (1.0,) * len(names) if weights is None else tuple(weights))
+    def of(cls, modalities: Iterable[str]) -> Self:
+        """Make the settings of some modalities."""
+        return cls(tuple(modalities))
 
     @classmethod
     def parse(cls, modalities: str) -> Self:
@@ -59,10 +48,8 @@ class FeatureSettings:
 
     def of_images(self) -> "FeatureSettings | None":
         """Return those that a colour image alone gives, or None where there are none."""
-        kept = [k for k, name in enumerate(self.modalities) if modality_named(name).needs == "color"]
-        if not kept:
-            return None
-        return FeatureSettings(tuple(self.modalities[k] for k in kept), tuple(self.weights[k] for k in kept))
+        kept = tuple(name for name in self.modalities if modality_named(name).needs == "color")
+        return FeatureSettings(kept) if kept else None
 
     @property
     def text(self) -> str:
@@ -86,19 +73,8 @@ class FeatureSettings:
         return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
-    def unit_weights(self) -> tuple[float, ...]:
-        """The weights, scaled so that their squares sum to 1."""
-        # Squares of very small weights are zero, and of very large ones infinite.
-        largest = max(self.weights)
-        norm = math.hypot(*(weight / largest for weight in self.weights))
-        return tuple(weight / largest / norm for weight in self.weights)
-
-    @property
     def fingerprint(self) -> str:
-        """12 hex digits naming these raw features; weights are applied later and do not enter.
-
-        Of a network the contents of its file count, and not where it lies.
-        """
+        """12 hex digits naming these raw features; of a network the contents of its file count."""
         modalities = [modality_named(name) for name in self.modalities]
         text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
         return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -97,7 +97,9 @@ def _kind(scheme: object) -> Any:  # noqa: ANN401 - whichever class it is
 
 def features_of(meta: dict[str, Any]) -> FeatureSettings:
     """Return the features that a file says it was learned on; ValueError where this program computes others."""
-    settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
+    settings = FeatureSettings(tuple(meta["modalities"]))
+    if len(set(meta.get("modality_weights", ()))) > 1:
+        raise ValueError("its modalities have weights, which this version has not; learn it again")
     if settings.fingerprint != meta["feature_fingerprint"]:
         raise ValueError("it was learned on features that this version computes differently; learn it again")
     return settings
@@ -107,6 +109,5 @@ def of_features(settings: FeatureSettings) -> dict[str, Any]:
     """Return what a file says of features, for `features_of`."""
     return {
         "modalities": settings.modalities,
-        "modality_weights": settings.weights,
         "feature_fingerprint": settings.fingerprint,
     }

@@ -11,12 +11,11 @@ from smal.paper.state_matching import Solution
 
 @dataclass(frozen=True)
 class Match:
-    """How well a query matches the templates.
+    """How well a query matches the templates; `state` is the best sequence (Eq. 9), None where W is zero.
 
-    `state` is the best template sequence (Eq. 9), None when W is zero, `score` its weight for each of the q query
-    frames, at least 0 (left side of Eq. 8, divided by q), and `total_weight` that of all sequences. `residual` is sum
-    ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0), and `agreement` the mean over the query frames of the
-    largest cosine with a frame of the best sequence, -1 to 1.
+    `score` is its weight for each of the q query frames (left side of Eq. 8, divided by q), `total_weight` that of all.
+    `residual` is sum ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0); `agreement` the mean over the query
+    frames of the largest cosine with a frame of the best sequence, -1 to 1.
     """
 
     state: int | None

@@ -14,11 +14,9 @@ _NO_WEIGHT = 1e-9
 def phase(weights_block: NDArray[Any]) -> float:
     """Template frame at which the last query frame is, from the rows (l, q) of W of the matched sequence.
 
-    Row r of the block with weight on query frame i says that the query is r - i frames ahead of the template.
-    The weighted median of r - i (interpolated) is the shift between the two sequences. Query frames beyond the
-    template put their weight on its first or last row, which pulls a mean towards no shift, a median less. Negative
-    weights say where the query is not, and do not count. 0 is the first frame of the template, q - 1 no shift, more
-    than l - 1 beyond its end.
+    Row r with weight on query frame i says that the query is r - i frames ahead: the shift is the weighted median of
+    that, since query frames beyond the template put their weight on its first or last row. Negative weights do not
+    count. 0 is the first frame of the template, q - 1 no shift, more than l - 1 beyond its end.
     """
     length, queries = weights_block.shape
     present = np.maximum(weights_block, 0.0)

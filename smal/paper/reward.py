@@ -92,11 +92,10 @@ class _Program:
 
 
 def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5) -> Reward:
-    """Find a reward under which the expert's majority policy is optimal.
+    """Find a reward under which the expert's majority policy is optimal; RewardError where HiGHS did not solve it.
 
-    `gamma`, the discount factor, is at least 0 and below 1; `sparsity` is lambda as a share, from 0 to 1, of its
-    critical value (module docstring); else ValueError is raised. RewardError is raised where HiGHS did not solve the
-    program. It is never infeasible in exact arithmetic: R = V = 0 is feasible.
+    `sparsity` is lambda as a share, 0 to 1, of its critical value (module docstring). ValueError where it, or `gamma`,
+    is out of range.
     """
     check_discount(gamma)
     if not 0.0 <= sparsity <= 1.0:

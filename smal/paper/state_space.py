@@ -44,12 +44,10 @@ def learn_state_space(
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> StateSpace:
-    """Cut demonstrations into sequences and build the states from them.
+    """Cut demonstrations, centred features (f, m) of unit length, into sequences and build the states from them.
 
-    Demonstrations are centred features (f, m), float32 of unit length; a sequence never spans two of them. The lambdas
-    are of Eq. 7, tau of Eq. 8, per query frame; the tolerance is the relative duality gap of each match. The n frames
-    of templates need 4 n m bytes; MemoryBoundError where `max_bytes` is less. `progress` is called with the number of
-    sequences done and their total. ValueError where no demonstration has l frames.
+    The lambdas are of Eq. 7, tau of Eq. 8, per query frame, the tolerance that of each match. ValueError where no
+    demonstration has l frames; MemoryBoundError where n template frames, 4 n m bytes, take more than `max_bytes`.
     """
     l = sequence_length  # noqa: E741
     sequences = [

@@ -21,8 +21,7 @@ Frames = Iterable[NDArray[Any]]
 class _Given(FeatureSettings):
     """Features of which nothing is known but their size, as one modality."""
 
-    modalities: tuple[str, ...] = ()
-    weights: tuple[float, ...] = (1.0,)
+    modalities: tuple[str, ...] = ("given",)
     size: int = 0
 
     def __post_init__(self) -> None:

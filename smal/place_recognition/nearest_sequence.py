@@ -15,14 +15,12 @@ from smal.place_recognition.matches import Matches, Progress, check_features, ig
 def match_nearest_sequence(
     references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
 ) -> Matches:
-    """Match each query with the end of the reference sequence that has the largest mean product.
+    """Match each query (q, m) with the end of the reference sequence (n, m) that has the largest mean product.
 
         score(t) = max_j  1/l  sum_{k=0}^{l-1}  x_{j-k} . y_{t-k}
 
-    The vectors x of the references (n, m) and y of the queries (q, m) are centred and weighted (`Centering.apply`), of
-    length 1. The window of query t is t-l+1..t, and its match is the frame at t; there is none for the first l-1
-    queries, nor for any where n < l. The score is the mean cosine of the window, in [-1, 1]. Of equal sequences the
-    earliest is taken. Features that do not fit or are not finite raise ValueError.
+    Vectors are centred (`Centering.apply`). There is no match for the first l-1 queries, nor for any where n < l; of
+    equal sequences the earliest is taken. Features that do not fit or are not finite raise ValueError.
     """
     check_features(references, queries)
     matches = Matches.none(len(queries))

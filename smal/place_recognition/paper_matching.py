@@ -20,12 +20,11 @@ LAMBDA_SCALE: Final = 0.1
 def match_as_in_the_paper(
     references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
 ) -> Matches:
-    """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l) (`LAMBDA_SCALE`).
+    """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
 
-    References (n, m) and queries (q, m) are centred by the mean of the references, and weighted. References beyond the
-    last whole sequence are left out. There is no match for the first l-1 queries, where W = 0, and for any where n < l.
-    The reference is the frame of the best sequence (Eq. 9) at which W places the query (`matched_phase`), and the score
-    its weight per frame. Features that do not fit or are not finite raise ValueError.
+    References (n, m) and queries (q, m) are centred by the mean of the references, of which whole sequences count.
+    There is no match for the first l-1 queries, where W = 0, and where n < l. The reference is the frame of the best
+    sequence (Eq. 9) at which W places the query, the score its weight per frame. ValueError as of `check_features`.
     """
     check_features(references, queries)
     total, whole = len(queries), len(references) // length * length

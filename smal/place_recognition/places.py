@@ -82,14 +82,12 @@ def match_places(
     *,
     loops: bool = False,
 ) -> Matches:
-    """Match every query with the reference that it most probably shows.
+    """Match every query (q, m) with the reference (n, m) that it most probably shows; both are centred, in order.
 
-    References and queries (n, m), (q, m), at least one of each, are in order, centred and weighted
-    (`smal.place_recognition.traverse_centering`). References up to `tolerance` frames away are right as well; if it is
-    None, those that look alike (`alike`). Each query is answered by the queries up to `lag` after it; by all of them if
-    it is None. For loops the queries are the references, and each is matched with those that are too far back to look
-    alike only because they are near. The score is the probability that the reference is right within the tolerance.
-    Features that do not fit each other or are not finite raise ValueError.
+    References up to `tolerance` frames away are right as well; if it is None, those that look alike. Each query is
+    answered by those up to `lag` after it, or by all. For loops the queries are the references, matched with those that
+    are too far back to look alike only because they are near. The score is the probability of being right within the
+    tolerance. Features that do not fit each other or are not finite raise ValueError.
     """
     check_features(references, queries)
     steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]

@@ -19,7 +19,7 @@ PRIOR_FRAMES: Final = 5
 def centre_traverses(
     references: NDArray[Any], queries: NDArray[Any], settings: FeatureSettings, *, causal: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Centre two traverses, raw features (n, m) and (q, m), and weight their modalities; see `Centering.apply`.
+    """Centre two traverses, raw features (n, m) and (q, m); see `Centering.apply`.
 
     If it is to be causal, each query is centred by the mean of those up to it.
     """

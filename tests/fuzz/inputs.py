@@ -33,7 +33,7 @@ from smal.paper.transitions import NO_ACTION, learn_transitions
 from tests.services.recordings.recorded_messages import applied, event, observation
 
 CHECKSUM_BYTES = 32
-COLOR = FeatureSettings(("color",), (1.0,))
+COLOR = FeatureSettings(("color",))
 
 
 @cache

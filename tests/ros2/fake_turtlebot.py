@@ -209,13 +209,28 @@ class Base:
                     warn(header=ros.header("base_link"), detections=found)
 
 
+class Noise:
+    """In the place of a renderer: for who looks at the wheels alone."""
+
+    focal_px = 50.0
+
+    def __init__(self, width: int, height: int) -> None:
+        self._picture = np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+    def render(self, _pose: Pose) -> np.ndarray:
+        return self._picture
+
+    def victim_pixels(self, _pose: Pose) -> float:
+        return 0.0
+
+
 def see(options: SimpleNamespace, ros: Ros) -> None:
     """Send pictures of where the robot truly is, for ever."""
     from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only the camera needs a renderer
 
     width, height = options.size
     world = load_world(options.world)
-    camera = SceneCamera(world, CameraSettings(width, height))
+    camera = SceneCamera(world, CameraSettings(width, height)) if options.renders else Noise(width, height)
     truth = Truth(Path(options.truth))
     raw = options.encoding != "jpeg"
     show = ros.publisher(

@@ -52,6 +52,7 @@ class Robot:
     twist: str = "Twist"
     encoding: str = "jpeg"
     clock_offset: float = 0.0
+    renders: bool = True
 
 
 class Field:

@@ -166,7 +166,8 @@ def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
     eventually(lambda: senses.refused[BUTTON])
 
 
-def test_no_robot_there_is_one_line(tmp_path: Path) -> None:
+def test_no_robot_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.ros2.session.PATIENCE_MS", 300)
     config = read_config(Place.config(tmp_path, nowhere := free_endpoint(), "rmw_zenoh"))
     with pytest.raises(ServiceError, match=rf"^base: no Zenoh router at {nowhere}; on the robot start rmw_zenohd"):
         Ros2Session(config, Senses(config))

@@ -22,7 +22,7 @@ from smal.planning import Planner
 from smal.settings import SETTINGS
 
 #: What describes frames: HOG as well takes ten times as long.
-COLOR = FeatureSettings(("color",), (1.0,))
+COLOR = FeatureSettings(("color",))
 FIELD_DEG = 75.0
 CAMERA_HEIGHT = 0.35
 SPEED, TURN_RAD_S = 0.5, math.radians(45.0)

@@ -78,7 +78,7 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
 
 def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
     text = network(tmp_path / "mix.onnx")
-    name, chosen = given(text), FeatureSettings.of(FeatureSettings.parse(f"hog,{text}").modalities, (1.0, 2.0))
+    name, chosen = given(text), FeatureSettings.parse(f"hog,{text}")
     image = picture(60, 80)
     assert (chosen.modalities, chosen.size, chosen.needs) == (("hog", name), 5944, {"color"})
     vector = extract(image, chosen)
@@ -147,7 +147,7 @@ STRANGE = f"onnx:{'0123456789abcdef' * 4}:4"
 
 
 def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
-    named = FeatureSettings((STRANGE,), (1.0,))
+    named = FeatureSettings((STRANGE,))
     assert (named.size, named.needs) == (4, {"color"})
     line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
     for use in (
@@ -177,7 +177,7 @@ def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     network(tmp_path / "FILE")
     with pytest.raises(ValueError, match=r"\A(a network is named by its contents|unknown feature modality)[^\n]+\Z"):
-        FeatureSettings((name,), (1.0,))
+        FeatureSettings((name,))
 
 
 def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from smal.demonstration import Demonstration
 from smal.features import FeatureSettings
 from smal.movement import Atom
 
-COLOR = FeatureSettings(("color",), (1.0,))
+COLOR = FeatureSettings(("color",))
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

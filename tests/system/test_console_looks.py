@@ -36,8 +36,8 @@ def taught_here(site: Site, taught: Path) -> Iterator[None]:
 def begin_a_run(page: Page, site: Site) -> None:
     """Begin a run where it was taught, and see the first belief."""
     name = "models/taught.smal"
-    eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
-    page.select_option("#world-form [name=world]", "yard")
+    eventually(lambda: page.locator("#world-form option[value=near]").count() == 1)
+    page.select_option("#world-form [name=world]", "near")
     eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
     page.select_option("#run-form select[name=model]", name)
     insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
@@ -66,11 +66,11 @@ def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
     run_in(page, f"{axe.AXE_SCRIPT}; 0")
 
-    def violations() -> dict[tuple[str, int], list[str]]:
+    def violations(sizes: dict[int, int] = SIZES) -> dict[tuple[str, int], list[str]]:
         found = {}
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-            for width, height in SIZES.items():
+            for width, height in sizes.items():
                 page.set_viewport_size({"width": width, "height": height})
                 found[scheme, width] = run_in(page, VIOLATIONS)
         page.set_viewport_size({"width": 1440, "height": SIZES[1440]})
@@ -81,10 +81,10 @@ def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
         page.keyboard.press("w")
     begin_a_run(page, site)
     assert violations() == {}
-    # It does look, and in all of them.
+    # It does look, in both schemes.
     run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
-    wrong = violations()
-    assert len(wrong) == 2 * len(SIZES)
+    wrong = violations({390: SIZES[390]})
+    assert len(wrong) == 2
     assert all(one == ["color-contrast: #resume"] for one in wrong.values())
 
 

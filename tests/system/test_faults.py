@@ -23,8 +23,8 @@ BUSY = {"recovery", "pause", "rate"}
 
 
 @pytest.fixture(scope="module")
-def rig(taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with rig_for(RigPlan(taught / "model.smal", tmp_path_factory.mktemp("faults"))) as rig:
+def rig(near: Path, taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with rig_for(RigPlan(taught / "model.smal", tmp_path_factory.mktemp("faults"), str(near))) as rig:
         yield rig
 
 

@@ -66,15 +66,9 @@ def write_report(
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
-    """Return the map of a world with the way of every episode, coloured by how it ended.
+    """Return the map of a world with the way of every episode, at least one, coloured by how it ended.
 
-    Parameters
-    ----------
-    world
-        Its name or path; without one that of the episodes, if that is one that is known here. The ways of a robot that
-        is nowhere that has a map are drawn by themselves.
-    records
-        At least one.
+    Without a world's name or path it is that of the episodes, if it is known here; else the ways are drawn alone.
     """
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()

@@ -1,7 +1,7 @@
 """Errands: what several drives together make possible, in a world that has streets to choose from.
 
-A detour and a shorter way, a fork, drives that share a stretch and are joined, a goal that is no longer there. Only
-what was learned can decide: in each, doing what the expert did most often, or last, is wrong.
+A detour and a shorter way, a fork, drives that share a stretch and are joined. Only what was learned can decide: in
+each, doing what the expert did most often, or last, is wrong.
 """
 
 import math
@@ -35,14 +35,13 @@ class Taught:
 
 @dataclass(frozen=True)
 class Task:
-    """What is taught, and what is then asked for; ``right`` is how a search should end, ``meaning`` is for people."""
+    """What is taught, and what is then asked for, to be found; ``meaning`` is for people."""
 
     meaning: str
     taught: tuple[Taught, ...]
     start: Pose
     goal: str
     victim: Pose
-    right: str = "found"
 
 
 # Of the world terrace, metres east and north. Two corners of its quarter where drives begin, and one in between.
@@ -69,22 +68,13 @@ TASKS: Final = {
         _JOINED, _NORTH_WEST, "north", _NORTH,
     ),
     "joined, southwards": Task("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
-    "nobody there": Task(
-        "the person lies elsewhere now: it has to say that they are not here",
-        (_TO_NORTH,), _WEST, "north", _SOUTH, "not_here",
-    ),
 }  # fmt: skip
 
 
 def run_errand(
     world: str, camera: CameraSettings, features: FeatureSettings, errand: str, seeds: range
 ) -> dict[str, Any]:
-    """Teach one errand, and do it with each seed.
-
-    Returns
-    -------
-    How it ended with each seed, and the way driven, metres; of each taught drive its way.
-    """
+    """Teach one errand, and do it with each seed; return how each ended, and the ways driven and taught, metres."""
     task, made = TASKS[errand], []
     for number, one in enumerate(task.taught):
         there = open_simulation(world, camera, task=(one.start, one.victim))
@@ -98,7 +88,6 @@ def run_errand(
     requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
     found = [search(simulation, robot, request, until_said=True) for request in requests]
     return {
-        "right": task.right,
         "outcomes": [one.outcome for one in found],
         "driven_m": [round(one.driven_m, 2) for one in found],
         "taught_m": [round(route_length_m(one.poses[:, :2]), 2) for one in made],

@@ -14,10 +14,8 @@ from services.experiments.evaluation.degradation import Degradation, Degrader
 from services.experiments.evaluation.drives import views_of_expert
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion
 from services.simulator.simulation import Simulation
-from smal.demonstration import Demonstration
 from smal.evaluation.ground_truth import judge_by_poses
-from smal.features import Centering, FeatureSettings, extract
-from smal.movement import Atom
+from smal.features import FeatureSettings, extract
 from smal.paper.model import Model
 from smal.paper.phase import matched_phase
 from smal.paper.sequences import last_frames
@@ -30,11 +28,7 @@ from smal.place_recognition.nearest_sequence import match_nearest_sequence
 def query_drive(
     simulation: Simulation, features: FeatureSettings, seed: int, views: Mapping[str, Degradation]
 ) -> dict[str, NDArray[Any]]:
-    """Have the expert drive a way that is not learned from, and keep what the robot sees under every degradation.
-
-    The simulation is opened with their shake. Returns ``poses`` (f, 3), and by the name of every view its features
-    (f, m).
-    """
+    """Have the expert drive what is not learned from: ``poses`` (f, 3), and by each view's name features (f, m)."""
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []
     kept: dict[str, list[NDArray[np.float32]]] = {name: [] for name in views}
@@ -96,42 +90,10 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
     return Matches(answered, score, np.zeros(len(views)))
 
 
-class NearestImitation:
-    """Does what was done at the demonstrated frame whose window is most alike: no states, no reward, no plan.
-
-    The window is of the last frames, or as many as there are in the episode so far.
-    """
-
-    def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
-        self._features, self._frames = features, frames
-        raw = [one.features for one in demonstrations]
-        self._centering = Centering.fit(raw, features)
-        self._drives = [self._centering.apply(each) for each in raw]
-        self._atoms = np.concatenate([one.atoms for one in demonstrations])
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all frames, for a new episode."""
-        self._seen: list[NDArray[np.float32]] = []
-
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
-        """Take one image, (height, width, 3) RGB, and return what to do; the wheels do not count."""
-        del odometry
-        self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][-self._frames :]
-        matches = recognize_nearest(self._drives, np.stack(self._seen), len(self._seen))
-        return Atom(int(self._atoms[matches.reference[-1]]))
-
-
 def judged(
     matches: Matches, demonstrated: NDArray[np.float64], true: NDArray[np.float64], criterion: Criterion
 ) -> dict[str, Any]:
-    """Hold every `JUDGED_TICKS`-th answer against the truth, poses (n, 3) and (f, 3), in numbers that JSON knows.
-
-    Returns
-    -------
-    dict
-        For every query its ``tick``, ``score``, ``answered``, ``right`` and ``findable``.
-    """
+    """Hold each `JUDGED_TICKS`-th answer against true poses (n, 3), (f, 3); return lists by name, for JSON."""
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
     asked, there = matches.of(ticks), true[ticks]
     judgement = judge_by_poses(asked, demonstrated, there, criterion.distance_m, criterion.angle_deg)

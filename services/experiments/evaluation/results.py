@@ -23,13 +23,7 @@ _ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREAD
 
 
 class Results:
-    """The results of some units: ``findings``, and in the folder ``work`` their files.
-
-    Raises
-    ------
-    JobError
-        A result cannot be read.
-    """
+    """The results of some units: ``findings``, and in the folder ``work`` their files; JobError: one is none."""
 
     def __init__(self, folder: Path, units: Sequence[Unit]) -> None:
         self.folder, self.work = folder, folder / "units"
@@ -58,12 +52,9 @@ class Results:
         self.findings[unit] = finding
 
     def complete(self, units: Sequence[Unit], workers: int, done: Callable[[], object]) -> None:
-        """Do all units that are not done, by at least one process; call `done` in this one after each.
+        """Do all units that are not done, in processes; call `done` in this one after each.
 
-        Raises
-        ------
-        JobError
-            A unit failed, or a worker ended; what was done until then is kept.
+        JobError where a unit failed, or a worker ended; what was done until then is kept.
         """
         what = ""
         try:

@@ -83,11 +83,9 @@ def search(
     *,
     until_said: bool = False,
 ) -> Search:
-    """Let somebody search for the victim, who sees images through a degrader.
+    """Let somebody search for the victim, who sees images through a degrader; keep each `picture_ticks`-th, 0: none.
 
-    Where a degradation shakes the camera, the simulation is opened with that shake. `picture_ticks` are the frames from
-    one kept picture to the next; 0: none is kept. A search ends where the victim is found, or, `until_said`, by what a
-    driver says that can say anything.
+    A search ends where the victim is found, or, `until_said`, by what a driver says that can say anything.
     """
     kind = type(driver)
     says = hasattr(kind, "said") or hasattr(kind, "done")
@@ -130,10 +128,9 @@ def _said(driver: Driver) -> Said | None:
 
 
 def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
-    """Return what a search says, in numbers that JSON knows.
+    """Return what a search says, for JSON; right is a belief as near to the truth as the criterion says.
 
-    `taught` are the true poses of all taught frames, (n, 3); a belief is right that is as near to the truth as the
-    criterion says.
+    `taught` are the true poses of all taught frames, (n, 3).
     """
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
     said: dict[str, Any] = {

@@ -53,8 +53,8 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
 def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[tuple[Demonstration, Lap]]:
     """Find the laps in pieces of drives with the features `HELD`.
 
-    A way that was reckoned from a tub, which does not say how far a car turns by its steering, is made to turn once
-    round in the median lap.
+    Of a way that was reckoned from a tub, the median lap is made to turn once round: a tub does not say how far a car
+    turns.
     """
     drives = [one for one in drives if one.images is not None]
     turns = [_turns(one) for one in drives]

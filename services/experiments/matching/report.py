@@ -97,7 +97,6 @@ def as_json(result: Result) -> str:
             for query, (reference, score, unknown) in enumerate(rows)
         ],
         "modalities": list(features.modalities),
-        "weights": list(features.weights),
         "reference_names": _printable(references.source.frames),
         "query_names": _printable(queries.source.frames),
         "unreadable_references": _printable(references.unreadable),

@@ -43,11 +43,9 @@ class Traverse:
 
 
 def describe_frames(source: Source, settings: FeatureSettings, depth: Source | None, title: str) -> Traverse:
-    """Compute the features of the frames, with a progress bar of this title.
+    """Compute the features of the frames, and of as many depth images where features need them, with a progress bar.
 
-    Where the features need them, there are as many depth images in the same order.
-
-    Raises JobError when no frame can be read, a feature cannot be computed, or the features do not fit into memory.
+    JobError where no frame can be read, a feature cannot be computed, or the features do not fit into memory.
     """
     count = len(source.frames)
     try:

@@ -35,11 +35,7 @@ Positions = NDArray[np.float64]
 
 
 def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
-    """Read the file of `--truth` for traverses of so many frames.
-
-    Raises UsageError when it is no truth of these traverses, or there is nothing to find: one line that names the file,
-    the line in it, and what is wrong.
-    """
+    """Read the file of `--truth` for traverses of so many frames; UsageError names the line and what is wrong."""
     intervals: list[tuple[int, int, int]] = []
     judged, unknown = np.zeros(queries, dtype=np.bool_), np.zeros(queries, dtype=np.bool_)
 

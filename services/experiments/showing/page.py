@@ -27,14 +27,9 @@ def write_page(
     drives: TaughtDrives | None,
     advance: html.Advance = lambda _what, _done, _total: None,
 ) -> Path:
-    """Write ``index.html`` into a folder that is there, and return its path.
+    """Write ``index.html`` of a model's file into a folder, with what recordings hold of it; return its path.
 
-    ``file`` is the model's, and ``drives`` what recordings hold of it; None where none are given.
-
-    Raises
-    ------
-    ValueError
-        An image of a recording is damaged; the text names its episode.
+    ValueError names the episode of a damaged image.
     """
     found = {} if drives is None else drives.found
     body = [

@@ -26,20 +26,10 @@ class Parting:
 
 
 class Ways:
-    """The taught ways of a map.
+    """The taught ways of a map: poses of keyframes (k, 3) and frames (f, 3) in axes that all drives of a group share.
 
-    Attributes
-    ----------
-    of : int array (k,)
-        Drive of each keyframe.
-    key_poses, poses : float64 arrays (k, 3), (f, 3)
-        Of every keyframe and taught frame, in axes that all drives of a group have in common.
-    groups : int array (drives,)
-        Drives that are joined, directly or by others, have the same number; from 0.
-    shared : bool array (k,)
-        Which keyframes show a place that another drive shows too.
-    way : float64 array (k,)
-        From the start of its drive to each keyframe.
+    ``of`` (k,) is the drive of each keyframe, ``groups`` (drives,) the number of those that are joined, ``shared`` (k,)
+    whether another drive shows the place too, ``way`` (k,) how far from the start of its drive.
     """
 
     def __init__(self, taught: VisualMap) -> None:
@@ -98,11 +88,10 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """Of each frame of a drive, where the belief was, float64 arrays (f,).
+    """Where the belief was at each frame of a drive, float64 arrays (f,); what is neither here nor lost was elsewhere.
 
-    ``here`` is the probability of being within a correlation length of where the robot was, ``lost`` of being nowhere
-    near what was taught; the rest lay elsewhere on the taught ways. ``spread`` is the standard deviation of the place,
-    given that the robot is on this drive or one that is joined to it.
+    ``here`` is the probability of being within a correlation length of the robot, ``lost`` of being nowhere near a
+    taught way, ``spread`` the standard deviation of the place on this drive and those that are joined to it.
     """
 
     here: NDArray[np.float64]

@@ -53,8 +53,7 @@ class _Plan(NamedTuple):
 def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
     """Return for each façade the one that is painted for it, at most `MOST_LOOKS` different ones.
 
-    Few enough façades stay as they are. Of more, colours and then variants are rounded, in coarser and coarser steps,
-    since every picture takes memory: those that become equal are the ones that look most alike.
+    Of more than these, which take memory, colours and then variants are rounded in coarser and coarser steps.
     """
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:

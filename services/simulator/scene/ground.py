@@ -121,10 +121,9 @@ def _dashes(streets: list[Road]) -> Iterator[Polygon]:
 def cast_shade(
     terrain: Terrain, sun: tuple[float, float, float], crowns: list[tuple[Polygon, float, float]]
 ) -> BaseGeometry:
-    """Return where the ground lies in the shade of buildings, barriers and tree crowns.
+    """Return where the ground lies in the shade of buildings, barriers and crowns, where sunlight goes as `sun` says.
 
-    `sun` is the direction of the sunlight, pointing down; of each crown there is the outline from above, and the
-    heights of its lower and upper end in metres.
+    Of each crown there is the outline from above, and the heights of its lower and upper end.
     """
     step = np.array(sun[:2]) / -sun[2]
     solids = [

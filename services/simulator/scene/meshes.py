@@ -113,8 +113,8 @@ def walls(
 ) -> Mesh:
     """Return upright walls along a closed ring (k, 2) with the solid on its left, from one height to another.
 
-    `u` (k - 1, 2) is the texture coordinate at the beginning and end of each wall, `v` that at the foot and at the top;
-    `which` (k - 1,) chooses the sides, None for all.
+    `u` (k - 1, 2) is the texture coordinate at both ends of each wall, `v` at foot and top; `which` (k - 1,) chooses
+    walls.
     """
     chosen = np.ones(len(u), dtype=bool) if which is None else which
     corners, u = sides(ring, low, high)[chosen], u[chosen]
@@ -142,11 +142,9 @@ def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.f
 def ridged(
     corners: NDArray[np.float64], z: float, rise: float, run: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the triangles of a roof over a rectangle (4, 2), anticlockwise, with a ridge along its first side.
+    """Return slopes (4, 3, 3) and ends (2, 3, 3) of a roof over a rectangle (4, 2), anticlockwise seen from outside.
 
-    `z` and `rise` are the heights of the eaves and of the ridge above them; the ridge ends `run` before the short
-    sides, and 0 makes upright ends. Slopes are (4, 3, 3) of the long sides, ends (2, 3, 3), anticlockwise seen from
-    outside.
+    The ridge is along its first side, `rise` above the eaves at `z`, and ends `run` before the short sides.
     """
     a, b, c, d = (np.append(corner, z) for corner in corners)
     along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])

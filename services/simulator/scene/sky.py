@@ -1,5 +1,6 @@
 """The picture of the sky and of what lies at the horizon: clouds are of a day, the skyline is the same on all."""
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,7 @@ _HILLS: Final = np.array([122.0, 134.0, 138.0])
 _TREES: Final = np.array([86.0, 104.0, 78.0])
 
 
+@lru_cache(maxsize=2)
 def paint_sky(seed: int, light: Daylight) -> Picture:
     """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
     rng, clouds = np.random.default_rng(seed), np.random.default_rng([seed, light.clouds_seed])

@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 import cv2
@@ -57,6 +58,7 @@ def as_picture(values: NDArray[np.float64]) -> Picture:
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
+@lru_cache(maxsize=64)
 def paint(material: str) -> Picture:
     """Return the picture of a material of the table `materials`, (h, w, 3) uint8 RGB with h and w powers of two."""
     how = dict(_MATERIALS[material])

@@ -52,11 +52,11 @@ def known_worlds() -> list[str]:
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """Load a world that comes with the project, by name, or a world file (*.json) or OpenStreetMap XML file, by path.
+    """Load a world that comes with the project, by name, or a world file (*.json) or map (*.osm), by path.
 
-    In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from north) and one tagged
-    `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see `task.choose_roles`). Raises
-    WorldError where it is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
+    In a map, nodes tagged `smal:role=start` (with `direction=`, degrees clockwise from north) and `smal:role=victim`
+    set the task; else a rule does (`task.choose_roles`). WorldError where it is unknown, unreadable, empty, or has no
+    way.
     """
     path = _find(name_or_path)
     return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)

@@ -87,12 +87,10 @@ class Extract(NamedTuple):
 
 
 def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
-    """Read an OpenStreetMap XML file as exported by openstreetmap.org, or only a part `around` the new origin.
+    """Read an OpenStreetMap XML file as exported by openstreetmap.org, or a part `around` the new origin.
 
-    Its `<bounds>` set the origin; without them, the extent of what is tagged does.
-
-    Raises WorldError where the file cannot be read, is not OpenStreetMap XML, defines entities, is cut short, holds no
-    located element, or is too large.
+    WorldError where it cannot be read, is none, defines entities, is cut short, holds no located element, or is too
+    large.
     """
     try:
         _check_file(path)

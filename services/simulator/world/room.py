@@ -111,10 +111,8 @@ class Room:
     def lanes(self) -> tuple[LineString, ...]:
         """The visibility graph of the free floor (Lozano-Perez and Wesley 1979), without its longest lanes.
 
-        Its nodes are the corners of the floor that is at least `Scale.clearance_m` from everything, and of the floor
-        that is at least `Scale.room_m` from everything, more of them along the edges between, and a coarse grid over
-        open floor. Its lanes join all pairs that are not far apart with free floor between them. Around furniture
-        the shortest way on the lanes is the shortest there is. Nothing leads under tables, where the camera above
+        Its nodes are corners of the floor that is `Scale.clearance_m`, and `Scale.room_m`, from everything, points
+        along the edges between, and a coarse grid over open floor. Nothing leads under tables, where the camera above
         sees no robot.
         """
         nodes = self._nodes()
@@ -206,8 +204,7 @@ class RoomFile(Room):
     def world(self, name: str) -> World:
         """Return the world that the file describes.
 
-        A `WorldError` says that start or victim have no room, that the victim cannot be reached, or that it can be seen
-        from a start although the file does not say "hidden": false.
+        WorldError where start or victim have no room, there is no way, or a victim can be seen that should be hidden.
         """
         world = World(replace(self, name=name), self.start.pose, self.victim.pose)
         self._check_room_for("start", world.start, _SCALE.start_room_m)

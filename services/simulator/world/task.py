@@ -31,9 +31,9 @@ _TRIES: Final = 1000
 def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0) -> tuple[Pose, Pose]:
     """Return a start and a victim, keeping those that are given; a `WorldError` where no pair of places fits.
 
-    The rule is deterministic: the first place beside a wall, counted from the building nearest to the middle (with a
-    seed other than 0, to a point drawn with it), that a road point reaches and that some road point 60 to 150 m of way
-    off does not see. Where no place has such a start, shorter and longer ways do.
+    The victim is at the first place beside a wall, from the building nearest to the middle (or to a point drawn with
+    the seed), that a road reaches and that is not seen from some point 60 to 150 m of road off; else shorter and longer
+    ways.
     """
     if start is not None and victim is not None:
         return start, victim
@@ -121,13 +121,10 @@ def moved_victim(world: World, rng: np.random.Generator) -> Pose:
 
 
 def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Pose:
-    """Draw a free start pose; the same chance gives the same pose.
+    """Draw a free start pose; the same chance gives the same pose. WorldError where 1000 draws find none.
 
-    For the purposes `drive` and `run` it is up to `Scale.start_m` (outdoors 1 m) east-west and north-south and 15
-    degrees off the world's start; for `recovery` beside a point of the route, uniform along it except for the last
-    `Scale.last_m` (3 m), up to `Scale.aside_m` (1.5 m) aside and 40 degrees turned away.
-
-    Raises WorldError where no free pose was found in 1000 draws.
+    Of `drive` and `run` it is within `Scale.start_m` and 15 degrees of the world's start; of `recovery` beside the
+    route, but for its last `Scale.last_m`: up to `Scale.aside_m` aside and 40 degrees turned away.
     """
     draw = _beside_route if purpose == "recovery" else _about_start
     for _ in range(_TRIES):

@@ -26,9 +26,8 @@ _TRIES: Final = 20
 def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     """Return the world with its looks or its movable things changed; start, victim and ways stay.
 
-    With a facade seed other than 0 every façade and everything on a room's walls looks different, but those that were
-    alike stay alike. With a clutter seed other than 0 trees stand up to 3 m elsewhere, boxes, chairs, plants and tables
-    up to 0.3 m. None comes nearer to the way from start to victim than `Scale.room_m`; what finds no such place stays.
+    With a facade seed façades and what hangs on walls look different; what was alike stays alike. With a clutter seed
+    trees stand up to 3 m elsewhere, boxes, plants and tables up to 0.3 m, no nearer to the way than `Scale.room_m`.
     """
     place = world.place
     if facade_seed and isinstance(place, Terrain):

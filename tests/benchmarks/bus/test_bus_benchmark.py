@@ -19,7 +19,7 @@ def test_everything_is_measured(
     flags: list[str], ways: list[str], targets: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(bus, "QUICK", bus.Plan(turns=2, messages=25 if flags == ["--flood"] else 1))
+    monkeypatch.setattr(bus, "QUICK", bus.Plan(turns=1, messages=20 if flags == ["--flood"] else 2))
     file = tmp_path / "results.json"
     bus.main(["--quick", "--json", str(file), *flags])
     results = json.loads(file.read_text())

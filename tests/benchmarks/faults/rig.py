@@ -45,6 +45,7 @@ class RigPlan:
 
     model: Path
     folder: Path
+    world: str = WORLD
     robot: Literal["moving base", "noting", "simulated"] = "moving base"
     console: str = "127.0.0.1:0"
     secure: Path | None = None
@@ -68,7 +69,7 @@ class RigPlan:
         """Return what to start, with the addresses of the links and of the moving base."""
         chain = flags(model=self.model.resolve())
         own = {
-            "robot": flags(world=WORLD, camera_width=CAMERA[0], camera_height=CAMERA[1], wheels=wheels),
+            "robot": flags(world=self.world, camera_width=CAMERA[0], camera_height=CAMERA[1], wheels=wheels),
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
@@ -246,7 +247,7 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     with ExitStack() as stacked:
         linked = LINKED if plan.robot == "moving base" else ()
         links = {service: stacked.enter_context(link(endpoint)) for service in linked}
-        wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.robot == "moving base" else None
+        wheels = stacked.enter_context(rolling(plan.world, plan.steps)) if plan.robot == "moving base" else None
         stack = Stack(plan.stack(endpoint, {service: address for service, (address, _) in links.items()}, wheels))
         with patch.dict(os.environ, {NOTES: str(plan.notes.resolve())}):
             stacked.enter_context(stack)

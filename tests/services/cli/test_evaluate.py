@@ -17,26 +17,23 @@ from services.experiments.evaluation.units import units
 from tests.services.cli.conftest import ROOT, Smal
 from tests.services.waiting import eventually
 
-TINY = Plan(
-    "quick",
-    (
-        WorldPlan(
-            "yard", Criterion(3.0, 25.0),
-            trials=(Trial("nearest-1", 1, 1), Trial("nearest-1", 1, 1, start="anywhere")),
-        ),
-    ),
-    patience=0.3,
-    camera=(80, 60),
-)  # fmt: skip
-# The command with the tiny plan in place of the quick one.
+# The command with the tiny plan, in the first argument's world, in place of the quick one.
 TINY_COMMAND = """
+import sys
 import tests.services.cli.test_evaluate as here
 from services.experiments.evaluation import plan
 from services.cli.main import main
 if __name__ == "__main__":
-    plan.PLANS["quick"] = here.TINY
+    plan.PLANS["quick"] = here.tiny(sys.argv.pop(1))
     main()
 """
+
+
+def tiny(world: str) -> Plan:
+    """Return a plan of three units."""
+    trials = Trial("teach-and-repeat", 1, 1), Trial("teach-and-repeat", 1, 1, start="anywhere")
+    small = WorldPlan(world, Criterion(3.0, 25.0), trials=trials)
+    return Plan("quick", (small,), patience=0.1, camera=(80, 60))
 
 
 def done_in(folder: Path) -> dict[str, dict[str, object]]:
@@ -48,12 +45,12 @@ def done_in(folder: Path) -> dict[str, dict[str, object]]:
 @pytest.mark.rendering
 @pytest.mark.timeout(1200)
 def test_an_evaluation_goes_on_where_it_was_interrupted(
-    tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+    near: Path, tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(plans.PLANS, "quick", TINY)
+    monkeypatch.setitem(plans.PLANS, "quick", tiny(str(near)))
     out = tmp_path / "evaluation"
     command = subprocess.Popen(
-        [sys.executable, "-c", TINY_COMMAND, "evaluate", "--out", str(out), "--quick", "--workers", "1"],
+        [sys.executable, "-c", TINY_COMMAND, str(near), "evaluate", "--out", str(out), "--quick", "--workers", "1"],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     eventually(lambda: len(done_in(out)) > 1 or command.poll() is not None, timeout_s=600.0)
@@ -71,7 +68,7 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     status, printed, _ = smal("evaluate", "--out", str(out), "--quick", "--workers", "1")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
     after = done_in(out)
-    assert len(after) == len(units(TINY))
+    assert len(after) == len(units(tiny(str(near))))
     assert before.items() <= after.items()
     assert {path: path.stat().st_mtime_ns for path in times} == times
 

@@ -64,7 +64,7 @@ def test_a_map_has_no_depth(tmp_path: Path) -> None:
     said = "a map of views has no depth; leave depth out, or give --scheme paper"
     assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
     learning.learn([path], out)
-    assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",), (1.0,))
+    assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",))
     # Where nothing else was recorded the usual features are computed from the images.
     path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
     assert learning._features([path], "filter", None) == FEATURES

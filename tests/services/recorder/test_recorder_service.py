@@ -198,9 +198,10 @@ def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], 
 
 
 def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile(
-    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
+    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a busy machine the files were named before anything of it was sent again, and the rest was lost."""
+    monkeypatch.setattr("services.recorder.service.EARLY_S", 2.0)
     sent = list(episode("cut", frames=20))
     leave(tmp_path, sent[:30])
     node = Node("recorder", settings)
@@ -266,6 +267,10 @@ def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode
     assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
+#: Of the image that a robot sends in a second, bytes.
+IMAGE = 100_000
+
+
 class Room:
     """A disk that fills as time goes by, and a clock."""
 
@@ -276,27 +281,27 @@ class Room:
         return Disk(lambda: self.now_s, lambda _: self.free)
 
     def drive(self, recorder: RecorderService, ticks: Iterable[int]) -> None:
-        """Drive, with an image of a megabyte a second, which takes that from the disk."""
+        """Drive, with an image a second, which takes its bytes from the disk."""
         for tick in ticks:
-            data = image("e", tick).data + bytes(1_000_000)
+            data = image("e", tick).data + bytes(IMAGE)
             recorder.handle(image("e", tick).model_copy(update={"data": data}))
-            self.now_s, self.free = self.now_s + 1.0, self.free - 1_000_000
+            self.now_s, self.free = self.now_s + 1.0, self.free - IMAGE
             recorder.look_after_files()
 
 
 def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_full(
     settings: ServiceSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room = Room(LEAST_BYTES + 700 * 1_000_000)
+    room = Room(LEAST_BYTES + 700 * IMAGE)
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path, lambda: room.now_s, room.disk())
         recorder.handle(event("e", 0, "started"))
         room.drive(recorder, range(10))
         assert recorder.detail()["disk"] is None, "690 seconds are left"
-        room.free -= 120 * 1_000_000
+        room.free -= 120 * IMAGE
         room.drive(recorder, range(10, 20))
         assert recorder.detail()["disk"] == "the disk has room for 9 minutes more"
-        room.free -= 500 * 1_000_000
+        room.free -= 500 * IMAGE
         room.drive(recorder, range(20, 26))
         assert recorder.detail()["disk"] == "the disk has room for 50 seconds more"
         room.drive(recorder, range(26, 90))
@@ -319,6 +324,7 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
             recorder.handle(image("last", 0))
             recorder.look_after_files()
         assert recorder.detail()["disk"] == "No space left on device: no more is recorded"
+        monkeypatch.setattr("services.recorder.service._SETTLE_S", 0.0)  # its clock stands still
         recorder.stop(Nothing())
         recorder.close()
     assert (tmp_path / "last.mcap").exists()

@@ -220,6 +220,7 @@ def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: 
     up = subprocess.Popen(
         [
             *(sys.executable, "-c", "from services.cli.main import main; main()", "up", "--robot-body", "none"),
+            "--no-console",
             *("--model", model, "--router", free_endpoint),
         ],
         stderr=subprocess.PIPE,
@@ -230,7 +231,7 @@ def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: 
         assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
         with closing(Bus(ROBOT, free_endpoint)) as bus:
             heard = Heard(bus, topics.ACTION)
-            status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 1)
+            status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 2)
             assert status == 0, told
             eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
     finally:

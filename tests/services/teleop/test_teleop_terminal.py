@@ -240,8 +240,8 @@ def test_an_emergency_stop_is_heard_while_leaving(console: Console, robot: Robot
 def test_a_screen_that_stands_still_holds_up_nothing(console: Console, robot: Robot) -> None:
     begin(console, robot)
     console.draws.clear()
-    for _ in range(40):
-        console.type(b"r" * 200)  # each says or draws something
+    for _ in range(20):
+        console.type(b"r" * 400)  # each says or draws something
         hear(robot, beats=1)
     hear(robot, beats=10)
     console.type(b"e")

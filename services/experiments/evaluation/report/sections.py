@@ -128,7 +128,7 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
 def _errands(found: WorldResults) -> Iterator[str]:
     rows = []
     for name, one in found.errands.items():
-        right, runs = one["outcomes"].count(one["right"]), len(one["outcomes"])
+        right, runs = one["outcomes"].count("found"), len(one["outcomes"])
         rows.append([
             name, TASKS[name].meaning, f"{right} of {runs}", _interval(wilson_interval(right, runs), ".0%"),
             f"{sum(one['driven_m']) / runs:.0f}", ", ".join(f"{way:.0f}" for way in one["taught_m"]),

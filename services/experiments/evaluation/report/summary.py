@@ -47,25 +47,13 @@ class Recognized:
 
 
 class Success:
-    """How well the searches of one trial went.
+    """How well the searches of one trial went; ``as_json`` names every number of it.
 
-    Attributes
-    ----------
-    outcomes
-        How each ended.
-    found, runs, rate, wilson_95
-        Searches that found the victim, out of how many, the share of them and Wilson's interval of it.
-    spl
-        Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven. The way that
-        counts as shortest is the expert's route along the lanes: who cuts its corners has 1.
-    aside_rms_m, aside_max_m
-        Distance from the taught ways: root of the mean square over all frames of all searches, and the largest, metres.
-    interventions_per_km
-        Searches in which a person would have had to step in, over the way that was driven; None without any way.
-    wrong_share
-        Share of frames at which the robot believed to be elsewhere, and not to be lost; None if it says nothing.
-    right_soon
-        In how many searches the belief was right `SOON_S` after being carried away, and of how many.
+    ``spl`` is success weighted by path length (Anderson et al. 2018), None where robots were carried; the expert's
+    route counts as shortest: who cuts its corners has 1. Distances from the taught ways are of all frames of all
+    searches. Interventions are searches that a person would have had to end, a kilometre driven. ``wrong_share`` is of
+    frames: sure, and elsewhere; ``right_soon`` in how many searches, of how many, it was right `SOON_S` after it was
+    carried away.
     """
 
     def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:

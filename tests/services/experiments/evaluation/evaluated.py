@@ -60,9 +60,8 @@ def finding(unit: Unit) -> Finding:
             seeds = range(1 + unit.which, 9, unit.trial.sets)
             return {"searches": [search(unit.trial, seed) for seed in seeds], "file": unit.is_example}
         case Errand():
-            right = "false_goal" if unit.errand == "nobody there" else "found"
-            return {"right": right, "outcomes": [right] * 9 + ["timeout"], "driven_m": [120.0] * 10,
-                    "taught_m": [190.0, 130.0]}  # fmt: skip
+            outcomes = ["found"] * 9 + ["timeout"]
+            return {"outcomes": outcomes, "driven_m": [120.0] * 10, "taught_m": [190.0, 130.0]}
         case Recognize():
             return {"queries": [recognition(unit)]}
     raise TypeError(unit)

@@ -26,17 +26,13 @@ from smal.movement import Atom
 from smal.robot import Place
 from tests.services.simulator.simulator_driving import StubCamera
 
-PLAN = Plan(
-    "small",
-    (
-        WorldPlan(
-            "yard", Criterion(1.0, 25.0), queries=1, lengths=(5,), recognized=("clean",),
-            trials=(*(Trial(name, 1, 1) for name in CONTROLLERS), Trial("smal", 1, 1, kidnap_tick=10),
-                    Trial("smal", 1, 1, degradation="occluded")),
-        ),
-    ),
-    patience=0.2,
-)  # fmt: skip
+
+def plan(world: Path) -> Plan:
+    """Return a plan in which every unit does something."""
+    special = Trial("smal", 1, 1, kidnap_tick=10), Trial("smal", 1, 1, degradation="occluded")
+    trials = (*(Trial(name, 1, 1) for name in CONTROLLERS), *special)
+    small = WorldPlan(str(world), Criterion(1.0, 25.0), queries=1, lengths=(5,), recognized=("clean",), trials=trials)
+    return Plan("small", (small,), patience=0.2)
 
 
 class PlaceCamera(StubCamera):
@@ -56,13 +52,13 @@ def panorama(number: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
+def found(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
     """Do all units of the plan, one after another."""
     folder, patch = tmp_path_factory.mktemp("units"), pytest.MonkeyPatch()
-    simulation, usual = Simulation(load_world("yard"), PlaceCamera(1.0)), FeatureSettings(("color",), (1.0,))
+    simulation, usual = Simulation(load_world(near), PlaceCamera(1.0)), FeatureSettings(("color",))
     patch.setattr(work, "simulation_in", lambda *_: simulation)
     patch.setattr(work, "FEATURES", usual)  # the usual ones take ten times as long to make views of
-    yield folder, {unit: unit.timed(folder) for unit in units(PLAN)}
+    yield folder, {unit: unit.timed(folder) for unit in units(plan(near))}
     patch.undo()
 
 

@@ -30,7 +30,10 @@ def world(results: Results) -> WorldResults:
     return results_of(SMALL.worlds[0], units(SMALL), results.findings)
 
 
-def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(results: Results) -> None:
+def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(
+    results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.experiments.evaluation.report.page._DPI", 30)
     page = write_page(SMALL, results)
     text = page.read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,22})', text)

@@ -33,6 +33,7 @@ from smal.robot import Robot
 from tests.services.robot.driving import simulated
 
 FEATURES = FeatureSettings()
+TICKS = 60
 
 
 def by_services(
@@ -65,11 +66,11 @@ def by_services(
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
-    taught: Path, taught_paper: Path, scheme: Scheme
+    near: Path, taught: Path, taught_paper: Path, scheme: Scheme
 ) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
-    simulation, model = open_simulation("yard", CameraSettings(160, 120), depth=True), load_model(file)
+    simulation, model = open_simulation(near, CameraSettings(160, 120), depth=True), load_model(file)
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
         service.load(LoadedModel.read(file))
@@ -85,8 +86,8 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
             yield from policy.handle(state)
 
     robot = Robot(model) if isinstance(model, Model) else PaperRobot(model)
-    found = search(simulation, robot, ResetRequest(seed=1, purpose="run", max_ticks=150))
-    end, poses, answers = by_services(simulation, answer, 1, 150)
+    found = search(simulation, robot, ResetRequest(seed=1, purpose="run", max_ticks=TICKS))
+    end, poses, answers = by_services(simulation, answer, 1, TICKS)
     assert (found.outcome, len(found.atoms)) == (end.outcome, end.tick)
     np.testing.assert_array_equal(found.poses, poses)
     # The services answer the frame that ends the episode as well; nobody carries that out.
