@@ -253,32 +253,36 @@ def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: flo
 
 
 def likelihood_of_views(
-    views: NDArray[np.int8], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
-) -> Likelihood:
-    """Measure on the views of keyframes (k, 3, turns, r) what views say of places.
+    frames: TaughtFrames, keyframes: NDArray[np.int32], views: NDArray[np.int8], length: float
+) -> tuple[Likelihood, float]:
+    """Measure on keyframes (k,) and their views (k, 3, turns, r) what views say, and how far neighbours say the same.
 
-    Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is more than
-    four correlation lengths away on the same drive another one. Without such places (a short drive in one room)
-    elsewhere is what a normal distribution says. ValueError if no keyframe has a neighbour.
+    Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is
+    `Settings.elsewhere` away on the same drive another one. Without such places (a short drive in one room)
+    elsewhere is what a normal distribution says. What a keyframe and the next say of such places correlates by the
+    second value. ValueError if no keyframe has a neighbour.
     """
+    poses, drives = frames.poses[keyframes], frames.drives[keyframes]
     count, own = len(views), unpacked(views[:, 1, STRAIGHT])
     sample = own[evenly(count, SETTINGS.reference)]
     some = evenly(count, SETTINGS.most_frames)
     places = unpacked(views[some])
-    here, elsewhere, neighbours = [], [], []
+    here, elsewhere, alike = [], [], []
     chains: list[NDArray[Any]] = [np.empty((2, 0))]
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
         compared = scale(sample @ own[k])
         steps = seen_from(poses, poses[k])
-        far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > 4.0 * length)
+        far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > SETTINGS.elsewhere * length)
         elsewhere.append(over(places[far[some]] @ own[k], *compared).ravel())
         beside = [other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]]
         for other in beside:
             turn = STRAIGHT - round(math.degrees(steps[other, 2]) / STEP_DEG)
             if 0 <= turn < TURNS_DEG.size:
-                neighbours.append(float(unpacked(views[other, 1, turn]) @ own[k]))
-                here.append(float(over(np.array(neighbours[-1]), *compared)))
+                cosine = unpacked(views[other, 1, turn]) @ own[k]
+                here.append(float(over(cosine, *compared)))
         if k + 1 in beside:
+            first, second = frames.centred(keyframes[k : k + 2])
+            alike.append(float(first @ second))
             after = standing_out(own @ own[k + 1], sample @ own[k + 1])
             on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
             chains.append(np.stack([over(own @ own[k], *compared)[on], after[on + 1]]))
@@ -293,5 +297,6 @@ def likelihood_of_views(
         apart = np.random.default_rng(0).standard_normal(10_000)
     pairs = np.concatenate(chains, axis=1)
     told = pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all())
-    correlation = float(np.corrcoef(pairs)[0, 1]) if told else 0.5
-    return Likelihood.fit(np.array(here), apart, independent, gamma_of(float(np.mean(neighbours)), correlation))
+    correlation = min(max(float(np.corrcoef(pairs)[0, 1]) if told else 0.5, 0.01), 0.99)
+    gamma = gamma_of(float(np.mean(alike)), correlation)
+    return Likelihood.fit(np.array(here), apart, independent, gamma), correlation

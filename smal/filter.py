@@ -76,23 +76,27 @@ class _Odds(NamedTuple):
 class Newness:
     """How much of a view the ones before have not told, 0 to 1.
 
-    It is new against the last one that was counted in full, by its looks or by the way since, whichever is more: many
-    small changes make one new view; one that comes back, or noise while the robot stands, makes none.
+    It is new against the last one that was counted in full, by its looks. A robot that drives compares it with other
+    places, too: half of what two views say alike is owed to the places, which change by the way. So many small changes
+    make one new view; one that comes back, or noise while the robot stands, makes none.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
         self._map = visual_map
-        self._counted = np.zeros(visual_map.basis.shape[1], dtype=np.float32)
+        self._counted = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used, self.step = 0.0, np.zeros(3)
 
-    def of(self, components: NDArray[np.float32]) -> float:
-        """Return it of the next view (r,), and count that."""
-        likelihood = self._map.likelihood
-        same = min(likelihood.correlation(float(components @ self._counted)), self._map.expected(self.step))
+    def of(self, centred: NDArray[np.float32]) -> float:
+        """Return it of the next view's centred features (m,), and count that.
+
+        Its components would not do: of what the map has never seen they hold little but noise, always new.
+        """
+        looks = self._map.likelihood.correlation(float(centred @ self._counted))
+        same = min(looks, math.sqrt(looks * self._map.expected(self.step)))
         new = (1.0 - same) / (1.0 + same)
         newness, self._used = max(new - self._used, 0.0), max(new, self._used)
-        if same < max(likelihood.correlation(self._map.next_cosine), 1e-3):
-            self._counted, self._used, self.step = components, 0.0, np.zeros(3)
+        if same < self._map.next_correlation:
+            self._counted, self._used, self.step = centred, 0.0, np.zeros(3)
         return newness
 
 
@@ -113,7 +117,7 @@ class Filter:
         self._centering = centering
         self._seed = seed
         # Made here, and not while the first frame waits.
-        _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview, visual_map.next_cosine
+        _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
         self.reset()
 
     def reset(self) -> None:
@@ -155,30 +159,30 @@ class Filter:
             raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
             raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
-        components = self._map.described(self._centering.apply(raw_features))
+        centred = self._centering.apply(raw_features)
         step = np.array([movement.ahead, 0.0, movement.turn_rad])
         if self._started:
             self._since, self._newness.step = placed(step, self._since), placed(step, self._newness.step)
-        seen = self._seen(components)
+        seen = self._seen(centred)
         if self._started:
-            self._jump(components, seen, movement)
-            for particles in filter(None, (self._tracked, self._jumped)):
-                particles.move(movement, noise, seen.newness, self._rng)
+            self._jump(seen, movement)
+            self._move(movement, noise, seen.newness)
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
         self._started, self._evidence = True, 0.0
         if seen.newness > 0.0:
-            self._last, self._since = components, np.zeros(3)
+            self._last, self._since = seen.components, np.zeros(3)
             self._weigh(seen)
             self._note_sure()
         return self._belief(seen)
 
-    def _seen(self, components: NDArray[np.float32]) -> View:
+    def _seen(self, centred: NDArray[np.float32]) -> View:
         """Compare a view with those of the map.
 
         What looks like nothing more than like any place, or is the same to the bit, shows no place.
         """
+        components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
         places, turns = np.full(TURNS_DEG.size, 1), np.arange(TURNS_DEG.size)
         cosines = self._map.best_look(
@@ -188,9 +192,9 @@ class Filter:
         nothing = not components.any() or components @ self._map.blank > cosines.max()
         if nothing or np.array_equal(components, self._last):
             return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
-        return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(components))
+        return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
 
-    def _jump(self, components: NDArray[np.float32], seen: View, movement: Movement) -> None:
+    def _jump(self, seen: View, movement: Movement) -> None:
         """Take from the particles the probability that goes to where the wheels do not lead.
 
         With every new view a little; much more where it does not look like the one just before, though the robot has
@@ -201,7 +205,7 @@ class Filter:
             kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
             self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped))
             return
-        like_last = float(self._map.likelihood.of(seen.stands_out(components @ self._last)))
+        like_last = float(self._map.likelihood.of(seen.stands_out(seen.components @ self._last)))
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
         visible = 1.0 - float(self._tracked.shares[0])
         rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
@@ -213,6 +217,17 @@ class Filter:
         self._odds = _Odds(
             tracked * kept, jumped * kept, sent + (gone * (1.0 - out) + found), lost - found + gone * out
         )
+
+    def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
+        """Predict; a robot that is nowhere near what was taught any more is lost."""
+        tracked, jumped, sent, lost = self._odds
+        gone = []
+        for particles in (self._tracked, self._jumped):
+            if particles is not None:
+                particles.move(movement, noise, newness, self._rng)
+            gone.append(0.0 if particles is None else particles.let_go())
+        strayed = gone[0] * tracked + gone[1] * jumped
+        self._odds = _Odds((1.0 - gone[0]) * tracked, (1.0 - gone[1]) * jumped, sent, lost + strayed)
 
     def _weigh(self, seen: View) -> None:
         """Weigh all by a view, and send scouts."""

@@ -117,4 +117,4 @@ class Likelihood:
 
 def gamma_of(cosine: float, correlation: float) -> float:
     """Return the exponent by which views of this mean cosine correlate so."""
-    return math.log(min(max(correlation, 0.01), 0.99)) / math.log(min(max(cosine, 0.01), 0.99))
+    return math.log(correlation) / math.log(min(max(cosine, 0.01), 0.99))

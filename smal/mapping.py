@@ -70,7 +70,7 @@ def learn(
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length)
     views, basis = _make_views(frames, keyframes, scene, aside, progress)
-    likelihood = likelihood_of_views(views, frames.poses[keyframes], frames.drives[keyframes], length)
+    likelihood, correlation = likelihood_of_views(frames, keyframes, views, length)
     visual_map = VisualMap(
         poses=frames.poses,
         drives=frames.drives,
@@ -83,6 +83,7 @@ def learn(
         correlation_rad=correlation_turn(views, unrelated),
         log_ratio=likelihood.log_ratio,
         gamma=likelihood.gamma,
+        next_correlation=correlation,
         movements=frames.movements,
         tick_s=tick_s,
         odometry=frames.odometry,

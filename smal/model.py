@@ -50,6 +50,7 @@ class VisualMap:
     correlation_rad: float
     log_ratio: NDArray[np.float64]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
     gamma: float
+    next_correlation: float  # How far the views of a keyframe and the next say the same, 0 to 1.
     movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.movement.atom_movements`).
     tick_s: float  # Time between two taught frames.
     odometry: bool  # Whether poses are of odometry, or the usual movements of atoms added up.
@@ -181,7 +182,7 @@ class VisualMap:
     def expected(self, step: NDArray[np.float64]) -> float:
         """Return how far two views that are a step (ahead, left, turned) apart should say the same, 0 to 1."""
         lengths = self.lengths(Movement(math.hypot(step[0], step[1]), math.remainder(step[2], math.tau)))
-        return math.pow(self.likelihood.correlation(self.next_cosine), SETTINGS.views_a_length * lengths)
+        return math.pow(self.next_correlation, SETTINGS.views_a_length * lengths)
 
     def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
@@ -223,14 +224,6 @@ class VisualMap:
         others = np.setdiff1d(self.reference, near)
         shares = np.full(others.size, (count - near.size) / max(others.size, 1))
         return np.append(near, others), np.append(np.ones(near.size), shares)
-
-    @cached_property
-    def next_cosine(self) -> float:
-        """Mean cosine of the views of a keyframe and the next one: below it, a view is new."""
-        some = np.flatnonzero(np.diff(self.key_drives) == 0)
-        some = some[evenly(some.size, SETTINGS.most_frames)]
-        pairs = (unpacked(self.views[some, 1, STRAIGHT]) * unpacked(self.views[some + 1, 1, STRAIGHT])).sum(axis=-1)
-        return float(pairs.mean()) if pairs.size else 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +271,7 @@ class Model(Stored):
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
         """Make it of what a file says."""
         mean = arrays.pop("mean")
-        sights = sights_of_content(meta.get("sights", []), arrays)
+        sights = sights_of_content(meta["sights"], arrays)
         return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights)
 
 

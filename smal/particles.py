@@ -71,6 +71,14 @@ class Particles:
         """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
+    def let_go(self) -> float:
+        """Let those go that are nowhere near what was taught, but for a trace; return the part that they were."""
+        far = np.hypot(*self.offsets()[:, :2].T) > SETTINGS.elsewhere * self._map.correlation_length
+        gone = min(float(self.weights[far].sum()), 1.0 - 1e-6)
+        self.weights[far] *= 1e-6
+        self.weights /= self.weights.sum()
+        return gone
+
     def update(self, seen: View, rng: np.random.Generator) -> float:
         """Weigh by a view; return how much likelier it is here than elsewhere."""
         found, beyond, away = self.interpolated(seen.components)

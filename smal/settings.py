@@ -29,6 +29,8 @@ class Settings:
     #: Components of variance v are divided by v to this power: half way to where all count alike. The largest ones are
     #: what many places share (sky, light), the smallest are noise.
     whitened: float = 0.25
+    #: Two places of a drive that are further apart are different ones; further from all of it, a robot is lost.
+    elsewhere: float = 4.0
     #: Share of views elsewhere whose distribution is taken as it is; that of the rest is an exponential tail.
     usual: float = 0.95
     #: Views that say what elsewhere looks like.

@@ -28,6 +28,7 @@ _MOST_KEYFRAMES = 400_000
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
     "gamma": lambda one: 0.0 < one <= 1e3,
+    "next_correlation": lambda one: 0.0 < one < 1.0,
 }
 #: Axes of its arrays.
 _AXES = {
@@ -96,9 +97,6 @@ def content_of_map(one: "VisualMap") -> Content:
     each = {part.name: getattr(one, part.name) for part in fields(one)}
     arrays = {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
     numbers = {name: value for name, value in each.items() if name not in arrays}
-    if not len(one.looks):
-        # As from before there were any, so that programs of then read it.
-        del arrays["looks"]
     return numbers, arrays
 
 

@@ -14,7 +14,7 @@ from smal.files import container
 from smal.files.container import ModelError, NoModelError
 from smal.files.regular_file import open_regular
 
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}
 
 #: What a file says of itself, and its arrays.

@@ -135,6 +135,7 @@ def smallest_map() -> Model:
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
         gamma=1.0,
+        next_correlation=0.5,
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,
         odometry=True,

@@ -53,6 +53,7 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
         gamma=1.0,
+        next_correlation=0.5,
         movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
         tick_s=TICK,
         odometry=True,

@@ -61,6 +61,7 @@ def map_of(metres: float, components: int) -> Model:
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
         gamma=1.0,
+        next_correlation=0.5,
         movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
         tick_s=0.1,
         odometry=True,
