@@ -23,6 +23,8 @@ CONTROLLERS: Final = {
     "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
     "teach-and-repeat-told": ("teach and repeat, told", "the same, told that it begins where the drive began"),
     "paper": ("the paper's scheme", "a decision every l frames"),
+    "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
+    "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
 }
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
 #: For each drive that teaches the paper's scheme: 60 for twelve, with which it was shown to find its way.
@@ -175,7 +177,8 @@ def _conditions(runs: int) -> tuple[Trial, ...]:
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
     """Return searches of all controllers after each number of drives, of the best two under every condition too.
 
-    The paper's scheme has them after the most drives, over its lengths and with a poor camera as well, `others` runs.
+    The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
+    that imitate have `others` runs.
     """
     each = (
         Trial(name, drives, runs if name in _BEST else others)

@@ -14,8 +14,10 @@ from services.experiments.evaluation.degradation import Degradation, Degrader
 from services.experiments.evaluation.drives import views_of_expert
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion
 from services.simulator.simulation import Simulation
+from smal.demonstration import Demonstration
 from smal.evaluation.ground_truth import judge_by_poses
-from smal.features import FeatureSettings, extract
+from smal.features import Centering, FeatureSettings, extract
+from smal.movement import Atom
 from smal.paper.model import Model
 from smal.paper.phase import matched_phase
 from smal.paper.sequences import last_frames
@@ -88,6 +90,32 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
     matched = np.isfinite(scores.max(axis=0))
     answered, score = np.where(matched, references[best, every], NONE), np.where(matched, scores[best, every], 0.0)
     return Matches(answered, score, np.zeros(len(views)))
+
+
+class NearestImitation:
+    """Does what was done at the demonstrated frame whose window is most alike: no states, no reward, no plan.
+
+    The window is of the last frames, or as many as there are in the episode so far.
+    """
+
+    def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
+        self._features, self._frames = features, frames
+        raw = [one.features for one in demonstrations]
+        self._centering = Centering.fit(raw, features)
+        self._drives = [self._centering.apply(each) for each in raw]
+        self._atoms = np.concatenate([one.atoms for one in demonstrations])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames, for a new episode."""
+        self._seen: list[NDArray[np.float32]] = []
+
+    def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
+        """Take one image, (height, width, 3) RGB, and return what to do; the wheels do not count."""
+        del odometry
+        self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][-self._frames :]
+        matches = recognize_nearest(self._drives, np.stack(self._seen), len(self._seen))
+        return Atom(int(self._atoms[matches.reference[-1]]))
 
 
 def judged(

@@ -30,6 +30,7 @@ from services.experiments.evaluation.plan import (
     WorldPlan,
 )
 from services.experiments.evaluation.recognition import (
+    NearestImitation,
     judged,
     query_drive,
     recognize_nearest,
@@ -270,8 +271,10 @@ class Searches(Unit):
                 return Robot(Model.load(learned.file(folder)), seed=self.which)
             case "paper":
                 return PaperRobot(_paper_model(*self.needed(Learn), folder))
-            case name:
+            case "teach-and-repeat" | "teach-and-repeat-told" as name:
                 return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told"))
+            case nearest:
+                return NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
 
 
 @dataclass(frozen=True)

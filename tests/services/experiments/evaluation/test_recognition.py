@@ -1,15 +1,17 @@
-"""The demonstrated frame that a state and a phase are, counted by hand."""
+"""The demonstrated frame that a state and a phase are, counted by hand; and what was done at the nearest one."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from services.experiments.evaluation.recognition import DemonstratedFrames
+from services.experiments.evaluation.recognition import DemonstratedFrames, NearestImitation
 from smal.demonstration import Demonstration
-from smal.features import FeatureSettings
+from smal.features import FeatureSettings, extract
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
+from tests.services.chain import picture
+from tests.smal.worlds import COLOR
 
 LENGTH = 4
 
@@ -41,3 +43,14 @@ def test_a_template_is_where_it_was_demonstrated() -> None:
             made.add(state)
         start += len(atoms)
     assert made == set(range(model.states))
+
+
+def test_the_nearest_window_is_imitated() -> None:
+    """Of two alike frames the one after which other frames came before."""
+    images = [picture(place) for place in (1, 20, 40, 20)]
+    features = np.stack([extract(image, COLOR) for image in images])
+    atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.STOP], dtype=np.int8)
+    drives = [Demonstration("d", features[:2], atoms[:2]), Demonstration("e", features[2:], atoms[2:])]
+    one, two = NearestImitation(drives, COLOR), NearestImitation(drives, COLOR, 2)
+    assert [one.step(image) for image in images] == [Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.LEFT]
+    assert [two.step(image) for image in images[2:]] == [Atom.FORWARD, Atom.STOP]
