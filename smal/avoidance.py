@@ -25,13 +25,16 @@ _ASIDE: Final = 6.0
 _ROOM, _TIGHT_COST = 2.0, 2.0
 #: It stands so many cells before what it would touch, at the latest: before the guard has it stand.
 _MARGIN_CELLS: Final = 2
+#: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
+STANDS: Final = 6.0
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
 _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
 
 
-def is_hit(around: Surroundings, way: Floats) -> bool:
-    """Tell whether a robot touches something that goes along places (s, 2), ahead and left of where it is now."""
-    return bool((around.clearance_m[around.cells(_dense(way, around.cell_m))] < _body_m(around)).any())
+def hit_m(around: Surroundings, way: Floats) -> float:
+    """Return after how far a robot that goes along places (s, 2), ahead and left of it, touches something, or inf."""
+    hits = np.flatnonzero(around.clearance_m[around.cells(_dense(way, around.cell_m))] < _body_m(around))
+    return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
 def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float) -> float | None:

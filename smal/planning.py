@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from smal.avoidance import is_hit, turn_round
+from smal.avoidance import STANDS, hit_m, turn_round
 from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import VisualMap
@@ -204,10 +204,10 @@ class Planner:
             kind = "guess" if has_way or lost else "dead_end"
         if not self._map.odometry or Atom.LEFT in self._going or not has_way or kind not in ("follow", "guess"):
             around = None
-        elif around is not None and is_hit(around, way := self._way_ahead(belief, around.reach_m)):
-            # Where nothing leads round it goes on until it stands before what is in the way.
+        elif around is not None and (far_m := hit_m(around, way := self._way_ahead(belief, around.reach_m))) < math.inf:
             round_rad = turn_round(around, way, self._turn_rad, self._map.speed * self._map.tick_s)
             error_rad = error_rad if round_rad is None else round_rad
+            kind = "blocked" if round_rad is None and far_m < STANDS * around.radius_m else kind
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * _SIDES[self._turning]
         atom = self._atom(kind, to_turn_rad, elapsed_s)
         if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
@@ -244,7 +244,7 @@ class Planner:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
         if kind != "follow":
             self._driven = 0.0
-        if kind in ("goal", "dead_end"):
+        if kind in ("goal", "dead_end", "blocked"):
             self._turning = None
             return Atom.STOP
         if kind == "search":

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from smal.avoidance import is_hit, turn_round
+from smal.avoidance import hit_m, turn_round
 from smal.clearance import Surroundings
 from smal.movement import Atom
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
@@ -26,7 +26,7 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
         c, s = math.cos(pose[2]), math.sin(pose[2])
         way = np.stack([x - pose[0], np.full(x.size, -pose[1])], axis=1) @ np.array([[c, -s], [s, c]])
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
-        if is_hit(around, way):
+        if hit_m(around, way) < math.inf:
             turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]))
         if turn is None:
             blocked += 1
