@@ -7,6 +7,8 @@ from pydantic import Field
 from schemas.base import Atom, Message
 from schemas.episode import Said
 
+Metres = Annotated[float, Field(ge=-100, le=100)]
+
 
 class Action(Message):
     """One decision: the atom movements that follow, one a frame, until the next decision replaces them."""
@@ -29,3 +31,5 @@ class Action(Message):
     """Whether the robot takes itself to be where it was taught that the goal is; of the filter."""
     says: Said | None = None
     """What it says of the goal, having nothing left to do: found, or not here; of the filter."""
+    obstacles: Annotated[tuple[tuple[Metres, Metres], ...], Field(max_length=100)] = ()
+    """Where something stands about the robot: metres ahead of it and to its left, some of the places."""

@@ -140,6 +140,8 @@ class ResetRequest(Strict):
     """Whether a run goes on until the robot says something; else it ends where the goal is reached."""
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
     """How many things stand on and beside the way, which did not when it was taught (simulated robots)."""
+    people: Annotated[int, Field(ge=0, le=50)] = 0
+    """How many people walk about the way (simulated robots)."""
     blocked: bool = False
     """Whether something closes the way (simulated robots)."""
     goal: GoalName = "victim"

@@ -33,7 +33,7 @@ _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
 
 def hit_m(around: Surroundings, way: Floats) -> float:
     """Return after how far a robot that goes along places (s, 2), ahead and left of it, touches something, or inf."""
-    hits = np.flatnonzero(around.clearance_m[around.cells(_dense(way, around.cell_m))] < _body_m(around))
+    hits = np.flatnonzero(around.clearance_m[around.cells(_dense(way, around.cell_m))] < around.body_m)
     return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
@@ -48,7 +48,7 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
     cells = around.cells(straight_m[:, None] * towards[:, None])
     # Who stands too near to something may leave, and come no nearer.
-    free_m = min(_body_m(around), float(around.clearance_m[around.cells(np.zeros(2))])) - 1e-3
+    free_m = min(around.body_m, float(around.clearance_m[around.cells(np.zeros(2))])) - 1e-3
     hit = np.logical_or.accumulate(around.clearance_m[cells] < free_m, axis=1)
     hit[:, :-_MARGIN_CELLS] |= hit[:, _MARGIN_CELLS:]
     left_m = np.where(hit, np.inf, _to_go_m(around, way)[cells] + straight_m) + step_m * np.abs(turns)[:, None]
@@ -62,13 +62,13 @@ def _to_go_m(around: Surroundings, way: Floats) -> Floats:
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
     dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
     # What stands at its end is seen to its end later.
-    dense = dense[: 1 + np.flatnonzero(around.clearance_m[around.cells(dense)] >= _body_m(around)).max(initial=0)]
+    dense = dense[: 1 + np.flatnonzero(around.clearance_m[around.cells(dense)] >= around.body_m).max(initial=0)]
     track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
     track[around.cells(dense)] = np.arange(len(dense))
     aside, (row, column) = distance_transform_edt(track < 0, return_indices=True)
     aside_m, along = aside * around.cell_m, track[row, column]
     here = around.cells(np.zeros(2))
-    clear_m, body_m = around.clearance_m, _body_m(around)
+    clear_m, body_m = around.clearance_m, around.body_m
     # A robot that stands too near to something, or too far aside, may leave.
     leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (clear_m >= clear_m[here] - 1e-3)
     may = ((clear_m >= body_m) | leaves) & (aside_m <= max(_ASIDE * around.radius_m, float(aside_m[here])))
@@ -83,11 +83,6 @@ def _to_go_m(around: Surroundings, way: Floats) -> Floats:
     used = np.isfinite(costs)
     graph = sparse.csr_array((costs[used], (one[used], other[used])), shape=(may.size, may.size))
     return np.asarray(dijkstra(graph, directed=False, indices=ends, min_only=True)).reshape(may.shape)
-
-
-def _body_m(around: Surroundings) -> float:
-    """Return how near to what stands there the robot's middle may come."""
-    return around.radius_m + around.cell_m / 2.0
 
 
 def _dense(way: Floats, apart_m: float) -> Floats:

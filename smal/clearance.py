@@ -125,6 +125,9 @@ class Surroundings:
         self.radius_m = radius_m
         self.cell_m = radius_m / _CELLS
         self.reach_m = _REACH * radius_m
+        #: How near it may come to the middle of a cell in which something stands: half a cell is that cell's, the other
+        #: half is for wheels that slip.
+        self.body_m = radius_m + self.cell_m
         self._half = _CELLS * _REACH
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Of each cell's middle, from that of the robot's cell, in the axes of the odometry.
@@ -144,7 +147,7 @@ class Surroundings:
             self._evidence, self._top_m = (shift(grid, by, order=0) for grid in (self._evidence, self._top_m))
         self._cell, self._rest = cell, (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
-        under = np.hypot(ahead, left) < self.radius_m - self.cell_m / 2.0
+        under = np.hypot(ahead, left) < self.radius_m - self.cell_m
         np.minimum(self._evidence, -1, out=self._evidence, where=under)
         self.__dict__.pop("clearance_m", None)
 
@@ -193,12 +196,17 @@ class Surroundings:
         """Cells that are neither occupied nor seen to be free."""
         return np.asarray(self._evidence == 0)
 
+    def things(self, most: int) -> Floats:
+        """Return where something stands, (n, 2) metres ahead of the robot and to its left: at most so many places."""
+        places = np.stack(self.seen_from(0.0), axis=-1)[self.occupied]
+        return places[:: -(-len(places) // most) or 1]
+
     @cached_property
     def clearance_m(self) -> NDArray[np.float64]:
-        """How far each cell's middle is from what stands nearest to it."""
+        """How far each cell's middle is from that of the nearest one in which something stands."""
         if not self.occupied.any():
             return np.full(self.occupied.shape, self.reach_m)
-        return np.asarray(distance_transform_edt(~self.occupied)) * self.cell_m - self.cell_m / 2.0
+        return np.asarray(distance_transform_edt(~self.occupied)) * self.cell_m
 
     def cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the cells of places (..., 2) ahead of and left of the robot; those outside as the nearest inside."""
@@ -215,10 +223,10 @@ class Surroundings:
         along = along if ahead else -along
         aside, occupied = np.abs(aside), self.occupied
         # What already is nearer than that may stay beside it, and come no nearer.
-        wide_m = min(self.radius_m + self.cell_m / 2.0, float(np.hypot(along, aside)[occupied].min(initial=math.inf)))
+        wide_m = min(self.body_m, float(np.hypot(along, aside)[occupied].min(initial=math.inf)))
         touched = occupied & (aside < wide_m - 1e-6) & (along > 0.0)
         hits = along[touched] - np.sqrt(wide_m**2 - aside[touched] ** 2)
-        unseen = self.unknown & (aside < self.radius_m - self.cell_m / 2.0)
+        unseen = self.unknown & (aside < self.radius_m - self.cell_m)
         unseen &= along > self.radius_m * (_NEAR if ahead else 1.0)
         nearest_m = min(hits.min(initial=self.reach_m), along[unseen].min(initial=math.inf) - self.radius_m)
         return float(max(0.0, nearest_m - _MARGIN * self.radius_m))

@@ -30,6 +30,7 @@ def evaluate(
     ] = None,
     victim: options.Victim = "there",
     obstacles: options.Obstacles = 0,
+    people: options.People = 0,
     blocked: options.Blocked = False,
     laps: Annotated[
         Path | None,
@@ -53,8 +54,8 @@ def evaluate(
     """
     if laps is not None:
         names, given = (
-            "quick world runs report-only obstacles blocked",
-            (quick, world, runs, report_only, obstacles, blocked),
+            "quick world runs report-only obstacles people blocked",
+            (quick, world, runs, report_only, obstacles, people, blocked),
         )
         for option in itertools.compress(names.split(), given):
             raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
@@ -71,7 +72,7 @@ def evaluate(
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     if runs is not None:
         plan = with_runs(plan, runs)
-    planned = units(plan := with_each(plan, victim, obstacles, blocked=blocked))
+    planned = units(plan := with_each(plan, victim, obstacles, people, blocked=blocked))
     results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:

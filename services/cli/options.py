@@ -58,6 +58,7 @@ Victim = Annotated[
 ]
 _LATER: Final = "Things that stand on and beside the way, and did not when it was taught."
 Obstacles = Annotated[int, Option("--obstacles", min=0, max=50, help=_LATER)]
+People = Annotated[int, Option("--people", min=0, max=50, help="People who walk about the way, to and fro.")]
 Blocked = Annotated[bool, Option("--blocked", help="Close the way.")]
 
 

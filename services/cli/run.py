@@ -38,6 +38,7 @@ def run(
     kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
     victim: options.Victim = "there",
     obstacles: options.Obstacles = 0,
+    people: options.People = 0,
     blocked: options.Blocked = False,
     realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
@@ -85,6 +86,7 @@ def run(
             # The paper's scheme says nothing.
             until_said=isinstance(loaded, Model),
             obstacles=obstacles,
+            people=people,
             blocked=blocked,
             goal=use.goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),
         )

@@ -74,7 +74,7 @@ class LiveContent:
 
     def on_action(self, action: Action) -> None:
         """Show what it does, and why."""
-        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
+        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], obstacles=action.obstacles)
 
     def _on_pose(self, pose: Pose) -> None:
         """Take note of where the robot truly is, and of the way that it has come in this episode."""

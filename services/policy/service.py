@@ -23,6 +23,8 @@ from smal.planning import Planner
 
 #: Reports of the actuator of whose delays the median is taken: those of a second.
 DELAYS_KEPT: Final = 10
+#: Places where something stands that are told with a decision, for people.
+SHOWN: Final = 100
 _log = logging.getLogger("policy")
 
 
@@ -111,6 +113,7 @@ class _ByFilter:
         decision = self._planner.decide(belief, elapsed_s, delay_s, state.seen, around)
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
+        things = () if around is None else tuple(map(tuple, around.things(SHOWN).round(2).tolist()))
         return [
             Action.after(
                 state,
@@ -119,6 +122,7 @@ class _ByFilter:
                 atoms=(atom,),
                 arrived=self._planner.arrived,
                 says=self._planner.said,
+                obstacles=things,
             ),
             Command.after(state, source="policy", atom=atom),
         ]

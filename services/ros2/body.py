@@ -114,7 +114,7 @@ class Ros2Body:
         """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""
         if request.kidnap_tick is not None:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
-        if request.obstacles or request.blocked:
+        if request.obstacles or request.people or request.blocked:
             raise ServiceError(f"{self.name} is real: put what stands in its way there by hand")
         if request.world is not None or request.variation is not None:
             raise ServiceError(f"{self.name} is real: no world and no variation can be chosen for it")

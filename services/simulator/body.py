@@ -66,7 +66,7 @@ class SimulatedBody:
             try:
                 self.simulation.reset(
                     request.seed, request.purpose, anywhere=request.start == "anywhere", victim=request.victim,
-                    obstacles=request.obstacles, blocked=request.blocked,
+                    obstacles=request.obstacles, people=request.people, blocked=request.blocked,
                 )  # fmt: skip
             except WorldError as error:
                 raise ServiceError(str(error)) from None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import Point
+from shapely import LineString, Point
 
 from schemas.base import Atom
 from schemas.episode import Purpose, Victim
@@ -16,6 +16,7 @@ from services.simulator.sensors.camera import FOCAL, CameraSettings, SimulatedVi
 from services.simulator.sensors.readings import Sensors
 from services.simulator.variation import DAY, Variation
 from services.simulator.world.obstacles import Obstacle, stand_in_the_way
+from services.simulator.world.people import Person, walk_about
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import moved_victim, sample_start
@@ -40,6 +41,7 @@ class Simulation:
     collided: bool  # Whether it has touched anything since the reset.
     victim: Pose | None  # Where the victim truly lies.
     obstacles: tuple[Obstacle, ...] = ()  # What stands in the way, and did not when it was taught.
+    people: tuple[Person, ...] = ()  # Who walks about it.
 
     def __init__(
         self,
@@ -74,19 +76,21 @@ class Simulation:
         anywhere: bool = False,
         victim: Victim = "there",
         obstacles: int = 0,
+        people: int = 0,
         blocked: bool = False,
     ) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
         Different purposes with one seed are independent. `anywhere` begins beside the way, as recovery drives do.
         Where the `victim` is moved to, and what lies in its place, is by the seed too, and so is where so many
-        `obstacles` stand in the way to its place, or what has it `blocked`. Returns the start pose, or raises
-        WorldError where there is no room for them.
+        `obstacles` stand in the way to its place, so many `people` walk, or what has it `blocked`. Returns the start
+        pose, or raises WorldError where there is no room for them.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
         self.pose = self._start = sample_start(self.world, start, "recovery" if anywhere else purpose)
         self._obstruct(obstacles, blocked)
+        self.people = walk_about(self.world, LineString(self.route()), self._chance(9), people) if people else ()
         self._base.put(self._start, wheels)
         self._sensors.begin(self._start, odometry, imu, shake)
         self.collided = False
@@ -128,7 +132,11 @@ class Simulation:
         for _ in range(steps):
             motion = self._base.step(atom, speed, duration_s / steps)
             self.pose = motion.pose
-            self.collided |= motion.collided
+            for person in self.people:
+                person.step(duration_s / steps, self.pose, self.world.robot.radius_m)
+            self.collided |= motion.collided or any(
+                person.touches(self.pose, self.world.robot.radius_m) for person in self.people
+            )
             if duration_s > 0:
                 self._sensors.feel(motion, duration_s / steps)
 
@@ -137,7 +145,7 @@ class Simulation:
         felt = self._sensors
         return SimulatedView(
             *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
-            self.victim, self.mount, captured_s, wanted,
+            self.victim, tuple(one.pose for one in self.people), self.mount, captured_s, wanted,
         )  # fmt: skip
 
     def route(self) -> NDArray[np.float64]:

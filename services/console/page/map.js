@@ -5,7 +5,7 @@ import { $, cleared, color } from "./element.js";
 const HEIGHT = 220, MARGIN = 18, LEAST_M = 4;
 const canvas = $("#map canvas"), legend = $("#map .victim");
 
-export function drawMap({ model, way, pose, tracked, belief, robot, goal }, age) {
+export function drawMap({ model, way, pose, tracked, belief, plan, robot, goal }, age) {
   const [pen, width] = cleared(canvas, HEIGHT);
   // What was taught in another world is nowhere in this one.
   const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
@@ -65,6 +65,13 @@ export function drawMap({ model, way, pose, tracked, belief, robot, goal }, age)
       [pen.strokeStyle, pen.lineWidth] = [color("bad"), 3];
       pen.stroke();
     }
+  }
+  const [x, y, heading] = (pose && age("pose") < 5 ? pose.pose : believed) ?? [];
+  pen.fillStyle = color("bad");
+  for (const [ahead, left] of x !== undefined && plan && age("plan") < 1 ? plan.obstacles : []) {
+    const [cos, sin] = [Math.cos(heading), Math.sin(heading)];
+    const [px, py] = at([x + cos * ahead - sin * left, y + sin * ahead + cos * left]);
+    pen.fillRect(px - 1, py - 1, 2, 2);
   }
   if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
   if (pose && age("pose") < 5) arrow(pose.pose, "good", true);

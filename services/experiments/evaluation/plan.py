@@ -84,6 +84,7 @@ class Trial:
     sets: int = 1
     victim: Victim = "there"
     obstacles: int = 0
+    people: int = 0
     blocked: bool = False
 
     @property
@@ -107,6 +108,7 @@ class Trial:
             "kidnapped": self.kidnap_tick > 0,
             f"victim {self.victim}": self.victim != "there",
             f"{self.obstacles} obstacles": self.obstacles > 0,
+            f"{self.people} people": self.people > 0,
             "blocked": self.blocked,
         }
         return ", ".join(name for name, holds in said.items() if holds) or "as taught"
@@ -234,9 +236,9 @@ def with_runs(plan: Plan, runs: int) -> Plan:
     return replace(plan, worlds=tuple(worlds))
 
 
-def with_each(plan: Plan, victim: Victim, obstacles: int, *, blocked: bool) -> Plan:
-    """Return a plan in each search of which the victim lies so, and so many things stand in the way, or close it."""
-    new = {"victim": victim, "obstacles": obstacles, "blocked": blocked}
+def with_each(plan: Plan, victim: Victim, obstacles: int, people: int, *, blocked: bool) -> Plan:
+    """Return a plan in each search of which the victim lies so, and so much is in the way, or closes it."""
+    new = {"victim": victim, "obstacles": obstacles, "people": people, "blocked": blocked}
     worlds = (
         replace(world, trials=tuple(dict.fromkeys(replace(one, **new) for one in world.trials)))  # type: ignore[arg-type]
         for world in plan.worlds

@@ -235,7 +235,7 @@ class Searches(Unit):
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
         taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
         # No day has the clouds of the one of teaching.
-        clouds, hindered = CLOUDS_SEED + self.which, trial.obstacles > 0 or trial.blocked
+        clouds, hindered = CLOUDS_SEED + self.which, trial.obstacles + trial.people > 0 or trial.blocked
         simulation = simulation_in(self.site, how.shake, trial.variation, clouds, hindered)
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
@@ -250,6 +250,7 @@ class Searches(Unit):
                 max_ticks=most_ticks,
                 victim=trial.victim,
                 obstacles=trial.obstacles,
+                people=trial.people,
                 blocked=trial.blocked,
             )
             keeps = self.is_example and not shown

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
+from services.simulator.scene.bodies import body
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
 from services.simulator.scene.surfaces import Lights, Surface, surfaces
@@ -68,6 +70,8 @@ class SceneCamera:
             self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
             self._robot = self._add(self._body(scene.robot, ROBOT))
             self._obstacles: list[Any] = []
+            self._people: list[Any] = []
+            self._walk: Sequence[Pose] = ()
             self._add(self._body(scene.still, STILL))
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
@@ -82,18 +86,31 @@ class SceneCamera:
         places = [victim, *([None] * len(self._decoys))]
         places[1 + which % len(self._decoys)] = decoy
         for entity, at in zip((self._victim, *self._decoys), places, strict=True):
-            # Under the ground nothing sees it.
-            at_m = (0.0, 0.0, -_FAR_M) if at is None else (at.x, at.y, 0.0)
-            entity.set_pose(self._sapien.Pose(at_m, _turn(0.0 if at is None else at.heading)))
-        self._seen_from = None
+            self._move(entity, at)
 
     def obstruct(self, things: Sequence[Obstacle]) -> None:
         """Show these obstacles from now on, in the place of those before."""
+        self._seen_from = None
         for entity in self._obstacles:
             self._scene.remove_entity(entity)
         self._obstacles = [self._add(self._body(surfaces(furnish(one.piece)), STILL)) for one in things]
         for entity, one in zip(self._obstacles, things, strict=True):
-            entity.set_pose(self._sapien.Pose((one.pose.x, one.pose.y, 0.0), _turn(one.pose.heading)))
+            self._move(entity, one.pose)
+
+    def walk(self, people: Sequence[Pose]) -> None:
+        """Show people at these places from now on."""
+        if people == self._walk:
+            return
+        self._walk = people
+        while len(self._people) < len(people):
+            self._people.append(self._add(self._body(surfaces(body("walker")), STILL)))
+        for entity, at in zip_longest(self._people, people):
+            self._move(entity, at)
+
+    def _move(self, entity: Any, at: Pose | None) -> None:
+        """Put something somewhere, or nowhere: under the ground nothing sees it."""
+        at_m = (0.0, 0.0, -_FAR_M) if at is None else (at.x, at.y, 0.0)
+        entity.set_pose(self._sapien.Pose(at_m, _turn(0.0 if at is None else at.heading)))
         self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:

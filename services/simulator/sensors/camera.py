@@ -99,7 +99,7 @@ class SimulatedView:
     """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
 
     world: World
-    camera: "SceneCamera"
+    lens: "SceneCamera"
     variation: Variation
     pose: Pose  # Where the robot truly is.
     tilt: Tilt
@@ -108,10 +108,17 @@ class SimulatedView:
     odometry: OdometryReading
     imu: tuple[ImuReading, ...]
     victim: Pose | None  # Where the victim truly lies.
+    people: tuple[Pose, ...]  # Where people truly are.
     mount: Mount | None  # How its depth camera sits, if it has one.
     captured_s: float = 0.0  # When, by the actuator's clock.
     wanted: Callable[[Topic], bool] = lambda _topic: False
     """Whether anybody listens to a topic whose messages are costly."""
+
+    @property
+    def camera(self) -> "SceneCamera":
+        """Its camera, with the people where they were."""
+        self.lens.walk(self.people)
+        return self.lens
 
     @cached_property
     def jpeg(self) -> bytes:

@@ -36,6 +36,9 @@ class StubCamera:
     def lay(self, victim: Pose | None, decoy: Pose | None = None, which: int = 0) -> None:
         pass
 
+    def walk(self, people: tuple[Pose, ...]) -> None:
+        pass
+
     def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
         return np.full((24, 32, 3), int(abs(pose.x)) % 256, dtype=np.uint8)
 

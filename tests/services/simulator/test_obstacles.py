@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import shapely
@@ -14,6 +16,7 @@ from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
+from services.simulator.world.place import Pose
 from services.simulator.world.route import Obstacles
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -79,6 +82,34 @@ def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
     assert passes(simulation, 1.0)
     simulation.reset(1, "run", blocked=True)
     assert not passes(simulation, 1.0)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(world: str) -> None:
+    simulation = simulated(world)
+    simulation.reset(1, "run", people=3)
+    first, passed = simulation.people[0], [simulation.people[0].pose]
+    for _ in range(300):
+        simulation.advance("stop", 0.0, 0.1)
+        passed.append(first.pose)
+    away = [math.hypot(one.x - passed[0].x, one.y - passed[0].y) for one in passed]
+    assert max(away) > 0.8
+
+    def stand(at: Pose, ticks: int) -> float:
+        simulation.reset(1, "run", people=3)
+        simulation._base.put(at, np.random.default_rng(0))
+        nearest = math.inf
+        for _ in range(ticks):
+            simulation.advance("stop", 0.0, 0.1)
+            here = simulation.people[0].pose
+            nearest = min(nearest, math.hypot(here.x - at.x, here.y - at.y))
+        return nearest
+
+    radius_m = simulation.world.robot.radius_m
+    assert stand(passed[int(np.argmax(away))], 300) < radius_m + 0.8
+    assert not simulation.collided
+    stand(passed[0], 1)
+    assert simulation.collided
 
 
 def test_a_way_too_short_for_so_many_says_so() -> None:
