@@ -23,8 +23,6 @@ from smal.clearance import Floats, Surroundings
 _ASIDE: Final = 6.0
 #: Distance from things beyond which more is of no use, in radii, and what a metre costs more right beside them.
 _ROOM, _TIGHT_COST = 2.0, 2.0
-#: It stands so many cells before what it would touch, at the latest: before the guard has it stand.
-_MARGIN_CELLS: Final = 2
 #: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
 STANDS: Final = 6.0
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
@@ -47,11 +45,8 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
     cells = around.cells(straight_m[:, None] * towards[:, None])
-    # Who stands too near to something may leave, and come no nearer.
-    free_m = min(around.body_m, float(around.clearance_m[around.cells(np.zeros(2))])) - 1e-3
-    hit = np.logical_or.accumulate(around.clearance_m[cells] < free_m, axis=1)
-    hit[:, :-_MARGIN_CELLS] |= hit[:, _MARGIN_CELLS:]
-    left_m = np.where(hit, np.inf, _to_go_m(around, way)[cells] + straight_m) + step_m * np.abs(turns)[:, None]
+    leads = straight_m <= around.clear_m(turns * turn_rad)[:, None]
+    left_m = np.where(leads, _to_go_m(around, way)[cells] + straight_m, np.inf) + step_m * np.abs(turns)[:, None]
     best = np.unravel_index(left_m.argmin(), left_m.shape)
     return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
 

@@ -217,19 +217,24 @@ class Surroundings:
         row, column = (np.rint(one / self.cell_m).clip(-half, half).astype(np.intp) + half for one in (x, y))
         return row, column
 
+    def clear_m(self, turns_rad: Floats) -> Floats:
+        """Return how far (k,) the robot may go straight on after turns (k,) to the left, and keep off what it sees."""
+        ahead, left = (one[self.occupied] for one in self.seen_from(0.0))
+        cos, sin = np.cos(turns_rad)[:, None], np.sin(turns_rad)[:, None]
+        along, aside = cos * ahead + sin * left, np.abs(cos * left - sin * ahead)
+        # What already is nearer than that may stay beside it, and come no nearer.
+        wide_m = min(self.body_m, float(np.hypot(ahead, left).min(initial=math.inf)))
+        touches_m = along - np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0))
+        touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
+        return np.asarray(np.maximum(touches_m.min(axis=1, initial=self.reach_m) - _MARGIN * self.radius_m, 0.0))
+
     def free_m(self, ahead: bool) -> float:
         """Return how far the robot may go straight ahead, or back, and keep off what it sees, and what it does not."""
         along, aside = self.seen_from(0.0)
-        along = along if ahead else -along
-        aside, occupied = np.abs(aside), self.occupied
-        # What already is nearer than that may stay beside it, and come no nearer.
-        wide_m = min(self.body_m, float(np.hypot(along, aside)[occupied].min(initial=math.inf)))
-        touched = occupied & (aside < wide_m - 1e-6) & (along > 0.0)
-        hits = along[touched] - np.sqrt(wide_m**2 - aside[touched] ** 2)
-        unseen = self.unknown & (aside < self.radius_m - self.cell_m)
-        unseen &= along > self.radius_m * (_NEAR if ahead else 1.0)
-        nearest_m = min(hits.min(initial=self.reach_m), along[unseen].min(initial=math.inf) - self.radius_m)
-        return float(max(0.0, nearest_m - _MARGIN * self.radius_m))
+        along, near = (along, _NEAR) if ahead else (-along, 1.0)
+        unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m) & (along > near * self.radius_m)
+        known_m = along[unseen].min(initial=math.inf) - (1.0 + _MARGIN) * self.radius_m
+        return float(max(0.0, min(self.clear_m(np.array([0.0 if ahead else math.pi]))[0], known_m)))
 
 
 def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float) -> float:

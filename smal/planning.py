@@ -204,10 +204,8 @@ class Planner:
             kind = "guess" if has_way or lost else "dead_end"
         if not self._map.odometry or Atom.LEFT in self._going or not has_way or kind not in ("follow", "guess"):
             around = None
-        elif around is not None and (far_m := hit_m(around, way := self._way_ahead(belief, around.reach_m))) < math.inf:
-            round_rad = turn_round(around, way, self._turn_rad, self._map.speed * self._map.tick_s)
-            error_rad = error_rad if round_rad is None else round_rad
-            kind = "blocked" if round_rad is None and far_m < STANDS * around.radius_m else kind
+        if around is not None:
+            kind, error_rad = self._round(kind, error_rad, around, self._way_ahead(belief, around.reach_m))
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * _SIDES[self._turning]
         atom = self._atom(kind, to_turn_rad, elapsed_s)
         if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
@@ -215,6 +213,19 @@ class Planner:
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
         return Decision(kind, atom, error_rad)
+
+    def _round(
+        self, kind: Kind, error_rad: float, around: Surroundings, way: NDArray[np.float64]
+    ) -> tuple[Kind, float]:
+        """Return what to do, and where to, where something may stand in the way."""
+        far_m = hit_m(around, way)
+        if far_m < math.inf or around.free_m(ahead=True) == 0.0:
+            round_rad = turn_round(around, way, self._turn_rad, self._map.speed * self._map.tick_s)
+            if round_rad is not None:
+                return kind, round_rad
+            if far_m < STANDS * around.radius_m:
+                return "blocked", error_rad
+        return kind, error_rad
 
     def _search(self, belief: Belief, elapsed_s: float, seen: float | None) -> None:
         """Say "found" if what is sought is in view; having looked all around go to another end, or say "not here"."""
