@@ -16,7 +16,7 @@ from shapely.ops import substring
 from services.simulator.world.furniture import Furniture, FurnitureKind
 from services.simulator.world.place import Pose, Solid, World, WorldError
 from services.simulator.world.room import Room
-from services.simulator.world.route import obstacles_of, plan_route
+from services.simulator.world.route import beside, obstacles_of, plan_route
 
 
 def _thing(kind: FurnitureKind, width_m: float, depth_m: float, height_m: float) -> Furniture:
@@ -91,19 +91,13 @@ class _Way:
         solids = (one for one in world.place.solids if one.low_m < world.robot.top_m)
         self._solid = shapely.union_all([one.shape for one in solids if one.shape.intersects(around)])
 
-    def _at(self, along_m: float, aside_m: float = 0.0) -> Pose:
-        """Return a place beside the way, to the left, with the way's direction."""
-        here, there = (shapely.get_coordinates(self._line.interpolate(one))[0] for one in (along_m, along_m + 0.1))
-        heading = math.atan2(there[1] - here[1], there[0] - here[0])
-        return Pose(float(here[0]) - aside_m * math.sin(heading), float(here[1]) + aside_m * math.cos(heading), heading)
-
     def one(self, near_m: float, far_m: float, others: list[Obstacle], rng: np.random.Generator) -> list[Obstacle]:
         """Return a thing on a stretch of the way that leaves a passage; nothing where no place was found."""
         for _ in range(_TRIES):
             piece = self._things[int(rng.integers(len(self._things)))]
             along_m, aside, turned = rng.uniform(near_m, far_m), rng.uniform(-1.0, 1.0), rng.uniform(-0.4, 0.4)
             # Its nearest side is where the robot would touch it, or up to half of its width further away.
-            there = self._at(along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
+            there = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
             made = Obstacle(piece, Pose(there.x, there.y, there.heading + turned))
             off = self._solid.disjoint(made.footprint)
             off &= all(made.footprint.distance(other.footprint) > 8 * self._radius_m for other in others)
@@ -127,11 +121,11 @@ class _Way:
         for side in (1.0, -1.0):
             steps = np.arange(0.0, _CLOSED * self._radius_m, self._radius_m / 2).tolist()
             # Its end stands in the wall, so that no gap stays beside it.
-            walls = (one for one in steps if not self._free(self._at(along_m, side * one)))
+            walls = (one for one in steps if not self._free(beside(self._line, along_m, side * one)))
             ends_m.append(side * next(walls, _CLOSED * self._radius_m))
         thing = self._things[0]
         wide = _thing("partition", ends_m[0] - ends_m[1], thing.depth_m, thing.height_m)
-        return Obstacle(wide, self._at(along_m, sum(ends_m) / 2))
+        return Obstacle(wide, beside(self._line, along_m, sum(ends_m) / 2))
 
     def _free(self, at: Pose) -> bool:
         return self._obstacles.is_free(at.x, at.y, 0.0)

@@ -1,13 +1,14 @@
 """People who walk across and along the way, to and fro, stop and wait; they look where they go."""
 
 import math
+from functools import partial
 from typing import Final
 
 import numpy as np
 from shapely import LineString
 
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import obstacles_of
+from services.simulator.world.route import beside, obstacles_of
 
 #: Of a person seen from above, metres, and how much room one leaves to a robot ahead, more than both take.
 _RADIUS_M, _ROOM_M = 0.25, 0.5
@@ -64,11 +65,8 @@ def walk_about(world: World, way: LineString, rng: np.random.Generator, count: i
     speed_m_s = min(_SPEED_M_S, _SPEEDS * world.robot.drive.speed_m_s)
     for _ in range(_TRIES * count):
         along = rng.uniform(0.15, 1.0) * way.length + rng.uniform(-0.5, 0.5, 2) * _ALONG * radius_m
-        aside, ends = rng.choice([-1.0, 1.0], 2) * rng.uniform(*_ASIDE, 2) * radius_m, []
-        for along_m, aside_m in zip(along, aside, strict=True):
-            here, there = (way.interpolate(float(np.clip(one, 0.0, way.length))) for one in (along_m, along_m + 0.1))
-            heading = math.atan2(there.y - here.y, there.x - here.x)
-            ends.append((here.x - aside_m * math.sin(heading), here.y + aside_m * math.cos(heading)))
+        aside = rng.choice([-1.0, 1.0], 2) * rng.uniform(*_ASIDE, 2) * radius_m
+        ends = [(one.x, one.y) for one in map(partial(beside, way), along, aside)]
         if obstacles_of(world.place).are_clear(np.array([ends]), _RADIUS_M)[0]:
             found.append(Person(LineString(ends), speed_m_s, rng))
         if len(found) == count:

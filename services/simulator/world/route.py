@@ -1,5 +1,6 @@
 """Where a robot can go: what stands in the way, and the shortest way to the victim, along lanes."""
 
+import math
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Final
@@ -9,9 +10,9 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
-from shapely import Point, STRtree
+from shapely import LineString, Point, STRtree
 
-from services.simulator.world.place import Place, Solid, World, WorldError
+from services.simulator.world.place import Place, Pose, Solid, World, WorldError
 
 # Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
 _TIGHT_COST: Final = 3.0
@@ -175,6 +176,14 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
         x, y = np.asarray(start_xy, dtype=np.float64)
         raise WorldError(f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the lanes")
     return path
+
+
+def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
+    """Return a place beside a way, to the left, with the way's direction; before its end, of which there is none."""
+    along_m = min(max(along_m, 0.0), way.length - 0.1)
+    here, there = way.interpolate(along_m), way.interpolate(along_m + 0.1)
+    heading = math.atan2(there.y - here.y, there.x - here.x)
+    return Pose(here.x - aside_m * math.sin(heading), here.y + aside_m * math.cos(heading), heading)
 
 
 def route_length_m(route: NDArray[np.float64]) -> float:

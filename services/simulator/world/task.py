@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.episode import Purpose
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph, obstacles_of, plan_route
+from services.simulator.world.route import LaneGraph, RoutesTo, beside, lane_graph, obstacles_of, plan_route
 from services.simulator.world.terrain import Terrain
 
 _FROM_WALL_M: Final = 1.2
@@ -145,12 +145,9 @@ def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     along = rng.uniform(0.0, max(route.length - world.scale.last_m, 0.0))
     aside, turned = rng.uniform(-1.0, 1.0, 2) * (world.scale.aside_m, _ASIDE_RAD)
-    here = shapely.get_coordinates(route.interpolate(along))[0]
-    ahead = shapely.get_coordinates(route.interpolate(min(along + 0.1, route.length)))[0] - here
-    direction = math.atan2(ahead[1], ahead[0])
-    x, y = here + aside * np.array([-math.sin(direction), math.cos(direction)])
-    pose = Pose(float(x), float(y), math.remainder(direction + turned, math.tau))
-    return pose if _reaches(world, pose, here) else None
+    here, there = beside(route, along), beside(route, along, aside)
+    pose = Pose(there.x, there.y, math.remainder(there.heading + turned, math.tau))
+    return pose if _reaches(world, pose, np.array([here.x, here.y])) else None
 
 
 def _reaches(world: World, pose: Pose, anchor: NDArray[np.float64]) -> bool:
