@@ -97,7 +97,7 @@ VARIANTS: Final = {
     "without turned views": Variant({}, views=_straight),
     "without scouts": Variant({}, scouts=False),
     "every view counts in full": Variant({}, tempered=False),
-    "never lost": Variant({"first": (_AT_START, _ANYWHERE + _LOST, 0.0)}),
+    "lost only far from every way": Variant({"first": (_AT_START, _ANYWHERE + _LOST, 0.0)}),
     "atoms for odometry": Variant({}, odometry=False),
 }
 
