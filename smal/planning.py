@@ -23,6 +23,7 @@ from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import VisualMap
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
+from smal.seen import Glimpse
 from smal.settings import SETTINGS
 from smal.stitches import in_common_axes
 
@@ -158,14 +159,14 @@ class Planner:
         belief: Belief,
         elapsed_s: float | None = None,
         delay_s: float = 0.0,
-        seen: float | None = None,
+        seen: Glimpse | None = None,
         around: Surroundings | None = None,
     ) -> Decision:
         """Say what to do until the next frame.
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
-        what is decided moves the robot, which until then goes on turning, if it turns. `seen` is how probable it is
-        that what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
+        what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether
+        what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
         `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
         turns on the spot.
         """
@@ -188,8 +189,11 @@ class Planner:
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
         self.arrived = self.arrived or (ended and sure and (tracked or looked))
-        if self.arrived and self.said is None:
-            self._search(belief, elapsed_s, seen)
+        sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        if self.said is None and sees and (self.arrived or (seen is not None and seen.near and not lost)):
+            self.said = "found"
+        elif self.arrived and self.said is None:
+            self._search(belief, elapsed_s)
 
         kind: Kind
         if self.said is not None:
@@ -227,11 +231,8 @@ class Planner:
                 return "blocked", error_rad
         return kind, error_rad
 
-    def _search(self, belief: Belief, elapsed_s: float, seen: float | None) -> None:
-        """Say "found" if what is sought is in view; having looked all around go to another end, or say "not here"."""
-        if seen is None or seen > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen):
-            self.said = "found"
-            return
+    def _search(self, belief: Belief, elapsed_s: float) -> None:
+        """Look around; having looked all around go to another end, or say "not here"."""
         self._searched_s += elapsed_s
         around_s = math.radians(SETTINGS.search_deg) / self._turn_rad * self._map.tick_s
         # One that turns ahead would leave the place.

@@ -15,7 +15,7 @@ from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.planning import Decision, Planner, Said, chosen_goal
-from smal.seen import Witness
+from smal.seen import Glimpse, Witness
 from smal.settings import SETTINGS
 
 
@@ -76,8 +76,8 @@ class Localizer:
         if self._witness is not None:
             self._witness.reset()
 
-    def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float | None:
-        """Return how probable it is that what is sought is in view; None where nothing is known of it.
+    def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> Glimpse | None:
+        """Return whether what is sought is in view; None where nothing is known of it.
 
         `picture` is `smal.features.picture.small` of the frame. Far from where it was taught to be, nobody looks.
         """
@@ -85,7 +85,7 @@ class Localizer:
             return None
         if float(belief.weights @ self._near[belief.keyframes]) < 0.5:
             self._witness.reset()
-            return 0.0
+            return Glimpse(0.0, near=False)
         return self._witness.look(picture)
 
     def observe(

@@ -15,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class Sight:
         Distance from which two cells are not alike at all.
     log_ratio : float64 array (201,)
         log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    size : float
+        Cells that spoke for it where the ways ended.
     """
 
     sought: Codes
@@ -82,6 +84,7 @@ class Sight:
     windows: NDArray[np.int32]
     far: float
     log_ratio: NDArray[np.float64]
+    size: float
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
@@ -94,22 +97,19 @@ class Sight:
             and bool(((self.windows > 0) & (self.windows <= np.array(SHAPE) // 2)).all())
             and len(self.windows) > 0,
             "far": 0.0 < self.far < 1e3,
+            "size": 0.0 < self.size < 1e4,
             "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
         if wrong or not (np.isfinite(self.sought).all() and np.isfinite(self.others).all()):
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
-    def score(self, picture: Image) -> float:
-        """Return how much of a window of a small picture is like what is sought and like nothing else, 0 to 1."""
-        cells = cells_of(picture, 2)
-        return _best(_speaks(cells, self.sought, self.others, self.far), self.windows)
-
-    def says(self, picture: Image) -> float | None:
-        """Return the log ratio of a small picture; None where it shows nothing at all."""
+    def says(self, picture: Image) -> tuple[float, float] | None:
+        """Return the log ratio of a small picture, and how many cells speak for it; None where it shows nothing."""
         if float(picture.std()) < SETTINGS.plain:
             return None
-        return float(np.interp(self.score(picture), SCORES, self.log_ratio))
+        speaks = _speaks(cells_of(picture, 2), self.sought, self.others, self.far)
+        return float(np.interp(_best(speaks, self.windows), SCORES, self.log_ratio)), float(speaks.sum())
 
 
 def _speaks(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
@@ -133,7 +133,7 @@ def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]]
     """Return what a file says of the sights of goals, and the arrays in it."""
     said, arrays = [], dict[str, NDArray[Any]]()
     for number, (goal, one) in enumerate(sights.items()):
-        said.append({"goal": goal, "far": one.far})
+        said.append({"goal": goal, "far": one.far, "size": one.size})
         arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}
     return said, arrays
 
@@ -141,13 +141,22 @@ def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]]
 def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]) -> dict[str, Sight]:
     """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     return {
-        str(one["goal"]): Sight(far=one["far"], **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS})
+        str(one["goal"]): Sight(
+            far=one["far"], size=one["size"], **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
+        )
         for number, one in enumerate(said)
     }
 
 
+class Glimpse(NamedTuple):
+    """How probable it is that what is sought is in view, and whether it is as near as where the ways ended."""
+
+    probability: float
+    near: bool
+
+
 class Witness:
-    """Tells from view to view how probable it is that what is sought is in view."""
+    """Tells from view to view whether what is sought is in view."""
 
     def __init__(self, sight: Sight) -> None:
         self._sight = sight
@@ -157,15 +166,17 @@ class Witness:
         """Forget everything, for a new episode."""
         self._said = deque[float](maxlen=SETTINGS.views_as_one)
 
-    def look(self, picture: Image) -> float:
-        """Take a small picture; return the probability. A view that is hidden is no evidence."""
-        said = self._sight.says(picture)
+    def look(self, picture: Image) -> Glimpse:
+        """Take a small picture. A view that is hidden is no evidence."""
+        said, near = self._sight.says(picture), False
         if said is not None:
-            self._said.append(said)
+            self._said.append(said[0])
+            # An area falls with the square of the distance.
+            near = said[1] > self._sight.size / SETTINGS.as_near**2
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean(self._said)) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
-        return odds / (1.0 + odds)
+        return Glimpse(odds / (1.0 + odds), near)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +212,9 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     if not new.size:
         return None
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
-    patches = _lasting([patch for one in drives if one.ends for patch in _patches(one, codes, stands_out)])
+    followed = [list(_patches(one, codes, stands_out)) for one in drives if one.ends]
+    ends = {id(one[0][0]) for one in followed if one}
+    patches = _lasting([patch for one in followed for patch in one])
     if not patches:
         return None
     others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
@@ -211,11 +224,13 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     sizes = np.maximum(sizes, _LEAST)
     chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
-    here = [
-        _best(_speaks(cells_of(one, 2), np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far), windows)
+    left_out = [
+        _speaks(cells_of(one, 2), np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far)
         for k, (one, _, _) in enumerate(patches)
         if len(patches) > 1
     ]
+    here = [_best(one, windows) for one in left_out]
+    at_end = [float(one.sum()) for one, (picture, _, _) in zip(left_out, patches, strict=False) if id(picture) in ends]
     every, new_codes = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
         _best(_speaks(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], new_codes]), far), windows)
@@ -224,7 +239,9 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     ratio = _ratio(np.array(here), np.array(elsewhere_scores))
     if ratio is None:
         return None
-    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio)
+    # Where none of the last views is left, it is never near.
+    size = float(np.median(at_end)) if at_end else float(cells_of(pictures[0], 2)[..., 0].size)
+    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size)
 
 
 def _lasting(patches: list[Patch]) -> list[Patch]:

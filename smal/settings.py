@@ -162,6 +162,8 @@ class Settings:
     #: that it is there than to look on.
     in_view: float = 0.2
     false_seen: float = 40.0
+    #: Nearer than this many times how near the taught ways ended, what is seen is found without going on to the end.
+    as_near: float = 1.4
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0
     stands_s: float = 1.0

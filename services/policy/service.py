@@ -20,6 +20,7 @@ from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
 from smal.paper.model import Model as PaperModel
 from smal.planning import Planner
+from smal.seen import Glimpse
 
 #: Reports of the actuator of whose delays the median is taken: those of a second.
 DELAYS_KEPT: Final = 10
@@ -110,7 +111,8 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
-        decision = self._planner.decide(belief, elapsed_s, delay_s, state.seen, around)
+        seen = None if state.seen is None else Glimpse(state.seen, state.near)
+        decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around)
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
         things = () if around is None else tuple(map(tuple, around.things(SHOWN).round(2).tolist()))

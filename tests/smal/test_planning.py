@@ -15,6 +15,7 @@ from smal.likelihood import GRID, SHARES
 from smal.model import VisualMap
 from smal.movement import Atom
 from smal.planning import Planner, cost_to_go
+from smal.seen import Glimpse
 from smal.settings import SETTINGS
 from tests.smal.synthetic_world import (
     START,
@@ -113,10 +114,10 @@ END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
 
 def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> None:
     planner = Planner(STRAIGHT)
-    decision = planner.decide(END, seen=0.5)
+    decision = planner.decide(END, seen=Glimpse(0.5, near=False))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
     assert decision.atom is Atom.LEFT
-    assert planner.decide(END, seen=0.99).atom is Atom.STOP
+    assert planner.decide(END, seen=Glimpse(0.99, near=False)).atom is Atom.STOP
     assert planner.said == "found"
 
 
@@ -126,7 +127,7 @@ def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
     while planner.said is None:
         assert turned_rad < 8.0, "it never says anything"
         turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
-            planner.decide(END, seen=0.0).atom, 0.0
+            planner.decide(END, seen=Glimpse(0.0, near=False)).atom, 0.0
         )
     assert planner.said == "not_here"
     assert turned_rad > 2.0 * math.pi

@@ -53,25 +53,32 @@ def sight() -> Sight:
 
 @pytest.mark.parametrize(("step", "aside"), [(STEPS - 1.4, 0), (STEPS - 2.6, 6), (STEPS - 0.8, -9)])
 def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(step: float, aside: int) -> None:
-    assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)) > 0.99
-    assert Witness(sight()).look(view(step)) < 0.1
-    assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)) < 0.5
+    assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)).probability > 0.99
+    assert Witness(sight()).look(view(step)).probability < 0.1
+    assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
 
 
 def test_on_the_way_nothing_is_seen() -> None:
-    assert max(Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)) < 0.5
+    seen = [Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)]
+    assert max(one.probability for one in seen) < 0.5
+    assert not any(one.near for one in seen)
 
 
 def test_it_is_seen_in_half_the_light() -> None:
-    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, BLUE) // 2) > 0.99
+    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, BLUE) // 2).probability > 0.99
+
+
+def test_it_is_near_where_it_looks_about_as_large_as_at_the_end_of_the_way() -> None:
+    near = [Witness(sight()).look(view(step, ORANGE, BLUE)).near for step in (STEPS - 13, STEPS - 2, STEPS - 1)]
+    assert near == [False, True, True]
 
 
 def test_a_hidden_view_is_no_evidence() -> None:
     witness, hidden = Witness(sight()), np.full((*SHAPE, 3), 30, np.uint8)
-    before = witness.look(hidden)
+    before = witness.look(hidden).probability
     assert 0.1 < before < 0.5
-    found = witness.look(view(STEPS - 1.4, ORANGE, BLUE))
-    assert witness.look(hidden) == found > 0.99
+    found = witness.look(view(STEPS - 1.4, ORANGE, BLUE)).probability
+    assert witness.look(hidden).probability == found > 0.99
 
 
 def test_where_nothing_stands_out_nothing_is_sought() -> None:
@@ -82,7 +89,7 @@ def test_where_nothing_stands_out_nothing_is_sought() -> None:
 
 def test_parts_that_do_not_fit_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="do not fit together: windows"):
-        Sight(sight().sought, sight().others, np.array([[0, 99]], np.int32), sight().far, sight().log_ratio)
+        Sight(sight().sought, sight().others, np.array([[0, 99]], np.int32), sight().far, sight().log_ratio, 9.0)
 
 
 def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_path: Path) -> None:
