@@ -163,7 +163,7 @@ class Settings:
     in_view: float = 0.2
     false_seen: float = 40.0
     #: Nearer than this many times how near the taught ways ended, what is seen is found without going on to the end.
-    as_near: float = 1.4
+    as_near: float = 1.2
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0
     stands_s: float = 1.0
