@@ -4,8 +4,6 @@ What is seen changes with the robot's pose as in any room, so that the map, the 
 in a world of the simulator; a frame takes a millisecond.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is costly to make is made once a run of the tests, however many processes share the work."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The README is true where a test can tell."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Run a benchmark: ``smal bench NAME``."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 

@@ -1,7 +1,5 @@
 """Processes of a benchmark's own: started, waited for, and ended with their context."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Drives and models that a benchmark makes as a user does, with the `smal` command."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What all benchmarks share: their flags, the machine, and results as JSON and as tables."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,8 +3,6 @@
 It ends with status 0, or at an input that breaks the decoder, which it writes beside ``-artifact_prefix=``.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small valid files for the fuzzer to begin with."""
 
-from __future__ import annotations
-
 import atexit
 import hashlib
 import json

@@ -4,8 +4,6 @@
 either a usable value or the documented exception with one clear line.
 """
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import itertools

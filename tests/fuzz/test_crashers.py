@@ -1,7 +1,5 @@
 """Inputs that once broke a decoder, valid ones, and changes in these: none breaks it, none costs much."""
 
-from __future__ import annotations
-
 import re
 import time
 import tracemalloc

@@ -2,8 +2,6 @@
 
 # ruff: noqa: T201 - what it prints is what it is for
 
-from __future__ import annotations
-
 import argparse
 import json
 import signal

@@ -4,8 +4,6 @@
 sees in a world of the simulator. Its wheels have a watchdog, and their odometry drifts; its clock may be off.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

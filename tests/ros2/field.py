@@ -1,7 +1,5 @@
 """A fake TurtleBot, and a stack that drives it: processes that a test may harm."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

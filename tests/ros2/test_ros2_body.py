@@ -1,7 +1,5 @@
 """A ROS 2 base as a body, without Zenoh: what its messages do, and what they can never do."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace

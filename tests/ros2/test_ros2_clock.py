@@ -1,7 +1,5 @@
 """Another machine's clock: whatever it does, no old frame is taken for a new one."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a robot is told of its base: every mistake is one clear line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

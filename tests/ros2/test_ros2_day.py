@@ -1,7 +1,5 @@
 """Taught by one drive through a fake TurtleBot, the stack finds the victim with it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@
 
 # ruff: noqa: T201
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """A broken or malicious robot: whatever comes on its topics is taken or refused, and moves nothing."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from pathlib import Path

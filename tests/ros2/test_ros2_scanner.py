@@ -1,7 +1,5 @@
 """The scanner: a way is free where it says so, and nowhere else."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

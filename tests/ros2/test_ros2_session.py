@@ -1,7 +1,5 @@
 """The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing

@@ -1,7 +1,5 @@
 """How ROS 2 speaks over Zenoh: by what a real node sent, and by what another implementation reads of what we write."""
 
-from __future__ import annotations
-
 import struct
 from contextlib import suppress
 

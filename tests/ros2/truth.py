@@ -1,7 +1,5 @@
 """Where the fake robot truly is: a small file that its processes and the tests share, without a message."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

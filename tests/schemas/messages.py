@@ -3,8 +3,6 @@
 After a deliberate change of the wire: ``python -m tests.schemas.messages`` writes ``golden.json`` anew.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever comes over the wire, ``decode`` gives a valid message or a DecodeError of one line, at little cost."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import msgpack

@@ -1,7 +1,5 @@
 """Every message: the bytes on the wire, round trips, and everything that must be refused."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """A service as its own process, and the messages that the chain of services exchanges."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

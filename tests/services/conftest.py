@@ -3,8 +3,6 @@
 Every router is a real one, of Zenoh, for one test alone. The functions that wait are in ``waiting``.
 """
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Callable, Iterator

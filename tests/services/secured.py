@@ -1,7 +1,5 @@
 """A router that knows who is who, and raw sessions with the certificates of each role."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager

@@ -1,7 +1,5 @@
 """Features, recognition and policy as processes: good message, malformed message, silence, stop."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path

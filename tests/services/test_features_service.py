@@ -1,7 +1,5 @@
 """The features service with depth: colour and depth of a frame are joined, whichever comes first."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The policy by the filter, its handler alone: a belief in, an action and a command out."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recognition by the filter, its handlers alone: which frames it answers, when, and with what it knows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The one table of services: what is derived from it, and that adding a service is a folder and a row."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Boxes on flat ground, and what a depth camera measures of them, by rays; a robot that its atoms move exactly."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """A robot with a depth camera on a straight taught way: it goes round boxes, comes back, and waits if none leads on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """What a depth camera says of the ground about the robot, and how fast it may go there."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a drive ends before is told from its absence, and from something else in its place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -3,8 +3,6 @@
 Times to recover are bounds that hold on a busy machine too; the benchmark has the real ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The main job once, as a user does it: demonstrate, learn, run, with real processes and real pixels."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

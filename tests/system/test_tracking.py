@@ -1,7 +1,5 @@
 """A drive through the laboratory with real processes: the tracker's poses beside the true ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The project as a wheel has all that it needs: it is built, unpacked somewhere else, and run."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The benchmark of beliefs, on a way that is made up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -7,8 +7,6 @@ the same bytes (plain). A ratio is the median over turns of the median within a 
 --secure: what certificates cost, in place of that. --flood: what a watcher's 10,000 messages a second cost commands.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager

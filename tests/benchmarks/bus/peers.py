@@ -1,7 +1,5 @@
 """The other processes of the benchmark of the bus: who receives, and who floods."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

@@ -1,7 +1,5 @@
 """The benchmark of the bus from end to end, at a size that takes seconds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -14,8 +14,6 @@ comes on it stops the robot): how many stops the robot stood for within 0.5 s of
 and the longest time that it took.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path

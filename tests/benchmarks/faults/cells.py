@@ -1,7 +1,5 @@
 """The matrix: every fault, how it is done, and what it may cost."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

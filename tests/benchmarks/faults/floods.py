@@ -5,8 +5,6 @@ in turn; without certificates in nobody's. Once in each flood one emergency stop
 robot's own note tells when it stood for it. The stop's own key is not flooded: whatever comes on it stops the robot.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import time

@@ -3,8 +3,6 @@
 What its bus tells of a stop would come late where the bus is flooded, as a call that arms it would.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import time

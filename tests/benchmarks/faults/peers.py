@@ -1,7 +1,5 @@
 """Clients beside the stack: an operator who looks on, and one who listens to everything and takes nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

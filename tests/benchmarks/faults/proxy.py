@@ -4,8 +4,6 @@ Frozen, it is a black hole: it accepts nothing, forwards nothing and keeps its c
 arrives when the link is up again. From a SIGUSR1 on it grows slow: whatever is sent takes ever longer, each way.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

@@ -1,7 +1,5 @@
 """What recordings have, beside what was observed: lost, recorded twice, missing and not said so."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections import defaultdict

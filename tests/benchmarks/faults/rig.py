@@ -1,7 +1,5 @@
 """A stack that drives, what is observed of it, and the hands that look after it while others do harm."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping

@@ -3,8 +3,6 @@
 ``python -m tests.benchmarks.faults.robot --wheels ADDRESS`` is what the stack runs in place of the simulator.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Running one cell on a rig, and judging what was observed, what the base did and what was recorded."""
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import dataclass, field

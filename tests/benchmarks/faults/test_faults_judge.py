@@ -1,7 +1,5 @@
 """The judgements of faults, with logs that must pass and logs that must fail."""
 
-from __future__ import annotations
-
 import pytest
 
 from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, POSE

@@ -1,7 +1,5 @@
 """The processes of the fault benchmark: base, link that can go down, peers; and its command line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

@@ -4,8 +4,6 @@ It has its own clock, its own watchdog and its own log; orders come as datagrams
 frozen, killed or cut off keeps it from moving on.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

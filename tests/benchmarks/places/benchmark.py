@@ -4,8 +4,6 @@ A made-up way is driven twice, at changing speed; its features have the size of 
 default, and are held as it holds them. All times are compared within one process.
 """
 
-from __future__ import annotations
-
 import resource
 from functools import partial
 from typing import Any, Final

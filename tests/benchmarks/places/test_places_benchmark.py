@@ -1,7 +1,5 @@
 """The benchmark of large traverses from end to end, at sizes that take a second."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

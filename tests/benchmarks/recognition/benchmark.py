@@ -5,8 +5,6 @@ which product and match take turns; of these the median and the worst over queri
 published runs until its objective is within 1e-4 of ours, or until it has converged.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 import time

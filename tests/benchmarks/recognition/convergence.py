@@ -1,7 +1,5 @@
 """The objective over iterations: Algorithm 2 as published, and the solver of this project, on one query."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

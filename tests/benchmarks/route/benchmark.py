@@ -9,8 +9,6 @@ keyframe, as in streets; in processor time, which other programs change little. 
 of gradients of 51 views a keyframe.
 """
 
-from __future__ import annotations
-
 import resource
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The benchmark of a long route, on a short one."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

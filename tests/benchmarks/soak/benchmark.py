@@ -8,8 +8,6 @@ looked at once a minute: after the warm-up it may grow by 0.5 MB, of the 25 MB o
 lines of its news; its listeners must not become more. Needs Debian's Chromium.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

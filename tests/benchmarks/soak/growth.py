@@ -1,7 +1,5 @@
 """What processes hold (memory, descriptors, threads), and whether it grows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ JavaScript's heap alone does not tell: the bytes of a picture lie beside it. So 
 collected its garbage.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

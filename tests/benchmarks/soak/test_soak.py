@@ -1,7 +1,5 @@
 """What the soak says of samples that grow, and of those that do not; and its command line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

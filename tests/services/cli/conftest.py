@@ -1,7 +1,5 @@
 """``smal`` in this process, and ``smal topic`` as a process that listens."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """``smal learn --add`` and ``smal model back``: a model learns from its runs, and may go back."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

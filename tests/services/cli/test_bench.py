@@ -1,7 +1,5 @@
 """``smal bench``: how a benchmark is started."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

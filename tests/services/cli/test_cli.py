@@ -1,7 +1,5 @@
 """What every command has in common: its help, and mistakes as one line with the promised exit status."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import struct

@@ -1,7 +1,5 @@
 """``smal doctor``: each check finds what works, and names what does not in words that help."""
 
-from __future__ import annotations
-
 import socket
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """``smal evaluate`` as a user has it: a page, a second start that does nothing twice, and one line for a mistake."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

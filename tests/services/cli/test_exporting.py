@@ -1,7 +1,5 @@
 """``smal export`` as a user runs it."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

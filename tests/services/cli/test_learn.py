@@ -1,9 +1,8 @@
 """``smal learn``: which recordings teach, what is said of the others, and a model at the end."""
 
-from __future__ import annotations
-
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,14 +68,19 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
     return [*messages, event(name, frames - 1, "ended", outcome, purpose=purpose)]
 
 
-@pytest.fixture
-def drives(tmp_path: Path) -> Path:
-    folder = tmp_path / "drives"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drives")
     for number in range(3):
         record(folder, drive(f"drive-{number}"))
     record(folder, drive("recovery-1", first=10, frames=20, outcome="timeout", purpose="recovery"))
     return folder
+
+
+@pytest.fixture
+def drives(recorded: Path, tmp_path: Path) -> Path:
+    """Give a copy, which a test may change."""
+    return Path(shutil.copytree(recorded, tmp_path / "drives"))
 
 
 def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -> Teacher:
@@ -224,7 +228,8 @@ def test_a_frame_without_image_odometry_or_anything_is_left_out_and_the_rest_is_
 
 def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     info = CameraInfo.after(header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0)
-    learn([record(tmp_path, [*drive("e")[:1], info, *drive("e")[1:]])], tmp_path / "model.smal")
+    begins, *follows = drive("e", frames=20)
+    learn([record(tmp_path, [begins, info, *follows])], tmp_path / "model.smal")
     assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(
         math.degrees(2.0 * math.atan(320.0 / 450.0))
     )

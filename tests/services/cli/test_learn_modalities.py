@@ -1,7 +1,5 @@
 """``smal learn --modalities``: from which of the recorded features a model is learned."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +16,7 @@ from tests.services.recordings.test_recorder_files import record
 
 FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
-drive = partial(drive_with, features=FEATURES)
+drive = partial(drive_with, features=FEATURES, frames=16)
 #: A map of views takes seconds with these features; ``test_learn`` has it.
 learn = partial(learning.learn, scheme="paper")
 

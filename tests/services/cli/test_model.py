@@ -1,7 +1,5 @@
 """``smal model show``: what was learned is on the page, what is missing is named, and nothing of a model is markup."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

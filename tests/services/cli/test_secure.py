@@ -1,7 +1,5 @@
 """``smal secure`` as a user has it: make, check, renew and replace certificates, and a stack that uses them."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from contextlib import closing

@@ -1,7 +1,5 @@
 """The processes of a stack: none stays behind, the dead come back, and why one died is said in one line."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

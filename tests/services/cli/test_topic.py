@@ -1,7 +1,5 @@
 """``smal topic`` as an operator runs it, and the pure pieces below it."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """``smal topic hz``: the figures, and the command as an operator runs it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """``smal world import``: a map in, a world file and a summary out; every mistake is one line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``smal world render``: a map, and views from the start to the victim."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """A console, the robot that it drives, and the pages that are open."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A page beside somebody at a terminal: whoever holds the robot holds it until they let go."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

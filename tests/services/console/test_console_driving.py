@@ -1,7 +1,5 @@
 """A page drives the real actuator, and whatever becomes of the page, the robot stands in time."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Who gets in: names, origins, tokens; and what the page may not do."""
 
-from __future__ import annotations
-
 import ssl
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """What takes long is a process of its own: it tells how far it is, is cancelled, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What was recorded and learned, as the page lists it; names and files may be anybody's."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Maps that a page sends: only whoever drives sends one, and whatever happens, nothing of it is left behind."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """A world that the robot opens for a page: who has left or cancels meanwhile drives nothing, and a stop is heard."""
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time

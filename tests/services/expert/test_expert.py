@@ -1,7 +1,5 @@
 """The scripted expert stays on its route, and answers every frame once, until it has arrived."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

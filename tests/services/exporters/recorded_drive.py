@@ -1,7 +1,5 @@
 """One drive along the painted corridor, as our own recorder writes it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every format holds the drive that was put in, and gives it back to ``smal import``."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

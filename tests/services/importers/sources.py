@@ -1,7 +1,5 @@
 """One drive along the painted corridor, as each format has it, written by the formats' own libraries."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Every format gives the drive that was put in: its views, its movements, where it went."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever somebody's file holds, the answer is one clear line or a count, and nothing outside of it is read."""
 
-from __future__ import annotations
-
 import json
 import os
 import sqlite3

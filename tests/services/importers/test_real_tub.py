@@ -1,7 +1,5 @@
 """A real car that steers all the time: taught by one lap, it recognizes and drives others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ticks, velocities and ways hold for any times that a source can have."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

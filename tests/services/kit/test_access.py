@@ -4,8 +4,6 @@ What must be allowed is told by the tables; what the router does is tried. The s
 rules all go through, so that an attempt that could not succeed proves nothing here.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """What a router lets one session ask in a second: a flood of calls is dropped at the door, of others nothing."""
 
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from typing import Any

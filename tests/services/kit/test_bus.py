@@ -1,7 +1,5 @@
 """What may be counted on, in memory and over Zenoh; then what only Zenoh has: links, outages, addresses."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

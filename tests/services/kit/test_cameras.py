@@ -1,7 +1,5 @@
 """A camera comes out of its message as it went in; of messages that tell of none nothing is made."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, get_args

@@ -1,7 +1,5 @@
 """Health and metrics: what a service tells whoever restarts it, and Prometheus."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import urllib.request

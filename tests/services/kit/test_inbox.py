@@ -1,7 +1,5 @@
 """The queues of a node."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

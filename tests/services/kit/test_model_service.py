@@ -5,8 +5,6 @@ mostly the paper's, whose plans and windows are easy to see. ``test_recognition_
 have the filter's.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The loop that every service shares: good and bad messages, failing handlers, calls, timers, signals."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

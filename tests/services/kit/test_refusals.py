@@ -1,7 +1,5 @@
 """What a stranger sends is refused before it is copied, counted, and told with its sender; all others go on."""
 
-from __future__ import annotations
-
 import json
 import logging
 import threading

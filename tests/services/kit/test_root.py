@@ -1,7 +1,5 @@
 """What others name is a regular file below the root, or one line at once; no name reaches anything else."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time

@@ -1,7 +1,5 @@
 """What keys and heartbeats make of each other, without a terminal and without a bus."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """An operator begins what another driver drives, also after having taken over from one."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """What the recorder holds in memory is bounded, however long an episode is and whatever comes."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What reading a recording gives back, and what it says of files that are damaged, foreign or incomplete."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

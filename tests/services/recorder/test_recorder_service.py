@@ -1,7 +1,5 @@
 """The recorder on a real router: good, malformed and missing messages, and every way to end."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

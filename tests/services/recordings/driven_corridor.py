@@ -1,7 +1,5 @@
 """A drive through the corridor of ``tests.corridor``, recorded: what to replay, and what a library is shown of it."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Final

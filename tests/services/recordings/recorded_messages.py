@@ -1,7 +1,5 @@
 """Episodes made up for the tests: every message that a robot would send."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small recordings that unpack to much: what reading them takes in memory is bounded in total."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import sys

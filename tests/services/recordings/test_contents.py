@@ -1,7 +1,5 @@
 """What is told of recordings, what is found wrong with them, and what a repair saves."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the recorder writes: readable by everyone, complete, and never lost."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import json

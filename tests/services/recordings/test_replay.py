@@ -1,7 +1,5 @@
 """A replay is what the robot told, and nothing that moves one; and what follows it decides as the library does."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

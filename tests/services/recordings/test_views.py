@@ -1,7 +1,5 @@
 """What viewers draw of a recording: where the robot was, where it believed to be, the camera, the ways and a log."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import defaultdict

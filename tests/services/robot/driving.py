@@ -1,7 +1,5 @@
 """A runner of the robot on the line, a driver that answers its frames, and time that a test lets pass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, cast
 

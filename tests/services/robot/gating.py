@@ -1,7 +1,5 @@
 """Commands and signs of life for a gate, right or wrong."""
 
-from __future__ import annotations
-
 from schemas.base import Atom, Source
 from schemas.command import Command
 from schemas.heartbeat import Heartbeat

@@ -1,7 +1,5 @@
 """What reaches the gate of a robot: commands on their own keys, and nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 from schemas.base import SOURCES

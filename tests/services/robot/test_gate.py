@@ -1,7 +1,5 @@
 """The command gate: nothing moves the robot unless it is fresh, finite, in order and from the highest source."""
 
-from __future__ import annotations
-
 import pickle
 import threading
 

@@ -1,7 +1,5 @@
 """The command gate against a model of it: whatever happens in whatever order, the same moves the robot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise

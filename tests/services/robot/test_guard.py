@@ -1,7 +1,5 @@
 """The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

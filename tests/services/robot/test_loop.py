@@ -1,7 +1,5 @@
 """The thread before the wheels: it does nothing else, and whatever fails, the robot stands."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

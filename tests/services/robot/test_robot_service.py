@@ -1,7 +1,5 @@
 """The robot on the bus: one of an id, and nobody who was there looks as if they were there now."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

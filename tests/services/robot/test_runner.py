@@ -1,7 +1,5 @@
 """Episodes of a robot on a line: who may begin one, who ends it, and what is told meanwhile, in real time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """A real actuator whose body is a point on a line, and notes what it is told."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """OpenStreetMap files for tests, drawn in metres about a place where a degree has known lengths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr

@@ -1,7 +1,5 @@
 """Cameras, and a driver with four keys, for tests."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

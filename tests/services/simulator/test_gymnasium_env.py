@@ -1,7 +1,5 @@
 """The Gymnasium environment keeps Gymnasium's promises, and those of the simulator: same seed, same episode."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

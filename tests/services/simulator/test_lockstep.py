@@ -1,7 +1,5 @@
 """Lockstep: each frame waits for its answer, moves the world by one tick, and ends the episode where it does."""
 
-from __future__ import annotations
-
 import pytest
 
 from schemas.base import Message

@@ -1,7 +1,5 @@
 """What stands in the way after teaching: on it, with room to pass beside it; or it closes the way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

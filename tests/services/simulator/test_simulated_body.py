@@ -1,7 +1,5 @@
 """The simulated robot as a body: its world goes on by the clock, and it tells of what only a simulator sees."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robot with mass: drives as commanded on dry ground, slips where it must, stops at walls, repeats exactly."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The simulator as a process: episodes over the bus, malformed commands on every topic, silence, stop."""
 
-from __future__ import annotations
-
 import pytest
 
 from schemas import topics

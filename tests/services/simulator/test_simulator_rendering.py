@@ -1,7 +1,5 @@
 """Pixels: repeatable to the bit, the victim where it should be, depth against geometry, the marker seen from above."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The room: what the world `indoor` must be like, lanes that reach all free floor, and files that cannot be used."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

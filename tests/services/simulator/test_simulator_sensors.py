@@ -1,7 +1,5 @@
 """Odometry, inertial unit and shake: true where nothing is wrong with them, and as wrong as they say elsewhere."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Without pixels: where the robot may go, ways to the victim, variations; episodes repeat, walls stop the robot."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

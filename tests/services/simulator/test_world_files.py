@@ -1,7 +1,5 @@
 """Maps and world files: ours and real ones load, what is broken is counted, what is hostile is one clear line."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

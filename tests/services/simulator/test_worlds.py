@@ -1,7 +1,5 @@
 """The simulated robot in one world after another, by name."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The real process in a terminal of its own."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

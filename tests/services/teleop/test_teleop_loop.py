@@ -1,7 +1,5 @@
 """The real teleoperation drives the real actuator, whose body is a point on a line."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 

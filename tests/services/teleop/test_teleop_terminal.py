@@ -1,7 +1,5 @@
 """The real process in a terminal of its own, driving a robot on a line through a real router."""
 
-from __future__ import annotations
-
 import signal
 import termios
 import time

@@ -1,7 +1,5 @@
 """Images of a tagged robot from above, by a projection of their own: what tracking is checked against."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

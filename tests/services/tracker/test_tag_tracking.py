@@ -1,7 +1,5 @@
 """The tag's pose from one image, against images drawn at known poses by another projection."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The tracker: images in, poses out, over a real router; what it says when the tag is lost and seen again."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

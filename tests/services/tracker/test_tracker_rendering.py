@@ -1,7 +1,5 @@
 """A whole drive through the rendered laboratory, seen from above: the tracker against the true poses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import pairwise

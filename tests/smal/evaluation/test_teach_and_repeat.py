@@ -1,7 +1,5 @@
 """Teach and repeat comes back to the taught way, tells headings from shifts, stops at the end, names what is wrong."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The client that has episodes run, and what `smal run` makes of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import closing

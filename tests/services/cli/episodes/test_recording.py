@@ -1,7 +1,5 @@
 """The recorder runs for as long as a command needs it, and is stopped also where the command fails."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A small plan, and findings for it as workers would hand them in, with known outcomes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

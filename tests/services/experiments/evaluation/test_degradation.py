@@ -1,7 +1,5 @@
 """Degradations do what they say, in the same frames for the same seed, and leave the given image alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """What units do: drives that teach, held-out ones, and searches of every driver, in a small world."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The demonstrated frame that a state and a phase are, counted by hand; and what was done at the nearest one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from services.experiments.evaluation.recognition import DemonstratedFrames, NearestImitation

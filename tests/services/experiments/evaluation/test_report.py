@@ -1,7 +1,5 @@
 """The page needs nothing beside it, and what it says follows the numbers."""
 
-from __future__ import annotations
-
 import json
 import re
 

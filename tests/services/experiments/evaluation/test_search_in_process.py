@@ -1,7 +1,5 @@
 """A search in this process is the search that the services run: outcome, frames, poses, decisions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Units are named by all that determines them; what is done is kept, whatever becomes of a worker."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """A folder of images as a traverse: what is a frame, in which order, and what becomes of files that cannot be read."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

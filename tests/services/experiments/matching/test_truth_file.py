@@ -1,7 +1,5 @@
 """What people write about two image folders is read as it was meant, or refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
