@@ -74,7 +74,7 @@ def changed(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-@settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, max_examples=25, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_changed_seeds_are_decoded_or_refused(name: str, data: st.DataObject) -> None:
     TARGETS[name].run(data.draw(changed(TARGETS[name].seeds())))
