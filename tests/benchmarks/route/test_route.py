@@ -15,11 +15,11 @@ def test_the_way_is_followed_and_timed(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(route, "IMAGE", (ROWS, COLUMNS))
     monkeypatch.setattr(route, "_FEATURES", COLOR)
     file = tmp_path / "results.json"
-    route.main(["--quick", "--metres", "15", "30", "--json", str(file)])
+    route.main(["--quick", "--metres", "30", "60", "--json", str(file)])
     found = json.loads(file.read_text())
     assert [one["frames"] for one in found["learned"]] == [80, 120]
     assert 0.0 < found["learned"][0]["cpu_s"] < found["learned"][1]["cpu_s"]
     case, longer = found["cases"]
-    assert (case["keyframes"], longer["keyframes"]) == (21, 41)
+    assert (case["keyframes"], longer["keyframes"]) == (41, 81)
     assert 0.0 < case["p50_ms"] <= case["p95_ms"]
     assert longer["most_lost"] < 0.5
