@@ -107,7 +107,4 @@ def features_of(meta: dict[str, Any]) -> FeatureSettings:
 
 def of_features(settings: FeatureSettings) -> dict[str, Any]:
     """Return what a file says of features, for `features_of`."""
-    return {
-        "modalities": settings.modalities,
-        "feature_fingerprint": settings.fingerprint,
-    }
+    return {"modalities": settings.modalities, "feature_fingerprint": settings.fingerprint}

@@ -64,8 +64,8 @@ def _exact_duplicates(rng: np.random.Generator) -> Problem:
 
 
 def _rank_deficient(rng: np.random.Generator) -> Problem:
-    """Up to 30 times as many templates as entries."""
-    length, n = int(rng.choice([1, 2, 5])), int(rng.choice([20, 90]))
+    """Up to 50 times as many templates as entries."""
+    length, n = int(rng.choice([1, 2, 5])), int(rng.choice([20, 150]))
     size = int(rng.choice([3, 10, 40]))
     X, Y = unit(rng.standard_normal((n, size))), unit(rng.standard_normal((length, size)))
     return _problem(X.T, Y.T, length, rng)
