@@ -9,9 +9,9 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
   has the likelihood 1, as a place elsewhere has.
 * A *jump* is the one thing that the wheels do not tell: the robot was carried, or the filter follows a wrong place.
   It may happen with every new view, and is the likelier the less a view looks like the one just before.
-* A second set of particles is where the robot is if it has jumped. Scouts join it with every view: half of them near
-  the last pose that was sure, half anywhere, drawn by what the view says. When it has become the likelier one, the two
-  become one.
+* A second set of particles is where the robot is if it has jumped. Scouts join it with every view: drawn by what the
+  view says, where half is expected near the last pose that was sure, half anywhere. When it has become the likelier
+  one, the two become one.
 
 The paper instead matches the last l frames anew at every decision (`smal.paper.recognition`): without a memory, places
 that look alike for longer than l frames are not told apart.
@@ -43,7 +43,7 @@ class Belief:
     weights: NDArray[np.float64]  # Probabilities given that the robot is not lost; they sum to 1.
     lost: float  # Probability, 0 to 1, that the robot is nowhere near what was taught.
     cosine: float  # Mean cosine of the last view with the views of these places.
-    #: Way that nine tenths of the particles have been followed for since they were drawn as scouts, in the map's unit.
+    #: Way that nine tenths of the weight have been followed for, since they were drawn, in the map's unit.
     tracked: float
     #: Logarithm of how much likelier the last view was, after all before it, than a view of elsewhere.
     evidence: float = 0.0
@@ -232,10 +232,12 @@ class Filter:
     def _weigh(self, seen: View) -> None:
         """Weigh all by a view, and send scouts."""
         tracked, jumped, sent, lost = self._odds
+        # What shows is known by the views before this one: that it is unlike the place followed says nothing of others.
+        shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:
             jumped *= self._jumped.update(seen, self._rng)
-        scouts, likelihood = self._scouts(seen)
+        scouts, likelihood = self._scouts(seen, shares)
         sent *= likelihood
         if self._jumped is not None:
             scouts = Particles.joined((self._jumped, jumped), (scouts, sent)).resampled(self._rng)
@@ -247,12 +249,11 @@ class Filter:
         self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
         self._evidence = math.log(total)
 
-    def _scouts(self, seen: View) -> tuple[Particles, float]:
-        """Draw particles by what one view says: half of them near the last sure pose, half from everywhere.
+    def _scouts(self, seen: View, shares: NDArray[np.float64]) -> tuple[Particles, float]:
+        """Draw particles by what one view says, where half is expected near the last sure pose, half anywhere.
 
         The second value is the likelihood of the view there.
         """
-        shares = self._tracked.shares
         z = seen.stands_out(seen.cosines)
         says = self._map.likelihood.mixed(shares, z, 1.0)
         new = self._map.likelihood.mixed(shares, z, seen.newness)
@@ -308,7 +309,7 @@ class Filter:
             every.keyframes,
             every.offsets(),
             every.weights,
-            lost / (tracked + jumped + lost),
+            lost / sum(self._odds),
             min(every.cosine(seen), 1.0),
             float(every.tracked[order[least]]),
             self._evidence,

@@ -69,7 +69,7 @@ class VisualMap:
 
     @cached_property
     def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Cosines of views that lie beside each other: by turn (k, 3, turns - 1), and by place (k, 2, turns)."""
+        """Cosines of views beside each other: by turn (k + e, 3, turns - 1), and by place (k + e, 2, turns)."""
         count, places, turns, _ = self.views.shape
         by_turn = np.empty((count, places, turns - 1), dtype=np.float32)
         by_place = np.empty((count, places - 1, turns), dtype=np.float32)

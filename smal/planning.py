@@ -111,7 +111,6 @@ class Planner:
     def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
         self._map = visual_map
         self._goal = chosen_goal(visual_map.goals, goal)
-        # Turning begins where an atom of it makes the direction better, and ends where another one would not.
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
@@ -166,7 +165,8 @@ class Planner:
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
         what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether
-        what is sought is in view; where nobody can tell, a robot that has arrived says that it has found it.
+        what is sought is in view: it is found where the robot has arrived, or as near as the ways ended. Where
+        nobody can tell, a robot that has arrived says that it has found it.
         `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
         turns on the spot.
         """
@@ -285,7 +285,7 @@ class Planner:
         return self._turning
 
     def _steer(self, to_turn_rad: float) -> Atom:
-        """Turn while the direction is off by more than an atom of turning; drive straight on otherwise."""
+        """Begin to turn where the direction is off by more than an atom, go on until half of one; else drive on."""
         wanted = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
         least = self._turn_rad / 2.0 if self._turning is wanted else self._turn_rad
         self._turning = wanted if abs(to_turn_rad) > least else None

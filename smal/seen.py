@@ -105,7 +105,7 @@ class Sight:
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
     def says(self, picture: Image) -> tuple[float, float] | None:
-        """Return the log ratio of a small picture, and how many cells speak for it; None where it shows nothing."""
+        """Return the log ratio of a small picture, and how many cells speak for it; None where nothing shows."""
         if float(picture.std()) < SETTINGS.plain:
             return None
         speaks = _speaks(cells_of(picture, 2), self.sought, self.others, self.far)
@@ -149,7 +149,7 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
 
 
 class Glimpse(NamedTuple):
-    """How probable it is that what is sought is in view, and whether it is as near as where the ways ended."""
+    """How probable it is that what is sought is in view, and whether it is about as near as where the ways ended."""
 
     probability: float
     near: bool
@@ -343,5 +343,6 @@ def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray
     p1 = np.histogram(np.multiply.outer(shares, here), edges)[0] / (shares.size * len(here))
     p0 = (1.0 + SCORES / (count * mean)) ** (-count - 1.0)
     ratio = log_ratio(p1, p0 / p0.sum())
-    tells = float(np.interp(here.max(), SCORES, ratio)) > math.log(SETTINGS.false_seen / SETTINGS.in_view)
+    least = math.log(SETTINGS.false_seen * (1.0 - SETTINGS.in_view) / SETTINGS.in_view)
+    tells = float(np.interp(here.max(), SCORES, ratio)) > least
     return np.clip(ratio, math.log(SETTINGS.hidden), 50.0) if tells else None

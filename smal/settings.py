@@ -1,4 +1,4 @@
-"""The numbers of the map's method that were tuned, with their units and reasons.
+"""The tuned numbers of the map's method, with their units and reasons; of obstacles, in `smal.clearance`.
 
 A plain fraction that explains itself stands where it is used. What the drives tell is not here: how the camera sees,
 over which way and turn views change, how alike views of one place are, how fast the robot drives and turns.
@@ -29,7 +29,7 @@ class Settings:
     #: Components of variance v are divided by v to this power: half way to where all count alike. The largest ones are
     #: what many places share (sky, light), the smallest are noise.
     whitened: float = 0.25
-    #: Two places of a drive that are further apart are different ones; further from all of it, a robot is lost.
+    #: Two places of a drive that are further apart are different ones; further from its keyframe, a robot is lost.
     elsewhere: float = 4.0
     #: Share of views elsewhere whose distribution is taken as it is; that of the rest is an exponential tail.
     usual: float = 0.95
@@ -163,7 +163,7 @@ class Settings:
     in_view: float = 0.2
     false_seen: float = 40.0
     #: Nearer than this many times how near the taught ways ended, what is seen is found without going on to the end.
-    as_near: float = 1.2
+    as_near: float = 1.3
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0
     stands_s: float = 1.0
