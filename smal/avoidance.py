@@ -25,6 +25,8 @@ _ASIDE: Final = 6.0
 _ROOM, _TIGHT_COST = 2.0, 2.0
 #: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
 STANDS: Final = 6.0
+#: Turns to each side that are tried at most: a degree apart.
+_TURNS: Final = 180
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
 _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
 
@@ -40,7 +42,7 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
 
     Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`.
     """
-    count = round(math.pi / turn_rad)
+    count = min(round(math.pi / turn_rad), _TURNS)
     turns = np.array(sorted(range(-count, count + 1), key=abs))
     straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)

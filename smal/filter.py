@@ -170,6 +170,7 @@ class Filter:
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
+        self._odds = self._odds._replace(tracked=max(self._odds.tracked, 1e-12))  # Of nothing nothing comes back.
         self._started, self._evidence = True, 0.0
         if seen.newness > 0.0:
             self._last, self._since = seen.components, np.zeros(3)
@@ -180,7 +181,7 @@ class Filter:
     def _seen(self, centred: NDArray[np.float32]) -> View:
         """Compare a view with those of the map.
 
-        What looks like nothing more than like any place, or is the same to the bit, shows no place.
+        What looks like nothing more than like any place, is equally like all, or the same to the bit, shows no place.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
@@ -189,7 +190,7 @@ class Filter:
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
         middle, spread = scale(self._map.sample @ components)
-        nothing = not components.any() or components @ self._map.blank > cosines.max()
+        nothing = not components.any() or spread <= 1e-6 or components @ self._map.blank > cosines.max()
         if nothing or np.array_equal(components, self._last):
             return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
         return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))

@@ -170,7 +170,8 @@ class Planner:
         `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
         turns on the spot.
         """
-        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        # A robot that hears nothing stands.
+        elapsed_s = self._map.tick_s if elapsed_s is None else min(elapsed_s, SETTINGS.stands_after_s)
         directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -189,8 +190,13 @@ class Planner:
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
         self.arrived = self.arrived or (ended and sure and (tracked or looked))
+        # Where it was taught to be, or carried away from there since.
+        approach = leads & (left_to_go < SETTINGS.approach_s * self._map.speed)
+        there = float(belief.weights @ approach) * (1.0 - belief.lost)
+        if self.arrived and not lost and there < 0.1:
+            self.arrived, self._searched_s = False, 0.0
         sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
-        if self.said is None and sees and (self.arrived or (seen is not None and seen.near and not lost)):
+        if self.said is None and sees and there > 0.5 and (self.arrived or (seen is not None and seen.near)):
             self.said = "found"
         elif self.arrived and self.said is None:
             self._search(belief, elapsed_s)
@@ -297,7 +303,7 @@ class Planner:
         here = belief.keyframes[best]
         own, key = placed(belief.offsets[best], self._offset[here]), taught.keyframes[self._guide[here]]
         start, end = (np.searchsorted(taught.drives, taught.drives[key], side) for side in ("left", "right"))
-        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, self._ahead / 4.0)
+        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, max(self._ahead / 4.0, reach / 100.0))
         target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
         return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 

@@ -112,12 +112,14 @@ class Localizer:
         Raises
         ------
         ValueError
-            A time that is not finite or negative, or as `Filter.observe`.
+            A time or a pose that is not finite, a negative time, or as `Filter.observe`.
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
             raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
         movement, noise = STILL, BY_ATOMS
         odometry = odometry if self._map.odometry else None
+        if odometry is not None and not all(map(math.isfinite, odometry)):
+            raise ValueError(f"the pose by the wheels must be finite, got {tuple(odometry)}")
         if odometry is not None and self._pose is not None:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
         elif atoms:

@@ -33,6 +33,8 @@ _NUMBERS: Final = 27
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
 #: Cells that are the least to be looked for.
 _FEWEST: Final = 8
+#: Codes that a file may hold; learning keeps fewer.
+_MOST_CODES: Final = 16_384
 #: Rows and columns that a window has at least: fewer cells look like anything.
 _LEAST: Final = 3
 Codes = NDArray[np.float16]
@@ -89,19 +91,20 @@ class Sight:
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
         fits = {
-            "sought": self.sought.ndim == 2 and self.sought.shape[1] == _NUMBERS and len(self.sought) > 0,
-            "others": self.others.ndim == 2 and self.others.shape[1] == _NUMBERS and len(self.others) > 0,
+            "sought": self.sought.ndim == 2 and self.sought.shape[1] == _NUMBERS and 0 < len(self.sought) <= _MOST_CODES,
+            "others": self.others.ndim == 2 and self.others.shape[1] == _NUMBERS and 0 < len(self.others) <= _MOST_CODES,
             "windows": self.windows.ndim == 2
             and self.windows.shape[1:] == (2,)
             and self.windows.dtype.kind == "i"
             and bool(((self.windows > 0) & (self.windows <= np.array(SHAPE) // 2)).all())
-            and len(self.windows) > 0,
-            "far": 0.0 < self.far < 1e3,
+            and 0 < len(self.windows) <= SETTINGS.sizes,
+            "far": 1e-6 < self.far < 1e3,
             "size": 0.0 < self.size < 1e4,
             "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
-        if wrong or not (np.isfinite(self.sought).all() and np.isfinite(self.others).all()):
+        codes = (self.sought, self.others)
+        if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes):
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
     def says(self, picture: Image) -> tuple[float, float] | None:
@@ -214,7 +217,8 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
     followed = [list(_patches(one, codes, stands_out)) for one in drives if one.ends]
     ends = {id(one[0][0]) for one in followed if one}
-    patches = _lasting([patch for one in followed for patch in one])
+    patches = [patch for one in followed for patch in one]
+    patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)] if patches else [])
     if not patches:
         return None
     others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])

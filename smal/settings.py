@@ -137,6 +137,9 @@ class Settings:
     tracked: float = 2.0
     goal_s: float = 1.25
 
+    #: Without a decision it stands after this time: it has not gone on turning since.
+    stands_after_s: float = 0.5
+
     # -- what is sought (`smal.seen`)
     #: Time of driving before the end of a drive in which what it ends before may be seen well; and within which views
     #: show the same things.

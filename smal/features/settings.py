@@ -25,11 +25,10 @@ class FeatureSettings:
     def __post_init__(self) -> None:
         if not self.modalities:
             raise ValueError("no feature modality is named")
-        for name in self.modalities:
+        for number, name in enumerate(self.modalities):
             modality_named(name)
-        twice = [name for name in self.modalities if self.modalities.count(name) > 1]
-        if twice:
-            raise ValueError(f"the feature modality {twice[0]} is named twice")
+            if name in self.modalities[:number]:
+                raise ValueError(f"the feature modality {name} is named twice")
 
     @classmethod
     def of(cls, modalities: Iterable[str]) -> Self:

@@ -111,7 +111,8 @@ def parts_of_map(numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> di
 def _sound(array: object, axes: int, kind: str) -> bool:
     if not isinstance(array, np.ndarray):
         return False
-    return array.ndim == axes and array.dtype.kind == kind and bool(np.isfinite(array).all())
+    kinds = array.dtype.kind == kind and (kind == "i" or array.dtype.itemsize >= 4)
+    return array.ndim == axes and kinds and bool(np.isfinite(array).all())
 
 
 def _is_name(given: object) -> bool:
