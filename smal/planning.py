@@ -190,16 +190,9 @@ class Planner:
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
         self.arrived = self.arrived or (ended and sure and (tracked or looked))
-        # Where it was taught to be, or carried away from there since.
-        approach = leads & (left_to_go < SETTINGS.approach_s * self._map.speed)
-        there = float(belief.weights @ approach) * (1.0 - belief.lost)
-        if self.arrived and not lost and there < 0.1:
-            self.arrived, self._searched_s = False, 0.0
-        sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
-        if self.said is None and sees and there > 0.5 and (self.arrived or (seen is not None and seen.near)):
-            self.said = "found"
-        elif self.arrived and self.said is None:
-            self._search(belief, elapsed_s)
+        if self.said is None:
+            approach = leads & (left_to_go < SETTINGS.approach_s * self._map.speed)
+            self._say(belief, elapsed_s, seen, float(belief.weights @ approach) * (1.0 - belief.lost))
 
         kind: Kind
         if self.said is not None:
@@ -236,6 +229,16 @@ class Planner:
             if far_m < STANDS * around.radius_m:
                 return "blocked", error_rad
         return kind, error_rad
+
+    def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
+        """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
+        if there < 0.1 and belief.lost <= 0.5:  # It has been carried away.
+            self.arrived, self._searched_s = False, 0.0
+        sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        if sees and there > 0.5 and (self.arrived or (seen is not None and seen.near)):
+            self.said = "found"
+        elif self.arrived:
+            self._search(belief, elapsed_s)
 
     def _search(self, belief: Belief, elapsed_s: float) -> None:
         """Look around; having looked all around go to another end, or say "not here"."""
@@ -303,7 +306,8 @@ class Planner:
         here = belief.keyframes[best]
         own, key = placed(belief.offsets[best], self._offset[here]), taught.keyframes[self._guide[here]]
         start, end = (np.searchsorted(taught.drives, taught.drives[key], side) for side in ("left", "right"))
-        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, max(self._ahead / 4.0, reach / 100.0))
+        apart = max(self._ahead / 4.0, reach / 100.0)
+        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, apart)
         target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
         return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 

@@ -90,9 +90,12 @@ class Sight:
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
+        codes = {"sought": self.sought, "others": self.others}
         fits = {
-            "sought": self.sought.ndim == 2 and self.sought.shape[1] == _NUMBERS and 0 < len(self.sought) <= _MOST_CODES,
-            "others": self.others.ndim == 2 and self.others.shape[1] == _NUMBERS and 0 < len(self.others) <= _MOST_CODES,
+            name: one.ndim == 2 and one.shape[1] == _NUMBERS and 0 < len(one) <= _MOST_CODES
+            for name, one in codes.items()
+        }
+        fits |= {
             "windows": self.windows.ndim == 2
             and self.windows.shape[1:] == (2,)
             and self.windows.dtype.kind == "i"
@@ -103,8 +106,7 @@ class Sight:
             "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
-        codes = (self.sought, self.others)
-        if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes):
+        if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()):
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
     def says(self, picture: Image) -> tuple[float, float] | None:
