@@ -222,13 +222,9 @@ class Filter:
     def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
         """Predict; a robot that is nowhere near what was taught any more is lost."""
         tracked, jumped, sent, lost = self._odds
-        gone = []
-        for particles in (self._tracked, self._jumped):
-            if particles is not None:
-                particles.move(movement, noise, newness, self._rng)
-            gone.append(0.0 if particles is None else particles.let_go())
-        strayed = gone[0] * tracked + gone[1] * jumped
-        self._odds = _Odds((1.0 - gone[0]) * tracked, (1.0 - gone[1]) * jumped, sent, lost + strayed)
+        strayed = tracked * self._tracked.move(movement, noise, newness, self._rng)
+        others = 0.0 if self._jumped is None else jumped * self._jumped.move(movement, noise, newness, self._rng)
+        self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: View) -> None:
         """Weigh all by a view, and send scouts."""

@@ -42,8 +42,11 @@ class Particles:
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
         self.shares = FIRST_SHARES
 
-    def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> None:
-        """Predict: move all by a movement with noise, and find their keyframes."""
+    def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> float:
+        """Predict: move all by a movement with noise, and find their keyframes; return the part that has strayed.
+
+        Those that are nowhere near what was taught any more are let go, but for a trace.
+        """
         ahead_noise, turn_noise, heading_noise, pace_noise = rng.standard_normal((4, len(self.poses)))
         length = self._map.correlation_length
         lengths = abs(movement.ahead) / length
@@ -66,18 +69,15 @@ class Particles:
         # A turn is covered by the virtual views: it counts for less than the place.
         far += (wrapped(apart[..., 2]) / (3.0 * self._map.correlation_rad)) ** 2
         self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
+        away = np.hypot(*(self.poses - self._map.key_poses[self.keyframes])[:, :2].T) > SETTINGS.elsewhere * length
+        strayed = min(float(self.weights[away].sum()), 1.0 - 1e-6)
+        self.weights[away] *= 1e-6
+        self.weights /= self.weights.sum()
+        return strayed
 
     def offsets(self) -> NDArray[np.float64]:
         """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
-
-    def let_go(self) -> float:
-        """Let those go that are nowhere near what was taught, but for a trace; return the part that they were."""
-        far = np.hypot(*self.offsets()[:, :2].T) > SETTINGS.elsewhere * self._map.correlation_length
-        gone = min(float(self.weights[far].sum()), 1.0 - 1e-6)
-        self.weights[far] *= 1e-6
-        self.weights /= self.weights.sum()
-        return gone
 
     def update(self, seen: View, rng: np.random.Generator) -> float:
         """Weigh by a view; return how much likelier it is here than elsewhere."""

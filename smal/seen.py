@@ -220,7 +220,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     followed = [list(_patches(one, codes, stands_out)) for one in drives if one.ends]
     ends = {id(one[0][0]) for one in followed if one}
     patches = [patch for one in followed for patch in one]
-    patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)] if patches else [])
+    patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
     if not patches:
         return None
     others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
@@ -246,7 +246,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     if ratio is None:
         return None
     # Where none of the last views is left, it is never near.
-    size = float(np.median(at_end)) if at_end else float(cells_of(pictures[0], 2)[..., 0].size)
+    size = float(np.median(at_end)) if at_end else float(np.prod(SHAPE))
     return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size)
 
 

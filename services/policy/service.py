@@ -14,7 +14,6 @@ from services.kit.model_service import LoadedModel
 from services.kit.node import Detail
 from services.kit.throttle import Throttle
 from services.policy.sight import Sight
-from smal.clearance import Surroundings
 from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
@@ -69,7 +68,7 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 self._maker.reset()
-        answer = self._maker.answer(state, median(self._delays_s), self.sight.around(state.episode))
+        answer = self._maker.answer(state, median(self._delays_s), self.sight)
         self._last = (state, answer)
         return answer
 
@@ -107,11 +106,12 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State, delay_s: float, around: Surroundings | None) -> list[Message]:
+    def answer(self, state: State, delay_s: float, sight: Sight) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
         seen = None if state.seen is None else Glimpse(state.seen, state.near)
+        around = sight.around(state.episode)
         decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around)
         atom = decision.atom.name.lower()
         known = state.places[0].keyframe if state.status == "recognized" else None
@@ -143,7 +143,7 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State, _delay_s: float, _around: Surroundings | None) -> list[Message]:
+    def answer(self, state: State, _delay_s: float, _sight: Sight) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))
