@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from services.simulator.robots import RobotModel, Tag
-from services.simulator.scene.meshes import ball, band, flat, make, tube
+from services.simulator.scene.meshes import ball, drum, flat, make, tube
 from services.simulator.scene.surfaces import Finish, Piece, Surface, Vector
 from services.simulator.tables import table
 
@@ -48,11 +48,9 @@ def turtlebot(model: RobotModel) -> Iterator[Piece]:
     """Yield a TurtleBot II as the camera above sees it: plates on a round base, and wheels."""
     top, wheel = model.height_m, model.drive.wheel_radius_m
     for size, low, high in ((0.94, 0.02, 0.1), (0.9, 0.17, 0.176), (0.9, 0.29, 0.296), (0.9, top - 0.006, top)):
-        outline = shapely.Point(0.0, 0.0).buffer(0.177 * size, quad_segs=10)
-        yield Finish("black_plastic"), band(outline, low, high, 1.0)
-        yield Finish("black_plastic"), flat(outline, high, 1.0)
+        yield Finish("black_plastic"), drum((0.0, 0.0, low), (0.0, 0.0, high), 0.177 * size, 40)
     for side in (-model.drive.track_m / 2, model.drive.track_m / 2):
-        yield Finish("tyre"), tube((0.0, side - 0.011, wheel), (0.0, side + 0.011, wheel), (wheel, wheel), 16)
+        yield Finish("tyre"), drum((0.0, side - 0.011, wheel), (0.0, side + 0.011, wheel), wheel)
 
 
 def tag(marker: Tag) -> Surface:

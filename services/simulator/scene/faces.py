@@ -1,13 +1,16 @@
 """Pictures that fill one face of something: posters, windows, doors, whiteboards, books, drawers, cartons."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from services.simulator.scene.textures import Picture, as_picture, coloured, layered, noise
+from services.simulator.tables import table
 from services.simulator.world.place import Rgb
 
 #: Width and height of a face's picture, pixels.
@@ -21,6 +24,24 @@ INK: Final = (52, 54, 60)
 FacePainter = Callable[[np.random.Generator, Rgb | None], Picture]
 
 
+@dataclass(frozen=True)
+class Face:
+    """An entry of the table `faces`, which says what is in it."""
+
+    colours: list[Rgb]
+    grain_px: tuple[float, float]
+    contrast: float
+    bars: list[tuple[int, int, int, int, Rgb, int]]
+
+    def paint(self, rng: np.random.Generator, colour: Rgb | None) -> Picture:
+        """Return its picture."""
+        plain = colour or self.colours[int(rng.integers(len(self.colours)))]
+        picture = coloured(plain, 1.0 + self.contrast * noise(rng, (SIZE, SIZE), self.grain_px))
+        for left, top, width, height, tint, outline in self.bars:
+            fill(picture, (left, top, width, height), tint, outline or -1)
+        return picture
+
+
 def sheet(colour: Rgb) -> Picture:
     """Return a picture of one colour."""
     return np.full((SIZE, SIZE, 3), colour, dtype=np.uint8)
@@ -31,10 +52,10 @@ def pick(rng: np.random.Generator) -> Rgb:
     return STRONG[int(rng.integers(len(STRONG)))]
 
 
-def fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
-    """Fill a rectangle, given its left, top, width and height."""
+def fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...], outline: int = -1) -> None:
+    """Fill a rectangle, given its left, top, width and height; or draw an outline of so many pixels."""
     left, top, width, height = box
-    cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, -1)
+    cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, outline)
 
 
 def lines(picture: Picture, box: tuple[int, int, int, int], count: int, colour: Rgb, thick: int) -> None:
@@ -53,53 +74,43 @@ def paint_face(face: str, variant: int, colour: Rgb | None) -> Picture:
 def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
     picture = coloured(colour or (244, 245, 244), 1.0 + 0.01 * layered(rng, (SIZE, SIZE), (3.0, 90.0)))
     pens = ((36, 62, 140), (170, 40, 40), (40, 40, 44), (30, 110, 60))
-    centres = np.stack([rng.integers(50, 300, 5), rng.integers(70, 440, 5)], axis=1)
+    centres = np.stack([rng.integers(50, 300, 5), rng.integers(70, 440, 5)], axis=1).tolist()
     for first, second in pairwise(centres):
-        cv2.arrowedLine(picture, first.tolist(), second.tolist(), pens[2], 3, cv2.LINE_AA, tipLength=0.1)
+        cv2.arrowedLine(picture, first, second, pens[2], 3, cv2.LINE_AA, tipLength=0.1)
     for number, (x, y) in enumerate(centres):
-        cv2.rectangle(picture, (int(x) - 34, int(y) - 24), (int(x) + 34, int(y) + 24), (244, 245, 244), -1)
-        cv2.rectangle(picture, (int(x) - 34, int(y) - 24), (int(x) + 34, int(y) + 24), pens[number % 4], 3)
-    curve = 200 - 110 * np.exp(-((np.linspace(-2, 2, 60) - rng.uniform(-0.7, 0.7)) ** 2) * 2)
-    points = np.stack([np.linspace(360, 480, 60), curve], axis=1).astype(np.int32)
-    cv2.polylines(picture, [points], False, pens[1], 4, cv2.LINE_AA)
-    for row in range(6):
-        words = rng.normal(0, 5, 40)
-        scribble = np.stack([np.linspace(350, int(rng.integers(420, 490)), 40), 270 + 32 * row + words], axis=1)
-        cv2.polylines(picture, [scribble.astype(np.int32)], False, pens[row % 4], 2, cv2.LINE_AA)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (150, 154, 158), 14)
+        fill(picture, (x - 34, y - 24, 68, 48), (244, 245, 244))
+        fill(picture, (x - 34, y - 24, 68, 48), pens[number % 4], 3)
+    for row in range(10):
+        words = np.stack([np.linspace(350, rng.integers(420, 490), 40), 90 + 36 * row + rng.normal(0, 5, 40)], axis=1)
+        cv2.polylines(picture, [words.astype(np.int32)], False, pens[row % 4], 2, cv2.LINE_AA)
+    fill(picture, (0, 0, SIZE, SIZE), (150, 154, 158), 14)
     return picture
 
 
 def _window(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    fade = np.linspace(0, 1, SIZE)[:, None, None]
-    sky = np.array([176, 206, 236]) * (1 - fade) + np.array([232, 240, 244]) * fade
-    picture = as_picture(np.broadcast_to(sky, (SIZE, SIZE, 3)) + 8 * noise(rng, (SIZE, SIZE), (30.0, 90.0))[..., None])
-    across = np.arange(SIZE)
+    picture = _fading((176, 206, 236), (232, 240, 244), 8 * noise(rng, (SIZE, SIZE), (30.0, 90.0)))
     for depth, tint in enumerate(((150, 172, 150), (110, 140, 104))):
-        tops = 330 + 60 * depth + 18 * layered(rng, (1, SIZE), (16.0, 60.0))[0]
-        outline = np.array([*np.stack([across, tops], axis=1), (SIZE, SIZE), (0, SIZE)]).astype(np.int32)
-        cv2.fillPoly(picture, [outline], tint)
+        _ridge(picture, 330 + 60 * depth + 18 * layered(rng, (1, SIZE), (16.0, 60.0))[0], tint)
     frame = colour or (224, 224, 220)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), frame, 44)
+    fill(picture, (0, 0, SIZE, SIZE), frame, 44)
     fill(picture, (SIZE // 2 - 20, 0, 40, SIZE), frame)
     for left in (22, SIZE // 2 + 20):
-        cv2.rectangle(picture, (left, 22), (left + 214, SIZE - 23), (170, 172, 172), 3)
+        fill(picture, (left, 22, 215, SIZE - 44), (170, 172, 172), 3)
     fill(picture, (SIZE // 2 - 12, 240, 24, 60), (150, 152, 156))
     return picture
 
 
-def _door(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    leaf = colour or ((150, 96, 56), (66, 96, 128), (186, 178, 160), (112, 48, 46))[int(rng.integers(4))]
-    grain = noise(rng, (SIZE, SIZE), (90.0, 1.5))
-    picture = coloured(leaf, 1.0 + 0.04 * grain)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE + 40), (206, 206, 200), 52)
-    cv2.rectangle(picture, (27, 27), (SIZE - 28, SIZE + 40), (60, 58, 56), 4)
-    fill(picture, (320, 70, 90, 190), (60, 70, 78))
-    cv2.rectangle(picture, (320, 70), (410, 260), (170, 172, 172), 6)
-    fill(picture, (62, 258, 60, 10), (188, 190, 194))
-    fill(picture, (60, 240, 18, 60), (168, 170, 174))
-    fill(picture, (28, 480, SIZE - 56, 32), (160, 162, 166))
-    return picture
+def _fading(top: ArrayLike, low: ArrayLike, more: ArrayLike = 0.0) -> Picture:
+    """Return a picture that fades from a colour at its top to another one, each pixel by so much lighter."""
+    fade = np.linspace(0, 1, SIZE)[:, None, None]
+    sky = np.asarray(top) * (1 - fade) + np.asarray(low) * fade
+    return as_picture(np.broadcast_to(sky, (SIZE, SIZE, 3)) + np.broadcast_to(more, (SIZE, SIZE))[..., None])
+
+
+def _ridge(picture: Picture, tops: ArrayLike, tint: ArrayLike) -> None:
+    """Paint what is below a line of heights (512,), pixels from above."""
+    below = np.array([*enumerate(np.asarray(tops)), (SIZE, SIZE), (0, SIZE)]).astype(np.int32)
+    cv2.fillPoly(picture, [below], np.clip(tint, 0, 255).tolist(), cv2.LINE_AA)
 
 
 def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
@@ -120,47 +131,12 @@ def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
     return picture
 
 
-def _drawers(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    picture = coloured(colour or (186, 188, 190), 1.0 + 0.012 * layered(rng, (SIZE, SIZE), (1.0, 4.0)))
-    for row in range(3):
-        top = 10 + row * 166
-        cv2.rectangle(picture, (14, top), (SIZE - 15, top + 158), (96, 98, 102), 4)
-        fill(picture, (186, top + 46, 140, 16), (70, 72, 76))
-        fill(picture, (186, top + 44, 140, 5), (216, 218, 220))
-        fill(picture, (216, top + 84, 80, 34), (236, 234, 222))
-        lines(picture, (224, top + 90, 60, 22), 2, (120, 120, 120), 4)
-    return picture
-
-
-def _carton(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    shade = 1.0 + 0.03 * noise(rng, (SIZE, SIZE), (90.0, 2.0)) + 0.03 * noise(rng, (SIZE, SIZE), 50.0)
-    fall = np.linspace(1.04, 0.88, SIZE)[:, None]
-    picture = coloured(colour or (188, 148, 102), shade * fall)
-    fill(picture, (232, 0, 48, 150), (206, 178, 128))
-    left = int(rng.integers(40, 90))
-    fill(picture, (left, 250, 150, 110), (240, 238, 232))
-    lines(picture, (left + 12, 264, 126, 84), 5, (90, 90, 92), 6)
-    for x in (380, 440):
-        cv2.arrowedLine(picture, (x, 430), (x, 320), (96, 66, 42), 12, cv2.LINE_AA, tipLength=0.35)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (140, 106, 70), 6)
-    return picture
-
-
-def _screen(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    picture = sheet(colour or (34, 40, 52))
-    for row in range(14):
-        left = 60 + 26 * int(rng.integers(0, 4))
-        fill(picture, (left, 60 + 28 * row, int(rng.integers(60, 300)), 10), pick(rng))
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (24, 24, 26), 36)
-    return picture
-
-
 def paint_poster(rng: np.random.Generator, colour: Rgb | None) -> Picture:
     """Paint one of four kinds of posters: a conference's, a landscape, circles, a sign."""
     kinds = (_paper_poster, _landscape, _circles, _sign)
     accent = colour or pick(rng)
     picture = kinds[int(rng.integers(len(kinds)))](rng, accent)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (226, 226, 222), 8)
+    fill(picture, (0, 0, SIZE, SIZE), (226, 226, 222), 8)
     return picture
 
 
@@ -168,72 +144,44 @@ def _paper_poster(rng: np.random.Generator, accent: Rgb) -> Picture:
     picture = sheet(PAPER)
     fill(picture, (0, 0, SIZE, 92), accent)
     lines(picture, (40, 26, 400, 44), 2, (248, 246, 240), 12)
-    for column in range(3):
-        left, top = 24 + column * 160, 112
-        while top < 470:
-            height = int(rng.integers(60, 130))
-            height = min(height, 496 - top)
-            if rng.random() < 0.45 and height > 50:
-                _chart(picture, (left, top, 144, height - 10), rng)
+    for left in (24, 184, 344):
+        for top in range(112, 470, 96):
+            if rng.random() < 0.5:
+                fill(picture, (left, top, 144, 84), (224, 228, 232))
+                for bar, tall in enumerate(rng.integers(10, 76, 6).tolist()):
+                    fill(picture, (left + 8 + bar * 22, top + 84 - tall, 16, tall), pick(rng))
             else:
-                fill(picture, (left, top, 90, 10), accent)
-                lines(picture, (left, top + 18, 144, height - 26), max((height - 26) // 11, 1), (130, 130, 132), 4)
-            top += height
+                fill(picture, (left, top, int(rng.integers(50, 120)), 10), accent)
+                lines(picture, (left, top + 18, 144, 70), 6, (130, 130, 132), 4)
     return picture
 
 
-def _chart(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    left, top, width, height = box
-    fill(picture, box, (224, 228, 232))
-    if rng.random() < 0.5:
-        for bar, share in enumerate(rng.uniform(0.2, 0.95, 6)):
-            tall = int(share * (height - 8))
-            fill(picture, (left + 8 + bar * 22, top + height - tall, 16, tall), pick(rng))
-    else:
-        for _ in range(2):
-            ups = top + height - rng.uniform(0.1, 0.9, 7).cumsum() / 7 * (height - 10) * 1.4
-            points = np.stack([np.linspace(left + 6, left + width - 6, 7), ups.clip(top + 4)], axis=1)
-            cv2.polylines(picture, [points.astype(np.int32)], False, pick(rng), 4, cv2.LINE_AA)
-
-
 def _landscape(rng: np.random.Generator, accent: Rgb) -> Picture:
-    fade = np.linspace(0, 1, SIZE)[:, None, None]
-    top, low = np.array(pick(rng)) * 0.6 + 90, np.array([250, 226, 190])
-    picture = as_picture(np.broadcast_to(top * (1 - fade) + low * fade, (SIZE, SIZE, 3)))
-    cv2.circle(
-        picture, (int(rng.integers(110, 400)), int(rng.integers(110, 220))), 52, (252, 240, 200), -1, cv2.LINE_AA
-    )
-    across = np.arange(SIZE)
+    picture = _fading(np.array(pick(rng)) * 0.6 + 90, (250, 226, 190))
+    cv2.circle(picture, rng.integers(110, [400, 220]).tolist(), 52, (252, 240, 200), -1, cv2.LINE_AA)
     for depth in range(4):
         ridge = 230 + 62 * depth + 46 * layered(rng, (1, SIZE), (24.0, 90.0 + 20 * depth))[0]
-        outline = [np.array([*np.stack([across, ridge], axis=1), (SIZE, SIZE), (0, SIZE)]).astype(np.int32)]
-        tint = np.array(accent) * (0.45 + 0.15 * depth) + 90 * (1 - depth / 3)
-        cv2.fillPoly(picture, outline, tint.clip(0, 255).tolist(), cv2.LINE_AA)
+        _ridge(picture, ridge, np.array(accent) * (0.45 + 0.15 * depth) + 90 * (1 - depth / 3))
     lines(picture, (60, 452, 390, 40), 2, (246, 244, 236), 10)
     return picture
 
 
 def _circles(rng: np.random.Generator, accent: Rgb) -> Picture:
-    picture = sheet((238, 230, 212))
-    colours = [accent, pick(rng), pick(rng), INK]
-    for row in range(4):
-        for column in range(4):
-            left, top = column * 128, row * 128
-            cell = picture[top : top + 128, left : left + 128]
-            cell[:] = colours[int(rng.integers(4))] if rng.random() < 0.5 else (238, 230, 212)
-            centre = (int(rng.integers(2)) * 128, int(rng.integers(2)) * 128)
-            patch = np.ascontiguousarray(cell)
-            cv2.circle(patch, centre, 128, colours[int(rng.integers(4))], -1, cv2.LINE_AA)
-            cv2.circle(patch, centre, 60, colours[int(rng.integers(4))], -1, cv2.LINE_AA)
-            cell[:] = patch
+    colours = [accent, pick(rng), INK, (238, 230, 212)]
+    picture = sheet(colours[-1])
+    for left, top in np.ndindex(4, 4):
+        cell = np.full((128, 128, 3), colours[int(rng.choice([0, 1, 2, 3, 3, 3]))], dtype=np.uint8)
+        centre = (128 * rng.integers(2, size=2)).tolist()
+        for radius in (128, 60):
+            cv2.circle(cell, centre, radius, colours[int(rng.integers(4))], -1, cv2.LINE_AA)
+        picture[128 * top : 128 * top + 128, 128 * left : 128 * left + 128] = cell
     return picture
 
 
 def _sign(rng: np.random.Generator, accent: Rgb) -> Picture:
     picture = sheet(PAPER)
     fill(picture, (0, 0, SIZE, 340), accent)
-    sides = int(rng.integers(3, 7))
-    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False) - np.pi / 2
+    turn = np.linspace(0, 2 * np.pi, int(rng.integers(3, 7)), endpoint=False) - np.pi / 2
     corners = [np.stack([256 + 140 * np.cos(turn), 178 + 140 * np.sin(turn)], axis=1).astype(np.int32)]
     cv2.fillPoly(picture, corners, (250, 248, 240), cv2.LINE_AA)
     fill(picture, (240, 110, 32, 90), INK)
@@ -244,6 +192,6 @@ def _sign(rng: np.random.Generator, accent: Rgb) -> Picture:
 
 #: Painters by the name of the face.
 FACES: Final[dict[str, FacePainter]] = {
-    "books": _books, "carton": _carton, "door": _door, "drawers": _drawers, "poster": paint_poster, "screen": _screen,
-    "whiteboard": _whiteboard, "window": _window,
+    "books": _books, "poster": paint_poster, "whiteboard": _whiteboard, "window": _window,
+    **{name: face.paint for name, face in table("faces", dict[str, Face]).items()},
 }  # fmt: skip

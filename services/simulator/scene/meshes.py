@@ -206,6 +206,14 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: 
     return grid(vertices, normals, uvs)
 
 
+def drum(start: ArrayLike, end: ArrayLike, radius: float, sectors: int = 16) -> Mesh:
+    """Return a tube with flat ends."""
+    begin, finish = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    out = 1e-4 * (finish - begin) / np.linalg.norm(finish - begin)
+    ends = [tube(begin, begin - out, (radius, 0.0), sectors), tube(finish, finish + out, (radius, 0.0), sectors)]
+    return merge([tube(begin, finish, (radius, radius), sectors), *ends])
+
+
 def running(ring: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance along the ring at each wall's beginning and end, (k - 1, 2)."""
     lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
@@ -234,7 +242,7 @@ def cased(box: Box, low: float, high: float) -> Mesh:
     return merge(panel(corners[side], corners[(side + 1) % 4], low, high) for side in range(4))
 
 
-def front(box: Box, low: float, high: float, ahead_m: float = 0.0) -> Mesh:
-    """Return the front of a box with the whole picture, perhaps a little before it."""
+def front(box: Box, low: float, high: float) -> Mesh:
+    """Return the front of a box with the whole picture."""
     _, y_min, x_max, y_max = box
-    return panel((x_max + ahead_m, y_min), (x_max + ahead_m, y_max), low, high)
+    return panel((x_max, y_min), (x_max, y_max), low, high)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from services.simulator.scene import bodies
 from services.simulator.scene.furniture import furnish
-from services.simulator.scene.meshes import Mesh, flat, panel, quads
+from services.simulator.scene.meshes import block, flat, front, quads
 from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, Vector, surfaces
 from services.simulator.scene.textures import as_picture, coloured, layered, noise
 from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
-from services.simulator.world.room import Fitting, FittingKind, Room, Wall, WallFrame
+from services.simulator.world.room import Fitting, FittingKind, Room, Wall
 
 # Lamps above light level things most; the windows' light, from the north, keeps upright things apart from each other.
 _AMBIENT: Final = (0.5, 0.5, 0.49)
@@ -48,11 +48,8 @@ _UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
 
 def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
     """Make the meshes and pictures of a room."""
-    hung = [(fitting.kind, *hang(fitting, room)) for fitting in room.fittings]
-    pieces = [*skirting(room), *(piece for furniture in room.furniture for piece in furnish(furniture))]
-    for kind, face, rim in hung:
-        pieces += [rim] if kind == "window" else [face, rim]
-    shining = [face for kind, face, _ in hung if kind == "window"]
+    furniture = (piece for one in room.furniture for piece in furnish(one))
+    hung = (piece for fitting in room.fittings for piece in hang(fitting, room))
     x, y = room.east_west_m, room.north_south_m
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     tag = room.robot.tag
@@ -61,8 +58,7 @@ def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
         Lights(_times(_AMBIENT, light.lamps), tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS)),
         # What is in front comes first, so that what is behind it need not be drawn there.
         still=(
-            *surfaces(pieces),
-            *surfaces(shining, glows=True),
+            *surfaces([*skirting(room), *furniture, *hung]),
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
             Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
@@ -79,57 +75,33 @@ def _times(colour: Vector, other: Vector) -> Vector:
     return red, green, blue
 
 
-def walls(room: Room) -> list[Surface]:
-    """Return the four painted walls."""
-    made = []
-    for number, wall in enumerate(get_args(Wall)):
-        frame = room.wall_frame(wall)
-        picture = paint_wall(room.wall_colour, frame.length_m, room.walls_m, number)
-        made.append(Surface(panel(frame.at(0.0), frame.at(frame.length_m), 0.0, room.walls_m), picture))
-    return made
+def walls(room: Room) -> Iterator[Surface]:
+    """Yield the four painted walls."""
+    for number, name in enumerate(get_args(Wall)):
+        wall, length_m = room.wall(name)
+        picture = paint_wall(room.wall_colour, length_m, room.walls_m, number)
+        yield Surface(front((0.0, 0.0, 0.0, length_m), 0.0, room.walls_m).placed(wall), picture)
 
 
 def skirting(room: Room) -> Iterator[Piece]:
     """Yield the skirting boards, with a gap where a door reaches the floor."""
     high, thick = _SKIRTING_M
-    for wall in get_args(Wall):
-        frame = room.wall_frame(wall)
-        doors = sorted(
-            (fitting.along_m - fitting.width_m / 2, fitting.along_m + fitting.width_m / 2)
-            for fitting in room.fittings
-            if fitting.wall == wall and fitting.foot_m < high
-        )
-        ends = [0.0, *(end for door in doors for end in door), frame.length_m]
+    for name in get_args(Wall):
+        wall, length_m = room.wall(name)
+        faces = [fitting.face()[0] for fitting in room.fittings if fitting.wall == name and fitting.foot_m < high]
+        doors = sorted((left, right) for _, left, _, right in faces)
+        ends = [0.0, *(end for door in doors for end in door), length_m]
         for left, right in zip(ends[::2], ends[1::2], strict=True):
             if right > left:
-                yield Finish("lacquer", (226, 223, 214)), _slab(frame, left, right, 0.0, high, thick)
+                yield Finish("lacquer", (226, 223, 214)), block((0.0, left, thick, right), 0.0, high).placed(wall)
 
 
 def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
     """Return a fitting's face and the rim about it."""
-    frame = room.wall_frame(fitting.wall)
-    left, right = fitting.along_m - fitting.width_m / 2, fitting.along_m + fitting.width_m / 2
-    low, high, thick = fitting.foot_m, fitting.foot_m + fitting.height_m, _THICK_M[fitting.kind]
-    face = panel(_off(frame, left, thick), _off(frame, right, thick), low, high)
-    rim = _slab(frame, left, right, low, high, thick - 0.001)
+    wall, _ = room.wall(fitting.wall)
+    thick = _THICK_M[fitting.kind]
+    face, rim = front(*fitting.face(thick)).placed(wall), block(*fitting.face(thick - 0.001)).placed(wall)
     return (Finish(fitting.kind, fitting.colour, fitting.variant), face), (_RIM[fitting.kind], rim)
-
-
-def _off(frame: WallFrame, along_m: float, off_m: float) -> tuple[float, float]:
-    """Return a point in front of a wall, (x, y); to the left of its direction is outside."""
-    x, y = frame.at(along_m)
-    return x + off_m * frame.right[1], y - off_m * frame.right[0]
-
-
-def _slab(frame: WallFrame, left: float, right: float, low: float, high: float, thick: float) -> Mesh:
-    back_left, back_right = frame.at(left), frame.at(right)
-    front_left, front_right = _off(frame, left, thick), _off(frame, right, thick)
-    upright = [(front_left, front_right), (back_left, front_left), (front_right, back_right)]
-    faces = [[(*a, low), (*b, low), (*b, high), (*a, high)] for a, b in upright]
-    faces.append([(*front_left, high), (*front_right, high), (*back_right, high), (*back_left, high)])
-    faces.append([(*back_left, low), (*back_right, low), (*front_right, low), (*front_left, low)])
-    uvs = np.broadcast_to(_UPRIGHT, (len(faces), 4, 2))
-    return quads(faces, uvs)
 
 
 def paint_floor(room: Room, *, shadows: bool) -> NDArray[np.uint8]:

@@ -63,10 +63,12 @@ class Finish(NamedTuple):
 Piece = tuple[Finish, Mesh]
 
 
-def surfaces(pieces: Iterable[Piece], *, glows: bool = False) -> tuple[Surface, ...]:
-    """Return one surface for each finish; those of a façade follow each other."""
+def surfaces(pieces: Iterable[Piece]) -> tuple[Surface, ...]:
+    """Return one surface for each finish; those of a façade follow each other, and windows of rooms glow."""
     meshes: dict[Finish, list[Mesh]] = defaultdict(list)
     for finish, mesh in pieces:
         meshes[finish].append(mesh)
-    made = [Surface(merge(group), finish.picture(), glows) for finish, group in each(list(meshes.items()))]
-    return tuple(made)
+    return tuple(
+        Surface(merge(group), finish.picture(), glows=finish.wears == "window")
+        for finish, group in each(list(meshes.items()))
+    )

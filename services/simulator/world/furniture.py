@@ -2,39 +2,23 @@
 
 import math
 import re
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Final, Literal
 
 import shapely
 from pydantic import BeforeValidator, Field
-from pydantic.dataclasses import dataclass
-from shapely import Polygon, affinity
+from pydantic.dataclasses import dataclass as checked
+from shapely import Polygon
 
-from services.simulator.world.place import STRICT, Rgb, Solid
+from services.simulator.tables import table
+from services.simulator.world.place import STRICT, Pose, Rgb, Solid
 
 FurnitureKind = Literal["cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
 #: Kinds whose footprint is a circle, `width_m` across.
 ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
 HIDING_M: Final = 0.6
-#: Thickness of a table's or desk's board, of a table's legs and of a desk's panels, and how deep the drawers are.
-BOARD_M: Final = 0.03
-LEG_M: Final = 0.06
-PANEL_M: Final = 0.03
-DRAWERS_M: Final = 0.42
-#: How high a sofa's seat and arms are as fractions of its height, and how deep its back and how wide its arms are.
-SEAT_FRACTION: Final = 0.55
-ARM_FRACTION: Final = 0.75
-SOFA_BACK_M: Final = 0.22
-SOFA_ARM_M: Final = 0.18
-#: How high a chair's seat is as a fraction of its height, and how deep its back.
-CHAIR_FRACTION: Final = 0.52
-CHAIR_BACK_M: Final = 0.04
-#: How far a car's sills are above the ground, its bonnet as a fraction of its height, and where its cabin begins and
-#: ends as fractions of its length.
-SILLS_M: Final = 0.2
-BONNET_FRACTION: Final = 0.58
-CABIN_FRACTIONS: Final = (0.1, 0.68)
 # Smallest width and depth of kinds that consist of parts.
 _SMALLEST_M: Final[dict[FurnitureKind, tuple[float, float]]] = {
     "car": (1.2, 2.0), "chair": (0.3, 0.3), "desk": (0.8, 0.4), "shelf": (0.3, 0.15), "sofa": (0.8, 0.5),
@@ -59,9 +43,26 @@ Colour = Annotated[Rgb, BeforeValidator(_rgb)]
 
 Box = tuple[float, float, float, float]
 """An upright box seen from above in the furniture's own frame: x_min, y_min, x_max, y_max, x towards the front."""
+Span = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, kw_only=True, config=STRICT)
+@dataclass(frozen=True)
+class Part:
+    """A part of a piece: an entry of the table `furniture`, which says what is in it."""
+
+    wears: str = ""
+    own: bool = False
+    colour: Rgb | None = None
+    solid: bool = False
+    ahead: Span = (0.0, 0.0, 1.0, 0.0)
+    left: Span = (0.0, 0.0, 1.0, 0.0)
+    up: Span = (0.0, 0.0, 1.0, 0.0)
+
+
+PARTS: Final = table("furniture", dict[FurnitureKind, tuple[Part, ...]])
+
+
+@checked(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
     """A piece of furniture in a room's file; tables, desks and chairs are open below, plants round, others boxes."""
 
@@ -86,77 +87,41 @@ class Furniture:
             raise ValueError(f"width_m, depth_m: a {self.kind} is at least {width_m:g} m wide and {depth_m:g} m deep")
 
     @property
-    def heading(self) -> float:
-        """Direction that its front faces, radians from east, anticlockwise."""
-        return math.radians(self.facing_deg)
-
-    @property
-    def outline(self) -> Polygon:
-        """What it covers in its own frame, x towards the front."""
-        if self.kind in ROUND:
-            return shapely.Point(0.0, 0.0).buffer(self.width_m / 2, quad_segs=_QUADRANT_SEGMENTS)
-        return shapely.box(*self.box)
-
-    @property
-    def box(self) -> Box:
-        """What it covers in its own frame, if it is not round."""
-        return -self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2
+    def pose(self) -> Pose:
+        """Where its middle is, and where its front looks."""
+        return Pose(self.x_m, self.y_m, math.radians(self.facing_deg))
 
     @cached_property
     def footprint(self) -> Polygon:
         """What it covers, seen from above, metres."""
-        return self._placed(self.outline)
+        return self.pose.place(self._outline)
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Its solid parts."""
+        if self.kind in ROUND:
+            return (Solid(self.footprint, 0.0, self.height_m, opaque=False),)
+        boxes = [self.box(part) for part in PARTS[self.kind] if part.solid]
         return tuple(
-            Solid(self._placed(shape), low, high, opaque=low == 0.0 and high >= HIDING_M and self.kind not in ROUND)
-            for shape, low, high in self._parts()
+            Solid(self.pose.place(shapely.box(*box)), low, high, opaque=low == 0.0 and high >= HIDING_M)
+            for box, low, high in boxes
         )
 
-    def _placed(self, shape: Polygon) -> Polygon:
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        return affinity.affine_transform(shape, [cos, -sin, sin, cos, self.x_m, self.y_m])
-
-    def _parts(self) -> list[tuple[Polygon, float, float]]:
-        """Return shape in the own frame, lower and upper height of every part."""
-        under = self.height_m - BOARD_M
-        match self.kind:
-            case "table" | "desk":
-                below = self.legs if self.kind == "table" else self.panels
-                return [*((shapely.box(*box), 0.0, under) for box in below), (self.outline, under, self.height_m)]
-            case "chair":
-                x_min, y_min, _, y_max = self.box
-                seat, back = CHAIR_FRACTION * self.height_m, shapely.box(x_min, y_min, x_min + CHAIR_BACK_M, y_max)
-                legs = [(shapely.box(*box), 0.0, seat) for box in self.legs]
-                return [*legs, (self.outline, seat - BOARD_M, seat), (back, seat, self.height_m)]
-            case "car":
-                bonnet = BONNET_FRACTION * self.height_m
-                return [(self.outline, SILLS_M, bonnet), (shapely.box(*self.cabin), bonnet, self.height_m)]
-            case "sofa":
-                x_min, y_min, _, y_max = self.box
-                back = shapely.box(x_min, y_min, x_min + SOFA_BACK_M, y_max)
-                return [(back, 0.0, self.height_m), (self.outline, 0.0, self.height_m * ARM_FRACTION)]
-            case _:
-                return [(self.outline, 0.0, self.height_m)]
-
     @property
-    def legs(self) -> list[Box]:
-        """The four legs of a table, or of a chair, whose are half as thick."""
-        thick = LEG_M / 2 if self.kind == "chair" else LEG_M
-        ahead, aside = (((half - thick, half), (-half, thick - half)) for half in (self.depth_m / 2, self.width_m / 2))
-        return [(x_min, y_min, x_max, y_max) for x_min, x_max in ahead for y_min, y_max in aside]
+    def _outline(self) -> Polygon:
+        if self.kind in ROUND:
+            return shapely.Point(0.0, 0.0).buffer(self.width_m / 2, quad_segs=_QUADRANT_SEGMENTS)
+        return shapely.box(-self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2)
 
-    @property
-    def cabin(self) -> Box:
-        """What is above the bonnet of a car."""
-        behind, ahead = ((share - 0.5) * self.depth_m for share in CABIN_FRACTIONS)
-        return behind, 0.06 - self.width_m / 2, ahead, self.width_m / 2 - 0.06
-
-    @property
-    def panels(self) -> tuple[Box, Box, Box]:
-        """A desk's drawers under its left end, the panel under its right end, and the panel along its back."""
+    def box(self, part: Part) -> tuple[Box, float, float]:
+        """Return a part's box in the own frame, and from which height to which it goes."""
+        (x_min, x_max), (y_min, y_max), (low, high) = (
+            (begin * size + begin_m, end * size + end_m)
+            for (begin, begin_m, end, end_m), size in (
+                (part.ahead, self.depth_m),
+                (part.left, self.width_m),
+                (part.up, self.height_m),
+            )
+        )
         x, y = self.depth_m / 2, self.width_m / 2
-        drawers = min(DRAWERS_M, self.width_m / 2)
-        return (-x, y - drawers, x, y), (-x, -y, x, PANEL_M - y), (-x, PANEL_M - y, PANEL_M - x, y - drawers)
+        return (x_min - x, y_min - y, x_max - x, y_max - y), low, high

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
+from shapely import LineString
 
 from services.simulator.world.furniture import FurnitureKind
 from services.simulator.world.place import World
@@ -19,8 +20,8 @@ _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "pa
 _ROAD: Final[dict[RoadKind, str]] = {"street": "#ffffff", "path": "#f3e9d8"}
 _BARRIER: Final[dict[BarrierKind, str]] = {"hedge": "#7ba05b", "wall": "#8a8278", "fence": "#b0a493"}
 _FURNITURE: Final[dict[FurnitureKind, str]] = {
-    "cabinet": "#a9adb0", "crate": "#c39a66", "desk": "#d9c6a5", "partition": "#6f8799",
-    "plant": "#7ba05b", "shelf": "#9a7652", "sofa": "#9c4f43", "table": "#d9c6a5",
+    "cabinet": "#a9adb0", "car": "#46597a", "chair": "#6f8799", "crate": "#c39a66", "desk": "#d9c6a5",
+    "partition": "#6f8799", "plant": "#7ba05b", "shelf": "#9a7652", "sofa": "#9c4f43", "table": "#d9c6a5",
 }  # fmt: skip
 _FITTING: Final[dict[FittingKind, str]] = {
     "door": "#8a5a33", "poster": "#c2410c", "whiteboard": "#4b5563", "window": "#5aa0d6"
@@ -63,9 +64,10 @@ def _draw_room(room: Room, ax: Axes) -> None:
     for piece in room.furniture:
         _fill(ax, piece.footprint, _FURNITURE[piece.kind], edge="#5b5148", order=1.5)
     for fitting in room.fittings:
-        frame, half_m = room.wall_frame(fitting.wall), fitting.width_m / 2
-        ends = [frame.at(fitting.along_m - half_m), frame.at(fitting.along_m + half_m)]
-        ax.plot(*zip(*ends, strict=True), color=_FITTING[fitting.kind], linewidth=4, zorder=1.6)
+        (_, left_m, _, right_m), *_ = fitting.face()
+        wall, _ = room.wall(fitting.wall)
+        ends = wall.place(LineString([(0.0, left_m), (0.0, right_m)]))
+        ax.plot(*ends.xy, color=_FITTING[fitting.kind], linewidth=4, zorder=1.6)
     if room.overhead is not None:
         x, y = room.overhead.x_m, room.overhead.y_m
         ax.plot(x, y, "x", color="#444444", markersize=7, label="camera above", zorder=3)

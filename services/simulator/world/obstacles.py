@@ -1,6 +1,5 @@
 """What stands on and beside the way, and was not there when it was taught: boxes, barriers, parked cars, chairs."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -9,7 +8,6 @@ from typing import Final
 import numpy as np
 import shapely
 from shapely import LineString
-from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
@@ -46,16 +44,12 @@ class Obstacle:
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Its solid parts where they stand."""
-        return tuple(one._replace(shape=self._placed(one.shape), opaque=False) for one in self.piece.solids)
+        return tuple(one._replace(shape=self.pose.place(one.shape), opaque=False) for one in self.piece.solids)
 
     @cached_property
     def footprint(self) -> BaseGeometry:
         """What it covers, seen from above."""
-        return self._placed(self.piece.footprint)
-
-    def _placed(self, shape: BaseGeometry) -> BaseGeometry:
-        cos, sin = math.cos(self.pose.heading), math.sin(self.pose.heading)
-        return affine_transform(shape, [cos, -sin, sin, cos, self.pose.x, self.pose.y])
+        return self.pose.place(self.piece.footprint)
 
 
 def stand_in_the_way(

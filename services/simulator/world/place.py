@@ -1,10 +1,12 @@
 """What every world is, indoors or out: a place in local metres (x east, y north) with a task in it."""
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias, TypeVar
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
+from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from services.kit.errors import JobError
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from services.simulator.world.room import Room
     from services.simulator.world.terrain import Terrain
 
+Shape = TypeVar("Shape", bound=BaseGeometry)
 Rgb = tuple[int, int, int]
 Bounds = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max in metres."""
@@ -33,6 +36,16 @@ class Pose:
     x: float
     y: float
     heading: float
+
+    def at(self, ahead_m: float, left_m: float = 0.0) -> tuple[float, float]:
+        """Return the point, metres east and north, that is so far ahead of it, and to its left."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        return self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
+
+    def place(self, shape: Shape) -> Shape:
+        """Return a shape about the origin, x ahead, where it is when it stands here."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        return affine_transform(shape, [cos, -sin, sin, cos, self.x, self.y])
 
 
 class Solid(NamedTuple):

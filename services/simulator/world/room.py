@@ -8,7 +8,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 import shapely
@@ -20,7 +20,7 @@ from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import TURTLEBOT, RobotModel
-from services.simulator.world.furniture import HIDING_M, ROUND, Colour, Degrees, Furniture, Metres, Size
+from services.simulator.world.furniture import HIDING_M, ROUND, Box, Colour, Degrees, Furniture, Metres, Size
 from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError
 from services.simulator.world.route import obstacles_of, plan_route
 
@@ -64,17 +64,10 @@ class Fitting:
     """Which of many pictures it wears; two of a kind with the same variant and colour look the same."""
     colour: Colour | None = None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
 
-
-class WallFrame(NamedTuple):
-    """A wall seen from inside: where its left end is, which way is right, and how long it is."""
-
-    left: tuple[float, float]
-    right: tuple[float, float]
-    length_m: float
-
-    def at(self, along_m: float) -> tuple[float, float]:
-        """Return the point of the wall so far from its left end, metres."""
-        return self.left[0] + along_m * self.right[0], self.left[1] + along_m * self.right[1]
+    def face(self, ahead_m: float = 0.0) -> tuple[Box, float, float]:
+        """Return what it fills before its wall, from the left end of that, to so far off it; lower and upper height."""
+        left_m, right_m = self.along_m - self.width_m / 2, self.along_m + self.width_m / 2
+        return (0.0, left_m, ahead_m, right_m), self.foot_m, self.foot_m + self.height_m
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
@@ -138,14 +131,14 @@ class Room:
         floor = shapely.box(*self.bounds).buffer(-distance_m)
         return floor.difference(shapely.union_all([_grown(piece, distance_m) for piece in self.furniture]))
 
-    def wall_frame(self, wall: Wall) -> WallFrame:
-        """Return a wall as seen from inside."""
+    def wall(self, wall: Wall) -> tuple[Pose, float]:
+        """Return a wall's left end, seen from inside, with the direction into the room, and the wall's length."""
         x, y = self.east_west_m, self.north_south_m
         return {
-            "south": WallFrame((x, 0.0), (-1.0, 0.0), x),
-            "north": WallFrame((0.0, y), (1.0, 0.0), x),
-            "east": WallFrame((x, y), (0.0, -1.0), y),
-            "west": WallFrame((0.0, 0.0), (0.0, 1.0), y),
+            "south": (Pose(x, 0.0, math.pi / 2), x),
+            "north": (Pose(0.0, y, -math.pi / 2), x),
+            "east": (Pose(x, y, math.pi), y),
+            "west": (Pose(0.0, 0.0, 0.0), y),
         }[wall]
 
 
@@ -190,10 +183,9 @@ class RoomFile(Room):
                 what = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m, it reaches out of the room"
                 raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
         for number, fitting in enumerate(self.fittings):
-            wall = shapely.box(0.0, 0.0, self.wall_frame(fitting.wall).length_m, self.walls_m).buffer(_TOLERANCE_M)
-            half_m = fitting.width_m / 2
-            ends = fitting.along_m - half_m, fitting.along_m + half_m
-            if not wall.covers(shapely.box(ends[0], fitting.foot_m, ends[1], fitting.foot_m + fitting.height_m)):
+            wall = shapely.box(0.0, 0.0, self.wall(fitting.wall)[1], self.walls_m).buffer(_TOLERANCE_M)
+            (_, left_m, _, right_m), low_m, high_m = fitting.face()
+            if not wall.covers(shapely.box(left_m, low_m, right_m, high_m)):
                 raise ValueError(
                     f"fittings.{number}: the {fitting.kind} reaches past an edge of the {fitting.wall} wall"
                 )
