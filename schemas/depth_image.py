@@ -10,7 +10,7 @@ from schemas.base import Message, Strict
 
 
 class Mounting(Strict):
-    """How the depth camera sits on a round robot, as `smal.clearance.Mount` has it."""
+    """How the depth camera sits on a round robot, as `smal.obstacles.clearance.Mount` has it."""
 
     focal: Annotated[float, Field(ge=0.04, le=12.0)]
     """Focal length over the width of the image."""

@@ -1,24 +1,22 @@
 """Teach a robot a way by driving it once; then it goes there by itself, from its camera and its wheels.
 
-Read in this order: `mapping` makes a `model` of drives (`demonstration`): a map of how the way looks to a `camera`,
-with what `calibration` measures and the `stitches` between drives. `filter` follows the robot over the map: `particles`
-are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels say. `planning` says what
-to do, and `robot` puts the two together. Tuned numbers are in `settings`.
+Read in this order: a `robot` takes a frame. Its `filter` follows it over the `model`, a map of how the way looks to a
+`camera`: `particles` are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels say.
+`planning` says what to do. Tuned numbers are in `settings`.
 
-Beside it are `paper`, everything of Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA
-2017), with a `Robot` of its own; `place_recognition`, which matches two traverses; and `evaluation`.
+`teaching` makes the map of drives; what drives imports nothing of it. `sought` sees what the robot was sent to find,
+`obstacles` goes round what stands in its way. Beside that are `paper`, everything of Sequence-based Multimodal
+Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017), with a `Robot` of its own; `place_recognition`, which
+matches two traverses; and `evaluation`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from smal.demonstration import Demonstration as Demonstration
     from smal.features import FeatureSettings as FeatureSettings
     from smal.features import extract as extract
     from smal.filter import Belief as Belief
-    from smal.mapping import fit as fit
-    from smal.mapping import learn as learn
     from smal.model import Model as Model
     from smal.movement import Atom as Atom
     from smal.paper.state_matching import Solution as Solution
@@ -26,19 +24,22 @@ if TYPE_CHECKING:
     from smal.place_recognition.matching import match as match
     from smal.planning import Decision as Decision
     from smal.robot import Robot as Robot
+    from smal.teaching.demonstration import Demonstration as Demonstration
+    from smal.teaching.mapping import fit as fit
+    from smal.teaching.mapping import learn as learn
 
 _FILES = {
     "Atom": "movement",
     "Belief": "filter",
     "Decision": "planning",
-    "Demonstration": "demonstration",
+    "Demonstration": "teaching.demonstration",
     "FeatureSettings": "features",
     "Model": "model",
     "Robot": "robot",
     "Solution": "paper.state_matching",
     "extract": "features",
-    "fit": "mapping",
-    "learn": "mapping",
+    "fit": "teaching.mapping",
+    "learn": "teaching.mapping",
     "match": "place_recognition.matching",
     "solve": "paper.state_matching",
 }

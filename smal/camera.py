@@ -7,7 +7,7 @@ One drive shows every place from one pose. A robot that drifts sees it from othe
 demonstration. We warp the taught image instead. A pure turn is exact whatever the scene is. For a step we need
 distances, and take the simplest scene that has any: flat ground under the camera, and everything above it at one
 distance. Camera, height and distance are those by which views that were taught predict others of the same drive best
-(`smal.calibration`), so that nobody has to measure them.
+(`smal.teaching.calibration`), so that nobody has to measure them.
 """
 
 import math

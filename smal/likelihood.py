@@ -113,8 +113,3 @@ class Likelihood:
     def correlation(self, cosine: float) -> float:
         """Return how far two views of this cosine say the same, 0 to 1."""
         return math.pow(min(max(cosine, 0.0), 1.0), self.gamma)
-
-
-def gamma_of(cosine: float, correlation: float) -> float:
-    """Return the exponent by which views of this mean cosine correlate so."""
-    return math.log(correlation) / math.log(min(max(cosine, 0.01), 0.99))

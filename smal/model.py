@@ -4,7 +4,7 @@ A keyframe is a taught frame together with how its place looks from beside and t
 are a fifth of the correlation length apart, the way over which views become half as alike as they can be, so that
 between two of them a view hardly changes. No length here is in ticks: a robot that drives faster, or a camera with
 another rate, has the same map. Views are kept as their principal components, so that thousands of them fit a decision's
-time. `smal.mapping` makes the map of drives.
+time. `smal.teaching.mapping` makes the map of drives.
 """
 
 import math
@@ -21,9 +21,9 @@ from smal.features import Centering, FeatureSettings
 from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood, evenly
-from smal.movement import Atom, Movement, leads_on
-from smal.seen import Sight, content_of_sights, sights_of_content
+from smal.movement import Atom, Movement, leads_on, placed, seen_from
 from smal.settings import SETTINGS
+from smal.sought.sight import Sight, content_of_sights, sights_of_content
 
 _T = TypeVar("_T", bound=np.floating[Any])
 
@@ -51,17 +51,17 @@ class VisualMap:
     log_ratio: NDArray[np.float64]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
     gamma: float
     next_correlation: float  # How far the views of a keyframe and the next say the same, 0 to 1.
-    movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.movement.atom_movements`).
+    movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.teaching.movements`).
     tick_s: float  # Time between two taught frames.
     odometry: bool  # Whether poses are of odometry, or the usual movements of atoms added up.
     scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees: for people.
     goals: tuple[str, ...]  # Where each drive leads.
     names: tuple[tuple[str, ...], ...]  # Demonstrations of each drive: several where frames between them were lost.
-    #: (s, 2) pairs of keyframes of different drives that show one place (`smal.stitches`), ascending; and of the first
-    #: as seen from the second, (s, 3): ahead, left, turned left in radians.
+    #: (s, 2) pairs of keyframes of different drives that show one place (`smal.teaching.stitches`), ascending; and of
+    #: the first as seen from the second, (s, 3): ahead, left, turned left in radians.
     stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
-    #: (e,) keyframe of each further look (`smal.living`), the oldest first.
+    #: (e,) keyframe of each further look (`smal.teaching.living`), the oldest first.
     looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     def __post_init__(self) -> None:
@@ -224,6 +224,29 @@ class VisualMap:
         others = np.setdiff1d(self.reference, near)
         shares = np.full(others.size, (count - near.size) / max(others.size, 1))
         return np.append(near, others), np.append(np.ones(near.size), shares)
+
+
+def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
+    """Return the poses of all keyframes (k, 3), those of drives that share a place in the axes of the first of them.
+
+    A drive that shares none stays in its own. For people, and for pictures: odometry has drifted on the way.
+    """
+    poses = visual_map.key_poses.copy()
+    drives = visual_map.key_drives
+    one, other = visual_map.stitched.T
+    known = np.zeros(len(visual_map.goals), dtype=bool)
+    for first in range(len(visual_map.goals)):
+        if known[first]:
+            continue
+        known[first] = True
+        # One drive at a time is moved to where a place that it shares is known to be.
+        while (ready := np.flatnonzero(~known[drives[one]] & known[drives[other]])).size:
+            stitch = ready[0]
+            mine = drives == drives[one[stitch]]
+            there = placed(visual_map.stitch_offsets[stitch], poses[other[stitch]])
+            poses[mine] = placed(seen_from(poses[mine], poses[one[stitch]]), there)
+            known[drives[one[stitch]]] = True
+    return poses
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,36 +107,6 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
         last = int(np.flatnonzero(back).max(initial=-1))
         frame += 1 if back[: last + 1].all() else last + 1
     return on
-
-
-def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
-    """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
-
-    It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
-    most: who pauses between keys, or is slow, does not make the robot so. Of an atom that was never made: a turn is
-    that to the other side, backward the opposite of forward, and a car that never drove straight on does so as fast as
-    it turns.
-    """
-    each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
-    most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)
-    return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
-
-
-def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[np.float64]:
-    """Measure what each atom did in one drive."""
-    made = atoms[:-1]
-    steps = [Movement.between(*pair) for pair in pairwise(way)]
-    told = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
-    found = {atom: told[made == atom] for atom in Atom}
-    table = np.array([np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()])
-    if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
-        found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]
-        table[Atom.FORWARD, 0] = np.median(bends[:, 0]) if len(bends) else 0.0
-    for one, other, mirror in ((Atom.LEFT, Atom.RIGHT, (1.0, -1.0)), (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0))):
-        for this, opposite in ((one, other), (other, one)):
-            if not len(found[this]) and len(found[opposite]):
-                table[this] = table[opposite] * mirror
-    return table
 
 
 def turns_ahead(movements: NDArray[np.float64]) -> bool:

@@ -1,11 +1,11 @@
 """What to do: the atom that leads the likely places to the taught way, and along the shortest one to a goal.
 
-The taught drives are a graph: keyframes, what follows each of them, and where drives meet (`smal.stitches`). Dijkstra's
+The taught drives are a graph: keyframes, what follows each of them, and where drives meet (stitches). Dijkstra's
 algorithm gives every keyframe its cost to go, the time to the nearest goal, and which drive to follow from there. So
 drives are joined to ways that nobody drove in one piece, and a belief that is spread over drives wants one thing.
 The robot steers in the mean direction of its likely places, each weighted by its probability (after QMDP, Littman,
 Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look. What stands in the
-way it goes round (`smal.avoidance`), where it has a depth camera.
+way it goes round (`smal.obstacles.avoidance`), where it has a depth camera.
 """
 
 import math
@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from smal.avoidance import STANDS, hit_m, turn_round
-from smal.clearance import Surroundings
 from smal.filter import Belief
-from smal.model import VisualMap
+from smal.model import VisualMap, in_common_axes
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
-from smal.seen import Glimpse
+from smal.obstacles.avoidance import STANDS, hit_m, turn_round
+from smal.obstacles.clearance import Surroundings
 from smal.settings import SETTINGS
-from smal.stitches import in_common_axes
+from smal.sought.sight import Glimpse
 
 Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search"]
 Said = Literal["found", "not_here"]
@@ -36,21 +35,15 @@ _SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 class Decision:
     """What to do until the next frame, and why.
 
-    Parameters
-    ----------
-    kind : str
-        "follow": along the taught way; "look_around": turn, since places disagree; "guess": drive all the same, since
-        looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "blocked": stop, since
-        something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought;
-        "goal": stop, having said that it is found, or not here.
-    atom : Atom
-    heading_error_rad : float
-        Mean direction to aim at less the heading.
+    Of its kinds "follow" is along the taught way; "look_around": turn, since places disagree; "guess": drive all the
+    same, since looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "blocked": stop,
+    since something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought;
+    "goal": stop, having said that it is found, or not here.
     """
 
     kind: Kind
     atom: Atom
-    heading_error_rad: float
+    heading_error_rad: float  # Mean direction to aim at less the heading.
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -147,11 +140,6 @@ class Planner:
         #: Whether it takes itself to be where it was taught that the goal is.
         self.arrived = False
         self.said: Said | None = None
-
-    @property
-    def done(self) -> bool:
-        """Whether it has said something."""
-        return self.said is not None
 
     def decide(
         self,

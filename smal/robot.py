@@ -8,37 +8,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.clearance import Mount, Surroundings
 from smal.features import extract
 from smal.features.picture import small
 from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
+from smal.obstacles.clearance import Mount, Surroundings
 from smal.planning import Decision, Planner, Said, chosen_goal
-from smal.seen import Glimpse, Witness
 from smal.settings import SETTINGS
+from smal.sought.sight import Glimpse, Witness
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where in what was taught.
-
-    Parameters
-    ----------
-    drive, frame : int
-        Of the map; frames are counted over all its drives.
-    ahead, left, turned_rad : float
-        Of the robot as seen from there: metres (or forward atoms, without odometry), and radians to the left.
-    probability : float
-        Of being beside that frame, given that the robot is not lost.
-    """
+    """Where in what was taught."""
 
     drive: int
-    frame: int
-    ahead: float
+    frame: int  # Counted over all drives of the map.
+    ahead: float  # Of the robot as seen from there, with `left`: metres, or forward atoms without odometry.
     left: float
-    turned_rad: float
-    probability: float
+    turned_rad: float  # To the left.
+    probability: float  # Of being beside that frame, given that the robot is not lost.
 
 
 class Localizer:
@@ -144,19 +134,13 @@ class Robot:
     seed : int
         Of the filter's noise.
 
-    Attributes
-    ----------
-    belief : Belief
-        After the last image.
-    decision : Decision
-
     Raises
     ------
     ValueError
         The model has not this goal, or several and none is named.
     """
 
-    belief: Belief
+    belief: Belief  # After the last image.
     decision: Decision
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:

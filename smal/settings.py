@@ -1,4 +1,4 @@
-"""The tuned numbers of the map's method, with their units and reasons; of obstacles, in `smal.clearance`.
+"""The tuned numbers of the map's method, with their units and reasons; of obstacles, in `smal.obstacles.clearance`.
 
 A plain fraction that explains itself stands where it is used. What the drives tell is not here: how the camera sees,
 over which way and turn views change, how alike views of one place are, how fast the robot drives and turns.
@@ -12,7 +12,7 @@ from typing import Final
 class Settings:
     """Shares are of 1, lengths in correlation lengths unless a name says otherwise."""
 
-    # -- the map (`smal.mapping`)
+    # -- the map (`smal.teaching`)
     #: Keyframes in a correlation length: between two of them a view hardly changes, and one further it is new.
     views_a_length: int = 5
     #: Or turned by so much: of the nearest keyframe a robot is then turned by about one virtual view at most.
@@ -48,7 +48,7 @@ class Settings:
     looked_at: int = 500
     leading: int = 64
 
-    # -- how alike views are (`smal.calibration`)
+    # -- how alike views are (`smal.teaching.calibration`)
     #: Turned by less, a view is the same; by more, two views hardly overlap.
     same_deg: float = 3.0
     overlap_deg: float = 40.0
@@ -140,7 +140,7 @@ class Settings:
     #: Without a decision it stands after this time: it has not gone on turning since.
     stands_after_s: float = 0.5
 
-    # -- what is sought (`smal.seen`)
+    # -- what is sought (`smal.sought`)
     #: Time of driving before the end of a drive in which what it ends before may be seen well; and within which views
     #: show the same things.
     approach_s: float = 4.0

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import FeatureSettings
-from smal.mapping import fit
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper import learning
 from smal.paper.model import Model as PaperModel
+from smal.teaching.mapping import fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3

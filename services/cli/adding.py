@@ -12,8 +12,8 @@ from services.kit.errors import JobError, UsageError
 from services.kit.model_service import load_model
 from services.recordings.dataset import Teacher
 from smal.files.container import ModelError
-from smal.living import Verdict, lived, whole_runs
 from smal.model import Model
+from smal.teaching.living import Verdict, lived, whole_runs
 
 #: Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
 _KEPT: Final = 10

@@ -23,11 +23,11 @@ from services.recordings.dataset import Teacher, Teaching, find_recordings
 from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
-from smal.mapping import learn as learn_map
 from smal.paper.learning import LearningSettings
 from smal.paper.learning import learn as learn_paper
 from smal.paper.reward import RewardError
 from smal.paper.state_space import MemoryBoundError
+from smal.teaching.mapping import learn as learn_map
 
 
 def learn(

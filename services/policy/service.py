@@ -19,7 +19,7 @@ from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
 from smal.paper.model import Model as PaperModel
 from smal.planning import Planner
-from smal.seen import Glimpse
+from smal.sought.sight import Glimpse
 
 #: Reports of the actuator of whose delays the median is taken: those of a second.
 DELAYS_KEPT: Final = 10

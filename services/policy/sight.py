@@ -4,7 +4,7 @@ import numpy as np
 
 from schemas.depth_image import DepthImage
 from schemas.odometry import Odometry
-from smal.clearance import Mount, Surroundings
+from smal.obstacles.clearance import Mount, Surroundings
 
 
 class Sight:

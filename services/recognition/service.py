@@ -15,11 +15,10 @@ from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
-from smal.model import Model
+from smal.model import Model, in_common_axes
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
 from smal.robot import Localizer
-from smal.stitches import in_common_axes
 
 #: Odometry and commands that are kept until the observation of their frame comes, frames.
 _KEPT: Final = 100

@@ -24,9 +24,9 @@ from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.sink import first_of
 from services.recordings.stream import RecordingError
-from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
 from smal.movement import Atom
+from smal.teaching.demonstration import Demonstration
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)

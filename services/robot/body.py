@@ -11,7 +11,7 @@ from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from smal.camera import Camera
-from smal.clearance import Mount
+from smal.obstacles.clearance import Mount
 
 
 class OdometryReading(NamedTuple):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from schemas.base import Atom
 from services.robot.body import Body, View
 from services.robot.clock import TICK_S
-from smal.clearance import Mount, Surroundings, most_speed
+from smal.obstacles.clearance import Mount, Surroundings, most_speed
 
 #: Age of a look at which nothing is free any more, seconds; as of commands.
 MAX_LOOK_S: Final = 0.25

@@ -20,7 +20,7 @@ from services.simulator.world.people import Person, walk_about
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import moved_victim, sample_start
-from smal.clearance import Mount
+from smal.obstacles.clearance import Mount
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera

@@ -21,8 +21,9 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.demonstration import Demonstration
-from smal.movement import Atom, atom_movements, placed, seen_from
+from smal.movement import Atom, placed, seen_from
+from smal.teaching.demonstration import Demonstration
+from smal.teaching.movements import atom_movements
 
 _T = TypeVar("_T")
 #: Pixels of the images that are compared, and of the square within which each of their pixels is normalized.

@@ -1,4 +1,4 @@
-"""The small picture of a frame in which a robot looks for what it was sent to find (`smal.seen`)."""
+"""The small picture of a frame in which a robot looks for what it was sent to find (`smal.sought.sight`)."""
 
 from typing import Any, Final
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import TURNS_DEG
-from smal.demonstration import GOAL_NAME
 from smal.files.stored import Content
 from smal.likelihood import GRID, SHARES
 from smal.movement import Atom
@@ -21,6 +20,8 @@ from smal.settings import SETTINGS
 if TYPE_CHECKING:
     from smal.model import VisualMap
 
+#: What names of goals are: letters, digits, and what may stand between them.
+GOAL_NAME = r"\w[\w .-]{0,63}"
 #: What numbers of a map can be.
 _LONGEST = 1e6
 #: Keyframes: 300 km of usual views.

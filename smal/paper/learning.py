@@ -5,15 +5,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from smal.demonstration import Demonstration, check_features
 from smal.features import Centering, FeatureSettings
-from smal.mapping import demonstrations_of
 from smal.paper.action_space import learn_action_space
 from smal.paper.model import Model
 from smal.paper.policy import check_discount, policy_iteration
 from smal.paper.reward import learn_reward
 from smal.paper.state_space import learn_state_space
 from smal.paper.transitions import learn_transitions
+from smal.teaching.demonstration import Demonstration, check_features
+from smal.teaching.mapping import demonstrations_of
 
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
@@ -108,6 +108,6 @@ def learn(
 
 
 def fit(drives: Sequence[tuple[Any, ...]], settings: LearningSettings | None = None) -> Model:
-    """Learn from images and what was done at each of them; see `smal.mapping.fit`."""
+    """Learn from images and what was done at each of them; see `smal.teaching.mapping.fit`."""
     settings = LearningSettings() if settings is None else settings
     return learn(demonstrations_of(drives, settings.features), settings)

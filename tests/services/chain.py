@@ -17,10 +17,10 @@ from schemas.odometry import Odometry
 from schemas.state import State
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.table import SERVICES
-from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
+from smal.teaching.demonstration import Demonstration
 from tests import corridor
 from tests.corridor import Pose
 

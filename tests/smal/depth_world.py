@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.clearance import Mount
 from smal.movement import Atom
+from smal.obstacles.clearance import Mount
 
 #: x_min, y_min, x_max, y_max and height, metres.
 Box = tuple[float, float, float, float, float]

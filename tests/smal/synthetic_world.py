@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Camera, Scene
-from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
-from smal.mapping import learn
 from smal.model import VisualMap
 from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
 from smal.settings import SETTINGS
+from smal.teaching.demonstration import Demonstration
+from smal.teaching.mapping import learn
 
 #: What describes frames: HOG as well takes ten times as long.
 COLOR = FeatureSettings(("color",))
@@ -160,7 +160,7 @@ def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], 
     pose, movement = np.array(start), STILL
     for _ in range(frames):
         atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).atom
-        if planner.done:
+        if planner.said:
             break
         turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
         after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
@@ -184,10 +184,10 @@ def taught(
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     with ExitStack() as changed:
-        changed.enter_context(patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)))
+        changed.enter_context(patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)))
         if scene is not None:
-            changed.enter_context(patch("smal.mapping.fit_camera", lambda *_: scene.camera))
-            changed.enter_context(patch("smal.mapping.fit_scene", lambda *_: scene))
+            changed.enter_context(patch("smal.teaching.mapping.fit_camera", lambda *_: scene.camera))
+            changed.enter_context(patch("smal.teaching.mapping.fit_scene", lambda *_: scene))
         found = learn(
             [
                 Demonstration(

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.likelihood import ANY_DAY, GRID, SHARES, Likelihood, gamma_of, standing_out
+from smal.likelihood import ANY_DAY, GRID, SHARES, Likelihood, standing_out
+from smal.teaching.calibration import gamma_of
 
 
 def drawn(rng: np.random.Generator, stands_out: float, tail: float) -> tuple[np.ndarray, np.ndarray]:

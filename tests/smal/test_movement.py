@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.movement import Atom, Movement, atom_movements, dead_reckoning, wrapped
+from smal.movement import Atom, Movement, dead_reckoning, wrapped
+from smal.teaching.movements import atom_movements
 
 COORDINATE = st.floats(-50.0, 50.0)
 ANGLE = st.floats(-10.0, 10.0)

@@ -30,7 +30,7 @@ def test_a_mistake_that_was_mended_is_not_repeated(mistake: str) -> None:
     found, centering = taught(Room(), wrong, scene=SCENE)
     planner = Planner(found)
     pose = driven(Filter(found, centering), planner, Room(), START, round(1.2 * len(straight.poses)))
-    assert planner.done
+    assert planner.said
     assert math.hypot(*(pose - straight.poses[-1])[:2]) < 0.25
 
 

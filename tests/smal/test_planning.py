@@ -15,8 +15,8 @@ from smal.likelihood import GRID, SHARES
 from smal.model import VisualMap
 from smal.movement import Atom
 from smal.planning import Planner, cost_to_go
-from smal.seen import Glimpse
 from smal.settings import SETTINGS
+from smal.sought.sight import Glimpse
 from tests.smal.synthetic_world import (
     START,
     TICK,
@@ -100,12 +100,12 @@ def test_at_the_end_it_stops_for_good() -> None:
     planner = Planner(STRAIGHT)
     end = len(STRAIGHT.keyframes) - 1
     assert planner.decide(belief((end, -0.1, 0.0, 0.0))).atom is Atom.FORWARD
-    assert not planner.done
+    assert not planner.said
     decision = planner.decide(belief((end, 0.0, 0.0, 0.0)))
-    assert (decision.kind, decision.atom, planner.done) == ("goal", Atom.STOP, True)
+    assert (decision.kind, decision.atom, planner.said) == ("goal", Atom.STOP, "found")
     assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "goal"
     planner.reset()
-    assert not planner.done
+    assert not planner.said
     assert planner.decide(belief((10, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
 
 
@@ -143,7 +143,7 @@ def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(share: float, 
     planner = Planner(STRAIGHT)
     places = ((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 0.0))
     decision = planner.decide(belief(*places, weights=(share, 1.0 - share), lost=lost, tracked=tracked))
-    assert not planner.done
+    assert not planner.said
     assert decision.kind != "goal"
 
 
@@ -203,7 +203,7 @@ def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_de
     goal = drive().poses[-1]
     found, planner = Filter(*usual_map()), Planner(usual_map()[0])
     pose = driven(found, planner, Room(), from_beside(START, 0.0, left, math.radians(turn_deg)), 260)
-    assert planner.done
+    assert planner.said
     assert math.hypot(*(pose - goal)[:2]) < 0.25
 
 
@@ -276,7 +276,7 @@ def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_
 def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) -> None:
     planner = Planner(fork(), goal)
     assert planner.decide(belief((other_end, 0.0, 0.0, 0.0))).kind != "goal"
-    assert not planner.done
+    assert not planner.said
     assert planner.decide(belief((end, 0.0, 0.0, 0.0))).kind == "goal"
 
 

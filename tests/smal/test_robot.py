@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from smal import Atom, Model, Robot
-from smal.demonstration import Demonstration
 from smal.features import extract
 from smal.files.container import ModelError
-from smal.mapping import learn
 from smal.paper.robot import Robot as PaperRobot
 from smal.robot import Localizer
+from smal.teaching.demonstration import Demonstration
+from smal.teaching.mapping import learn
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, paper_model, pose, view
 
 

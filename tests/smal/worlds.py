@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.demonstration import Demonstration
 from smal.features import FeatureSettings
 from smal.movement import Atom
+from smal.teaching.demonstration import Demonstration
 
 COLOR = FeatureSettings(("color",))
 

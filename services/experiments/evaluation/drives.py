@@ -21,10 +21,10 @@ from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route
 from smal.camera import Camera
-from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
 from smal.files.container import replacing
 from smal.movement import Atom
+from smal.teaching.demonstration import Demonstration
 
 Via = Sequence[tuple[float, float]]
 

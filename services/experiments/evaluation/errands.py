@@ -17,8 +17,8 @@ from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
 from smal.features import FeatureSettings
-from smal.mapping import learn
 from smal.robot import Robot
+from smal.teaching.mapping import learn
 
 _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
 

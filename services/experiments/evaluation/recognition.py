@@ -14,7 +14,6 @@ from services.experiments.evaluation.degradation import Degradation, Degrader
 from services.experiments.evaluation.drives import views_of_expert
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion
 from services.simulator.simulation import Simulation
-from smal.demonstration import Demonstration
 from smal.evaluation.ground_truth import judge_by_poses
 from smal.features import Centering, FeatureSettings, extract
 from smal.movement import Atom
@@ -25,6 +24,7 @@ from smal.paper.state_matching import solve
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
+from smal.teaching.demonstration import Demonstration
 
 
 def query_drive(

@@ -43,12 +43,12 @@ from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.simulation import Simulation
 from smal.evaluation.teach_and_repeat import TeachAndRepeat
 from smal.features import Centering, FeatureSettings
-from smal.mapping import learn as learn_map
 from smal.model import Model
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model as PaperModel
 from smal.paper.robot import Robot as PaperRobot
 from smal.robot import Robot
+from smal.teaching.mapping import learn as learn_map
 
 #: What a unit found out: numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
 Finding = dict[str, Any]

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from services.experiments.laps.finding import Lap
 from services.experiments.laps.source import JUDGED
 from services.kit.errors import JobError
-from smal.demonstration import Demonstration
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.reliability import Reliability
 from smal.evaluation.teach_and_repeat import TeachAndRepeat
 from smal.features import Centering
-from smal.mapping import learn
 from smal.model import Model
 from smal.movement import Atom
 from smal.robot import Localizer
+from smal.teaching.demonstration import Demonstration
+from smal.teaching.mapping import learn
 
 #: Of a lap: what is right is within it, and probabilities are those of being within it.
 WITHIN: Final = 0.1

@@ -12,7 +12,7 @@ from services.experiments import html
 from services.experiments.drawing import COLOURS, MUTED, figure, legend, styled
 from services.experiments.laps.asking import LOST, WITHIN, Judged
 from services.experiments.laps.finding import Lap
-from smal.demonstration import Demonstration
+from smal.teaching.demonstration import Demonstration
 
 _METHOD = (
     "<p>Each lap is asked from its beginning, which SMAL and teach and repeat are told, while somebody else drives. "

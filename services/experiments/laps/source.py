@@ -17,9 +17,9 @@ from services.importers.job import Job
 from services.importers.run import run
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
-from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings, select
 from smal.movement import Atom, dead_reckoning, seen_from
+from smal.teaching.demonstration import Demonstration
 
 #: Laps are found and aligned by other features than those that are judged; frames have both.
 JUDGED, _FINDING = FeatureSettings(), FeatureSettings.of(("gist", "thumbnail"))

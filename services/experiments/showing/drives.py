@@ -8,9 +8,9 @@ from schemas.codec import printable
 from services.experiments.showing.summary import taught_drives
 from services.recordings.dataset import Teacher
 from services.recordings.recorded import episode_of
-from smal.demonstration import Demonstration, drives_to_goals
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
+from smal.teaching.demonstration import Demonstration, drives_to_goals
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from services.experiments.showing.summary import goals_of
 from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
-from smal.demonstration import Demonstration
 from smal.model import Model
 from smal.planning import cost_to_go
+from smal.teaching.demonstration import Demonstration
 
 
 def map_page(model: Model, drives: Mapping[int, Demonstration], advance: html.Advance) -> Iterator[str]:

@@ -12,9 +12,9 @@ from services.experiments import html
 from services.experiments.showing.drives import TaughtDrives
 from services.experiments.showing.map_page import map_page
 from services.experiments.showing.summary import facts, taught_drives
-from smal.demonstration import Demonstration
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
+from smal.teaching.demonstration import Demonstration
 
 #: Frames of a drive that are shown, spread over it.
 _SHOWN: Final = 5

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from smal.demonstration import Demonstration
-from smal.model import Model, VisualMap
+from smal.model import Model, VisualMap, in_common_axes
 from smal.movement import placed, seen_from
 from smal.robot import Localizer
-from smal.stitches import in_common_axes
+from smal.teaching.demonstration import Demonstration
 
 
 @dataclass(frozen=True)

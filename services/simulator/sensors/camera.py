@@ -21,7 +21,7 @@ from services.simulator.sensors.depth import measured
 from services.simulator.sensors.readings import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
-from smal.clearance import Mount
+from smal.obstacles.clearance import Mount
 
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera

@@ -36,12 +36,12 @@ from smal.evaluation.reliability import Reliability
 from smal.evaluation.success import wilson_interval
 from smal.features import FeatureSettings
 from smal.filter import Belief, Filter, Newness
-from smal.mapping import learn
 from smal.model import Model
 from smal.movement import Atom, placed, seen_from
 from smal.particles import View
 from smal.robot import Localizer
 from smal.settings import SETTINGS
+from smal.teaching.mapping import learn
 from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 
 _FEATURES: Final = FeatureSettings()

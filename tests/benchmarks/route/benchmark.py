@@ -19,11 +19,11 @@ import numpy as np
 from smal.camera import STRAIGHT
 from smal.features import Centering, FeatureSettings
 from smal.likelihood import GRID, SHARES
-from smal.mapping import demonstrations_of, learn
 from smal.model import Model, VisualMap, packed, unpacked
 from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS
+from smal.teaching.mapping import demonstrations_of, learn
 from tests.benchmarks.reporting import Parser, say, table, verdict
 from tests.smal.synthetic_world import Room, drive
 

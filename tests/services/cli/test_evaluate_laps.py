@@ -76,11 +76,11 @@ def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_know
 ) -> None:
     job = Job(format="donkeycar", path=str(tub), folder=str(tmp_path), robot="car", speed=5.0, turn_rate=2.5)
     (recording,) = run(job, Tally()).files
-    monkeypatch.setattr("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
+    monkeypatch.setattr("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
     for module in ("source", "asking"):
         monkeypatch.setattr(f"services.experiments.laps.{module}.JUDGED", COLOR)
-    monkeypatch.setattr("smal.mapping.fit_camera", lambda *_: SCENE.camera)
-    monkeypatch.setattr("smal.mapping.fit_scene", lambda *_: SCENE)
+    monkeypatch.setattr("smal.teaching.mapping.fit_camera", lambda *_: SCENE.camera)
+    monkeypatch.setattr("smal.teaching.mapping.fit_scene", lambda *_: SCENE)
     status, said, _ = smal("evaluate", "--laps", recording, "--out", tmp_path)
     assert (status, said) == (0, f"results: {tmp_path / 'index.html'}\n")
     found = json.loads((tmp_path / "results.json").read_text())

@@ -22,10 +22,10 @@ from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
-from smal.demonstration import drives_to_goals
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
+from smal.teaching.demonstration import drives_to_goals
 from tests import corridor
 from tests.services.cli.conftest import Mistake
 from tests.services.recordings.recorded_messages import applied, event, header

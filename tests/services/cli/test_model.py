@@ -17,12 +17,12 @@ from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
-from smal.mapping import learn as learn_map
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model as PaperModel
 from smal.settings import SETTINGS
+from smal.teaching.mapping import learn as learn_map
 from tests.services.cli.conftest import Mistake, Smal
 from tests.services.recordings.recorded_messages import applied, event, header
 from tests.services.recordings.test_recorder_files import record
@@ -57,7 +57,7 @@ def make(folder: Path) -> None:
         teacher.read(path)
     fewer = replace(SETTINGS, sampled_views=500)
     told = {"fit_camera": lambda *_: SCENE.camera, "fit_scene": lambda *_: SCENE}
-    with patch.multiple("smal.mapping", SETTINGS=fewer, **told):
+    with patch.multiple("smal.teaching.mapping", SETTINGS=fewer, **told):
         learn_map(teacher.teaching.demonstrations, COLOR).save(folder / "two.smal")
     learn(teacher.teaching.demonstrations, LearningSettings(COLOR)).save(folder / "paper.smal")
 

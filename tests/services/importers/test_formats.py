@@ -15,9 +15,9 @@ from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
 from smal.features import extract
-from smal.mapping import learn
 from smal.movement import Atom
 from smal.robot import Localizer
+from smal.teaching.mapping import learn
 from tests import corridor
 from tests.services.importers import sources
 

@@ -11,9 +11,9 @@ from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
 from smal.features import FeatureSettings
-from smal.mapping import learn
 from smal.movement import Atom
 from smal.robot import Robot
+from smal.teaching.mapping import learn
 from tests.services.importers.test_formats import episode_of, imported
 
 DATA = Path(__file__).parents[4] / "shared" / "data"

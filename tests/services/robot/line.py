@@ -18,7 +18,7 @@ from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
 from services.robot.body import Beginning, ImuReading, OdometryReading
 from smal.camera import Camera
-from smal.clearance import Mount
+from smal.obstacles.clearance import Mount
 
 SPEED_M_S = 2.0
 

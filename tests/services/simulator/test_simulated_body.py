@@ -15,7 +15,7 @@ from services.simulator.sensors.camera import FOCAL, depth_message
 from services.simulator.sensors.depth import measured
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from smal.clearance import Mount
+from smal.obstacles.clearance import Mount
 from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.demonstration import Demonstration
 from smal.evaluation.teach_and_repeat import COLUMNS, TeachAndRepeat
 from smal.movement import Atom
+from smal.teaching.demonstration import Demonstration
 
 HEIGHT, WIDTH, FIELD_RAD = 44, COLUMNS, math.radians(75.0)
 STEP_M, TURN_RAD = 0.2, math.radians(4.0)

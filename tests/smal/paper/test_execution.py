@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smal.demonstration import Demonstration
 from smal.movement import Atom
 from smal.paper.execution import Decision, DecisionMaker, Recognition
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
+from smal.teaching.demonstration import Demonstration
 from tests.smal.worlds import COLOR, corridor, drive
 
 PLACES, LENGTH = 120, 5

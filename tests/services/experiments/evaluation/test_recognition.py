@@ -3,11 +3,11 @@
 import numpy as np
 
 from services.experiments.evaluation.recognition import DemonstratedFrames, NearestImitation
-from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
+from smal.teaching.demonstration import Demonstration
 from tests.services.chain import picture
 from tests.smal.worlds import COLOR
 

@@ -11,12 +11,12 @@ import pytest
 
 from smal.features import Centering
 from smal.filter import Belief, Filter
-from smal.model import VisualMap
+from smal.model import VisualMap, in_common_axes
 from smal.movement import placed, seen_from
 from smal.planning import Planner
-from smal.seen import Glimpse
 from smal.settings import SETTINGS
-from smal.stitches import in_common_axes, stitched
+from smal.sought.sight import Glimpse
+from smal.teaching.stitches import stitched
 from tests.smal.synthetic_world import (
     SCENE,
     START,
@@ -80,7 +80,7 @@ def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() 
     def joined_ends(visual_map: VisualMap) -> int:
         return int(np.isin(stitched(visual_map).stitched, np.concatenate(ends)).all(axis=1).sum())
 
-    with patch("smal.stitches.SETTINGS", replace(SETTINGS, trusted=math.inf)):
+    with patch("smal.teaching.stitches.SETTINGS", replace(SETTINGS, trusted=math.inf)):
         assert joined_ends(alike) >= 12
     assert joined_ends(alike) == 0
     # Without the stretch that they share nothing speaks against it.
@@ -107,7 +107,7 @@ def test_each_goal_is_reached_from_the_start_of_the_other_drive(
     begin, finish = (RIGHT, LEFT) if goal == "left" else (LEFT, RIGHT)
     found, planner = Filter(visual_map, centering), Planner(visual_map, goal)
     pose = driven(found, planner, Room(), begin.poses[0], 200)
-    assert planner.done
+    assert planner.said
     assert math.hypot(*(pose - finish.poses[-1])[:2]) < 0.3
 
 

@@ -1,6 +1,6 @@
 """Round what stands in the way: which turn, and then straight on, leads back to the taught way soonest.
 
-The taught way ahead is laid into the grid of what stands about the robot (`smal.clearance`). If a robot that follows it
+The taught way ahead is laid into the grid of what stands about the robot (`Surroundings`). If a robot that follows it
 touches nothing, nothing changes. Else every cell has a cost to go: the way to where the taught way leaves the grid,
 dearer near what stands there, dearer the further it is from the taught way, and nowhere so far aside that the filter
 would not know it. The robot then turns so that straight on leads, touching nothing, to where least is left to go (after
@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
-from smal.clearance import Floats, Surroundings
+from smal.obstacles.clearance import Floats, Surroundings
 
 #: How far beside the taught way it may go, in radii of the robot: 2.4 m for one of 0.4 m, where views are still known.
 _ASIDE: Final = 6.0

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
+from smal.files.map_file import GOAL_NAME
 
 #: Where drives lead that do not say so.
 USUAL_GOAL = "victim"
-#: What names of goals are: letters, digits, and what may stand between them.
-GOAL_NAME = r"\w[\w .-]{0,63}"
 
 _T = TypeVar("_T", bound=np.generic)
 

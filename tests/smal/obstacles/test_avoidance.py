@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from smal.avoidance import hit_m, turn_round
-from smal.clearance import Surroundings
 from smal.movement import Atom
+from smal.obstacles.avoidance import hit_m, turn_round
+from smal.obstacles.clearance import Surroundings
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
 END_M, TURN_RAD = 16.0, float(MOVEMENTS[Atom.LEFT, 1])

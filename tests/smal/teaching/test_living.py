@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.demonstration import Demonstration
 from smal.features import extract
 from smal.filter import Filter
-from smal.living import compared, lived, taken_up, whole_runs
 from smal.model import Model, VisualMap
 from smal.settings import SETTINGS
+from smal.teaching.demonstration import Demonstration
+from smal.teaching.living import compared, lived, taken_up, whole_runs
 from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
 
 
@@ -77,7 +77,7 @@ def test_the_other_half_of_the_runs_decides() -> None:
 
 
 def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smal.living.SETTINGS", replace(SETTINGS, looks=2))
+    monkeypatch.setattr("smal.teaching.living.SETTINGS", replace(SETTINGS, looks=2))
     taught, once = model().mapped, taken_up(model(), [run(7, 0.6)]).mapped
     twice = taken_up(Model(model().centering, once), [run(8, 0.6)]).mapped
     assert looks_of(twice) == 1

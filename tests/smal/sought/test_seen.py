@@ -12,7 +12,8 @@ from smal import Model, Robot
 from smal.camera import Image
 from smal.features.picture import SHAPE
 from smal.files.container import ModelError
-from smal.seen import Sight, Taught, Witness, learn_sight
+from smal.sought.learning import Taught, learn_sight
+from smal.sought.sight import Sight, Witness
 from tests.corridor import model, moved
 from tests.corridor import view as corridor
 

@@ -13,13 +13,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from smal import mapping
 from smal.camera import TURNS_DEG
-from smal.demonstration import Demonstration
 from smal.features import extract
 from smal.files.map_file import content_of_map
 from smal.model import VisualMap
 from smal.settings import SETTINGS
+from smal.teaching import mapping
+from smal.teaching.demonstration import Demonstration
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
 ROOM = Room()
@@ -40,7 +40,7 @@ def of_two_drives() -> VisualMap:
 
 def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
-    with patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
+    with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         drives = [
             Demonstration(
                 f"drive-{k}", raw[k], np.asarray(atoms[k], dtype=np.int8), images=images[k], odometry=poses[k]
@@ -106,7 +106,7 @@ def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> No
 def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> None:
     """Looked at as closely as it is over ten kilometres: at few of its frames."""
     usual = usual_map()[0].correlation_length
-    with patch("smal.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
+    with patch("smal.teaching.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
         found = taught(ROOM, drive(), scene=SCENE)[0]
     assert found.correlation_length == pytest.approx(usual, rel=0.25)
 
@@ -143,7 +143,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[int, int]] = []
-    with patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
+    with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         found = mapping.learn(
             [
                 Demonstration(f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.calibration import TaughtFrames, fit_camera, fit_scene, turn_of_views
 from smal.camera import Camera, Image, Scene
 from smal.features import Centering, extract
+from smal.teaching.calibration import TaughtFrames, fit_camera, fit_scene, turn_of_views
 from tests.smal.synthetic_world import (
     CAMERA,
     CAMERA_HEIGHT,

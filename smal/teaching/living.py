@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from smal.camera import STRAIGHT, Camera, Image, Scene
-from smal.demonstration import Demonstration, check_features, drives_to_goals
 from smal.features import extract
 from smal.features.extraction import in_parallel
 from smal.likelihood import evenly, over, scale
-from smal.mapping import Progress, virtual_poses
 from smal.model import Model, VisualMap, packed, unpacked
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS
+from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
+from smal.teaching.mapping import Progress, virtual_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def follow(model: Model, run: Demonstration) -> Followed:
         belief = localizer.observe(raw, odometry, [Atom(run.atoms[frame - 1])] if frame else [])
         summary = belief.summary()
         planner.decide(summary)
-        if planner.done:
+        if planner.said:
             arrived = min(arrived, frame)
         key = int(summary.keyframes[0])
         pose = taught.key_poses[key]

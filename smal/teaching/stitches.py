@@ -49,29 +49,6 @@ def stitched(visual_map: VisualMap) -> VisualMap:
     )
 
 
-def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
-    """Return the poses of all keyframes (k, 3), those of drives that share a place in the axes of the first of them.
-
-    A drive that shares none stays in its own. For people, and for pictures: odometry has drifted on the way.
-    """
-    poses = visual_map.key_poses.copy()
-    drives = visual_map.key_drives
-    one, other = visual_map.stitched.T
-    known = np.zeros(len(visual_map.goals), dtype=bool)
-    for first in range(len(visual_map.goals)):
-        if known[first]:
-            continue
-        known[first] = True
-        # One drive at a time is moved to where a place that it shares is known to be.
-        while (ready := np.flatnonzero(~known[drives[one]] & known[drives[other]])).size:
-            stitch = ready[0]
-            mine = drives == drives[one[stitch]]
-            there = placed(visual_map.stitch_offsets[stitch], poses[other[stitch]])
-            poses[mine] = placed(seen_from(poses[mine], poses[one[stitch]]), there)
-            known[drives[one[stitch]]] = True
-    return poses
-
-
 def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.float64]]:
     """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
     count, drives, goals = len(visual_map.keyframes), visual_map.key_drives, len(visual_map.goals)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
-from smal.likelihood import Likelihood, evenly, gamma_of, over, scale, standing_out
+from smal.likelihood import Likelihood, evenly, over, scale, standing_out
 from smal.model import unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
@@ -300,3 +300,8 @@ def likelihood_of_views(
     correlation = min(max(float(np.corrcoef(pairs)[0, 1]) if told else 0.5, 0.01), 0.99)
     gamma = gamma_of(float(np.mean(alike)), correlation)
     return Likelihood.fit(np.array(here), apart, independent, gamma), correlation
+
+
+def gamma_of(cosine: float, correlation: float) -> float:
+    """Return the exponent by which views of this mean cosine correlate so."""
+    return math.log(correlation) / math.log(min(max(cosine, 0.01), 0.99))

@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from smal.calibration import (
+from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
+from smal.features import Centering, FeatureSettings, extract
+from smal.features.extraction import in_parallel
+from smal.features.picture import small
+from smal.likelihood import evenly
+from smal.model import Model, VisualMap, packed, unit
+from smal.movement import Atom, dead_reckoning, leads_on, shows_same
+from smal.settings import SETTINGS
+from smal.sought.learning import Taught, learn_sight
+from smal.sought.sight import Sight
+from smal.teaching.calibration import (
     USUAL_CAMERAS,
     TaughtFrames,
     correlation_length,
@@ -22,17 +32,9 @@ from smal.calibration import (
     likelihood_of_views,
     turn_of_views,
 )
-from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
-from smal.demonstration import USUAL_GOAL, Chain, Demonstration, check_features, drives_to_goals
-from smal.features import Centering, FeatureSettings, extract
-from smal.features.extraction import in_parallel
-from smal.features.picture import small
-from smal.likelihood import evenly
-from smal.model import Model, VisualMap, packed, unit
-from smal.movement import Atom, atom_movements, dead_reckoning, leads_on, shows_same
-from smal.seen import Sight, Taught, learn_sight
-from smal.settings import SETTINGS
-from smal.stitches import stitched
+from smal.teaching.demonstration import USUAL_GOAL, Chain, Demonstration, check_features, drives_to_goals
+from smal.teaching.movements import atom_movements
+from smal.teaching.stitches import stitched
 
 Progress = Callable[[int, int], None]
 

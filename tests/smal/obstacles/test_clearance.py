@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smal.clearance import Surroundings, most_speed, scan
+from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, Box, depth
 
 HERE = (0.0, 0.0, 0.0)

@@ -1,0 +1,1 @@
+"""What the robot was sent to find: learned from where drives end, and looked for in a run."""

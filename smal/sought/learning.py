@@ -1,0 +1,202 @@
+"""What a drive led to, and how a view of it differs from all others.
+
+A drive ends before what is sought. What of the last views the way before does not explain is that: cells of a small
+picture that are further from all that the way shows than nearly any cell of the way is from the rest of it, in one
+piece, ahead. From the last view it is followed back over the approach, so that it is known at several sizes.
+
+Scores of the approach, each view left out of what is sought, say what to expect where it is in view; scores of the way,
+each view's neighbourhood left out of what explains it, what to expect where it is not.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.camera import Image
+from smal.features.picture import SHAPE
+from smal.likelihood import evenly, log_ratio
+from smal.settings import SETTINGS
+from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nearest, speaking
+
+#: Cells that are taken of a view of the way, as what explains others; of the approach, beside what is sought; of that.
+_CODES, _BESIDE, _SOUGHT = 32, 128, 24
+#: Cells that are the least to be looked for.
+_FEWEST: Final = 8
+#: Rows and columns that a window has at least: fewer cells look like anything.
+_LEAST: Final = 3
+#: A small picture, its cells (60, 80, 27), and which of these are of what is sought.
+_Patch = tuple[Image, NDArray[np.float32], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """Keyframes of one drive as small pictures, and how long each is before its end, seconds of driving."""
+
+    pictures: Sequence[Image]
+    left_s: NDArray[np.float64]
+    ends: bool
+    """Whether it ends before what is sought."""
+
+
+def learn_sight(drives: Sequence[Taught]) -> Sight | None:
+    """Learn what some drives end before; None where nothing there stands out from their ways.
+
+    Each drive's last `Settings.approach_s` are its approach, at most its last third; the rest is the way before.
+    """
+    way = [(d, k) for d, one in enumerate(drives) for k in range(len(one.pictures)) if k not in _approach(one)]
+    way = [way[k] for k in evenly(len(way), SETTINGS.explaining)]
+    if len(way) < 4:
+        return None
+    codes, of = _codes([drives[d].pictures[k] for d, k in way])
+    pictures = [drives[d].pictures[k] for d, k in way]
+    times = np.array([1e6 * d + drives[d].left_s[k] for d, k in way])
+    beside = np.abs(times[:, None] - times[None, :]) < SETTINGS.beside_s
+
+    def elsewhere(number: int) -> NDArray[np.bool_]:
+        """Codes of the way that are not of the neighbourhood of one of its views."""
+        return np.asarray(~beside[number][of])
+
+    new = np.concatenate([nearest(cells_of(one, 2), codes[elsewhere(k)]).ravel() for k, one in enumerate(pictures)])
+    new = new[np.isfinite(new)]
+    if not new.size:
+        return None
+    stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
+    followed = [list(_patches(one, codes, stands_out)) for one in drives if one.ends]
+    ends = {id(one[0][0]) for one in followed if one}
+    patches = [patch for one in followed for patch in one]
+    patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
+    if not patches:
+        return None
+    others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
+    sought = [cells[mask] for _, cells, mask in patches]
+    sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
+    sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, _, mask in patches]) // 2
+    sizes = np.maximum(sizes, _LEAST)
+    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
+    windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
+    left_out = [
+        speaking(cells_of(one, 2), np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far)
+        for k, (one, _, _) in enumerate(patches)
+        if len(patches) > 1
+    ]
+    here = [best_window(one, windows) for one in left_out]
+    at_end = [float(one.sum()) for one, (picture, _, _) in zip(left_out, patches, strict=False) if id(picture) in ends]
+    every, new_codes = np.concatenate(sought), others[len(codes) :]
+    elsewhere_scores = [
+        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], new_codes]), far), windows)
+        for k, one in enumerate(pictures)
+    ]
+    ratio = _ratio(np.array(here), np.array(elsewhere_scores))
+    if ratio is None:
+        return None
+    # Where none of the last views is left, it is never near.
+    size = float(np.median(at_end)) if at_end else float(np.prod(SHAPE))
+    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size)
+
+
+def _lasting(patches: list[_Patch]) -> list[_Patch]:
+    """Return patches without the cells that look more like what is beside those of other views than like them.
+
+    What stands before a door or a window may be in one piece with it in some views.
+    """
+    insides = [cells[mask] for _, cells, mask in patches]
+    besides = [cells[::2, ::2][~mask[::2, ::2]] for _, cells, mask in patches]
+    found = []
+    for k, (picture, cells, mask) in enumerate(patches):
+        if len(patches) > 1:
+            inside, beside = (np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides))
+            lasts = mask.copy()
+            lasts[mask] = nearest(cells[mask], inside) < nearest(cells[mask], beside)
+            if lasts.sum() < _FEWEST:
+                continue
+            mask = lasts  # noqa: PLW2901 - what is left of it
+        found.append((picture, cells, mask))
+    return found
+
+
+def _approach(one: Taught) -> range:
+    count = len(one.pictures)
+    if not one.ends:
+        return range(count, count)
+    within = int((one.left_s <= SETTINGS.approach_s).sum())
+    return range(count - min(within, count // 3), count)
+
+
+def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iterator[_Patch]:
+    """Yield the views that show what a drive ends before, the last first, their cells, and which of these are of it."""
+    known = np.empty((0, NUMBERS), dtype=np.float32)
+    middle = np.array([np.nan, (SHAPE[1] - 1) / 2.0])
+    for k in reversed(_approach(one)):
+        cells = cells_of(one.pictures[k])
+        new = nearest(cells, codes)
+        if not len(known):
+            mask = _piece(new > stands_out, new - stands_out, middle)
+            if mask is None:
+                return
+        else:
+            away = nearest(cells, known)
+            mask = _piece(new > stands_out, np.maximum(new - away, 0.0), middle)
+            # What stands out and is not like what has been followed so far is something else.
+            if mask is None or (away[mask] > SETTINGS.like * new[mask]).mean() > 0.5:
+                continue
+        known = np.concatenate([known, cells[mask]])
+        middle = np.argwhere(mask).mean(axis=0)
+        yield one.pictures[k], cells, mask
+
+
+def _piece(
+    stands_out: NDArray[np.bool_], weights: NDArray[np.float32], middle: NDArray[np.float64]
+) -> NDArray[np.bool_] | None:
+    """Return the piece of a mask that weighs most, the nearer to a row and a column the more; None without any."""
+    import cv2  # noqa: PLC0415 - see `smal.features.picture`
+
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
+    away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)
+    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * np.exp(-0.5 * (away**2).sum(axis=1))
+    sums[stats[:, cv2.CC_STAT_AREA] < _FEWEST] = 0.0
+    sums[0] = 0.0
+    return np.asarray(labels == sums.argmax()) if sums.max() > 0.0 else None
+
+
+def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Return cells that stand for all cells of some pictures, (n, 27), and of which picture each is, (n,)."""
+    codes, of = np.empty((0, NUMBERS), dtype=np.float32), []
+    for number, picture in enumerate(pictures):
+        taken = _spread(cells_of(picture, 2).reshape(-1, NUMBERS), _CODES, codes)
+        codes = np.concatenate([codes, taken])
+        of += [number] * len(taken)
+    return codes, np.array(of, dtype=np.intp)
+
+
+def _spread(cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the cells that are furthest from codes and from each other, one after another (Gonzalez 1985)."""
+    away, taken = nearest(cells, codes), []
+    for _ in range(min(most, len(cells))):
+        furthest = int(away.argmax())
+        taken.append(cells[furthest])
+        away = np.minimum(away, np.linalg.norm(cells - cells[furthest], axis=1))
+    return np.array(taken, dtype=np.float32).reshape(-1, NUMBERS)
+
+
+def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the log ratio at `SCORES`; None where what is sought does not stand out from the way.
+
+    In view, a score is any share of one of the approach: light, side and what hides a part of it leave less of it, and
+    nobody knows how much. Elsewhere scores are exponential; what so many let expect of the next one, whose mean is not
+    known, is a Pareto distribution (Lomax).
+    """
+    if len(here) < 2:
+        return None
+    mean, count = max(float(elsewhere.mean()), SETTINGS.least_score * float(here.max())), len(elsewhere)
+    shares = np.linspace(0.0, 1.0, 51)[1:]
+    edges = np.append(SCORES, 1.0 + SCORES[1]) - SCORES[1] / 2.0
+    p1 = np.histogram(np.multiply.outer(shares, here), edges)[0] / (shares.size * len(here))
+    p0 = (1.0 + SCORES / (count * mean)) ** (-count - 1.0)
+    ratio = log_ratio(p1, p0 / p0.sum())
+    least = math.log(SETTINGS.false_seen * (1.0 - SETTINGS.in_view) / SETTINGS.in_view)
+    tells = float(np.interp(here.max(), SCORES, ratio)) > least
+    return np.clip(ratio, math.log(SETTINGS.hidden), 50.0) if tells else None

@@ -1,0 +1,170 @@
+"""Whether what a drive led to is in view: a test of two hypotheses that are calibrated on what was taught.
+
+"Arrived" says where the robot is; this says whether what it was sent to find is there (`smal.sought.learning` learns
+what that is). Each cell of a small picture speaks for it as far as it is nearer to what is sought than to anything else
+that was taught; what is new and like neither says nothing. A view's score is the best mean of that over a window of one
+of the sizes that the approach had.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.camera import Image
+from smal.features.picture import SHAPE
+from smal.settings import SETTINGS
+
+#: What scores are tabulated for.
+SCORES: Final = np.linspace(0.0, 1.0, 201)
+#: A cell and its eight neighbours, in three colours.
+NUMBERS: Final = 27
+#: Codes that a file may hold; learning keeps fewer.
+_MOST_CODES: Final = 16_384
+Codes = NDArray[np.float16]
+_ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
+
+
+def cells_of(picture: Image, step: int = 1) -> NDArray[np.float32]:
+    """Return every ``step``-th cell of a small picture, (rows, columns, 27): as if it were as bright as any."""
+    light = picture.astype(np.float32) / max(2.0 * float(picture.mean()), 1.0)
+    seen = np.sqrt(np.minimum(light, 1.5))
+    edged = np.pad(seen, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    rows, columns = picture.shape[:2]
+    each = [edged[y : y + rows : step, x : x + columns : step] for y in range(3) for x in range(3)]
+    return np.asarray(np.concatenate(each, axis=-1), dtype=np.float32)
+
+
+def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float32]:
+    """Return how far each cell (..., 27) is from the nearest of some codes (n, 27); infinitely, if there are none."""
+    flat, held = cells.reshape(-1, NUMBERS), codes.astype(np.float32)
+    if not len(held):
+        return np.full(cells.shape[:-1], np.inf, dtype=np.float32)
+    squares = (held * held).sum(axis=1) - 2.0 * flat @ held.T
+    away = squares.min(axis=1) + (flat * flat).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(away, 0.0)).reshape(cells.shape[:-1]), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is sought, what else there is, and what a score says.
+
+    Parameters
+    ----------
+    sought, others : float16 arrays (n, 27), (m, 27)
+        Cells of what is sought, and of all else that was taught.
+    windows : int32 array (s, 2)
+        Rows and columns that it took, in cells of every second row and column.
+    far : float
+        Distance from which two cells are not alike at all.
+    log_ratio : float64 array (201,)
+        log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    size : float
+        Cells that spoke for it where the ways ended.
+    """
+
+    sought: Codes
+    others: Codes
+    windows: NDArray[np.int32]
+    far: float
+    log_ratio: NDArray[np.float64]
+    size: float
+
+    def __post_init__(self) -> None:
+        """ValueError where parts do not fit together: they may come from a file."""
+        codes = {"sought": self.sought, "others": self.others}
+        fits = {
+            name: one.ndim == 2 and one.shape[1] == NUMBERS and 0 < len(one) <= _MOST_CODES
+            for name, one in codes.items()
+        }
+        fits |= {
+            "windows": self.windows.ndim == 2
+            and self.windows.shape[1:] == (2,)
+            and self.windows.dtype.kind == "i"
+            and bool(((self.windows > 0) & (self.windows <= np.array(SHAPE) // 2)).all())
+            and 0 < len(self.windows) <= SETTINGS.sizes,
+            "far": 1e-6 < self.far < 1e3,
+            "size": 0.0 < self.size < 1e4,
+            "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
+        }
+        wrong = [name for name, fit in fits.items() if not fit]
+        if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()):
+            raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
+
+    def says(self, picture: Image) -> tuple[float, float] | None:
+        """Return the log ratio of a small picture, and how many cells speak for it; None where nothing shows."""
+        if float(picture.std()) < SETTINGS.plain:
+            return None
+        speaks = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
+        return float(np.interp(best_window(speaks, self.windows), SCORES, self.log_ratio)), float(speaks.sum())
+
+
+def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
+    """Return how much each cell speaks for what is sought, 0 to 1."""
+    ours, theirs = nearest(cells, sought), nearest(cells, others)
+    speaks: NDArray[np.float32] = np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
+    return speaks
+
+
+def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> float:
+    """Return the highest mean over a window."""
+    total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
+    best = 0.0
+    for rows, columns in windows.tolist():
+        inside = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
+        best = max(best, float(inside.max()) / (rows * columns))
+    return min(best, 1.0)
+
+
+def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+    """Return what a file says of the sights of goals, and the arrays in it."""
+    said, arrays = [], dict[str, NDArray[Any]]()
+    for number, (goal, one) in enumerate(sights.items()):
+        said.append({"goal": goal, "far": one.far, "size": one.size})
+        arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}
+    return said, arrays
+
+
+def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]) -> dict[str, Sight]:
+    """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
+    return {
+        str(one["goal"]): Sight(
+            far=one["far"], size=one["size"], **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
+        )
+        for number, one in enumerate(said)
+    }
+
+
+class Glimpse(NamedTuple):
+    """How probable it is that what is sought is in view, and whether it is about as near as where the ways ended."""
+
+    probability: float
+    near: bool
+
+
+class Witness:
+    """Tells from view to view whether what is sought is in view."""
+
+    def __init__(self, sight: Sight) -> None:
+        self._sight = sight
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for a new episode."""
+        self._said = deque[float](maxlen=SETTINGS.views_as_one)
+
+    def look(self, picture: Image) -> Glimpse:
+        """Take a small picture. A view that is hidden is no evidence."""
+        said, near = self._sight.says(picture), False
+        if said is not None:
+            self._said.append(said[0])
+            # An area falls with the square of the distance.
+            near = said[1] > self._sight.size / SETTINGS.as_near**2
+        # Views of one moment are no independent witnesses: together they say what one says.
+        mean = float(np.mean(self._said)) if self._said else 0.0
+        odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
+        return Glimpse(odds / (1.0 + odds), near)
