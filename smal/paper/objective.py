@@ -1,4 +1,8 @@
-"""The objective of the paper (Eq. 7) and its two penalties."""
+"""The objective of the paper (Eq. 7) and its two penalties (Eq. 1 and 6).
+
+A column of W are the weights of all template frames for one query frame, sequence after sequence (Eq. 2). Eq. 3 to 5
+lead to Eq. 7, which is Eq. 5 where lambda2 is 0.
+"""
 
 from typing import Any
 

@@ -2,8 +2,9 @@
 
 Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
 template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that
-matter, and stops when the relative duality gap of the *full* problem is within the tolerance. Algorithm 2 as published
-is in `tests/benchmarks/recognition`.
+matter, and stops when the relative duality gap of the *full* problem is within the tolerance. The gap proves each answer,
+as Eq. 14 to 17 prove the limit of Algorithm 2, whose steps are Eq. 10 to 12; as published that is in
+`tests/benchmarks/recognition`.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A certified solution of Eq. 7, of n template and q query frames."""
+    """A solution of Eq. 7 and its duality gap, of n template and q query frames."""
 
     active: NDArray[np.intp]  # (p,) template frames (rows of W) that may have a weight, ascending.
     active_weights: Array  # (p, q) their rows of W; all other rows are zero.
