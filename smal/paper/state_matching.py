@@ -2,8 +2,8 @@
 
 Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
 template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that
-matter, and stops when the relative duality gap of the *full* problem is within the tolerance. The gap proves each answer,
-as Eq. 14 to 17 prove the limit of Algorithm 2, whose steps are Eq. 10 to 12; as published that is in
+matter, and stops when the relative duality gap of the *full* problem is within the tolerance. The gap proves each
+answer, as Eq. 14 to 17 prove the limit of Algorithm 2, whose steps are Eq. 10 to 12; as published that is in
 `tests/benchmarks/recognition`.
 """
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
@@ -199,8 +200,9 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         within = way <= reach
         where = np.digitize(way[within], edges[1:-1])
         count = np.bincount(where, minlength=99)
-        mean = np.bincount(where, cosine[within], minlength=99)[count > 0] / count[count > 0]
-        length = _half_way(((edges[:-1] + edges[1:]) / 2.0)[count > 0], mean, 1.0, unrelated)
+        full = count > 0
+        mean = np.bincount(where, cosine[within], minlength=99)[full] / count[full]
+        length = _half_way(((edges[:-1] + edges[1:]) / 2.0)[full], mean, count[full], 1.0, unrelated)
         # On a long way it is within the first few steps: look closer.
         if length > 0.1 * reach:
             return length, unrelated
@@ -243,13 +245,22 @@ def correlation_turn(views: NDArray[np.int8], unrelated: float) -> float:
     some = unpacked(views[evenly(len(views), SETTINGS.most_frames), 1])
     mean = np.einsum("kr,ktr->t", some[:, STRAIGHT], some) / len(some)
     mean = (mean[STRAIGHT:] + mean[STRAIGHT::-1]) / 2.0
-    turn_deg = _half_way(TURNS_DEG[STRAIGHT:], mean, float(mean[0]), unrelated)
+    turn_deg = _half_way(TURNS_DEG[STRAIGHT:], mean, np.ones_like(mean), float(mean[0]), unrelated)
     return math.radians(max(turn_deg, STEP_DEG))
 
 
-def _half_way(far: NDArray[np.float64], cosines: NDArray[np.floating], best: float, unrelated: float) -> float:
-    """Return how far it is to where falling cosines are half way from the best one to that of unrelated views."""
-    return float(np.interp(-(best + unrelated) / 2.0, -np.minimum.accumulate(cosines), far))
+def _half_way(
+    far: NDArray[np.float64], cosines: NDArray[Any], counts: NDArray[Any], best: float, unrelated: float
+) -> float:
+    """Return how far it is to where cosines are half way from the best one to that of unrelated views.
+
+    They fall. Each is the mean of so many pairs; where few are less alike than what is further away, they are taken
+    together with that.
+    """
+    falling = isotonic_regression(cosines, weights=counts, increasing=False)
+    firsts = falling.blocks[:-1]
+    middles = np.add.reduceat(far * counts, firsts) / falling.weights
+    return float(np.interp(-(best + unrelated) / 2.0, -falling.x[firsts], middles))
 
 
 def likelihood_of_views(

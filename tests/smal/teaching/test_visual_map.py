@@ -13,12 +13,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from smal.camera import TURNS_DEG
+from smal.camera import TURNS_DEG, Camera
 from smal.features import extract
 from smal.files.map_file import content_of_map
-from smal.model import VisualMap
+from smal.model import VisualMap, unit
 from smal.settings import SETTINGS
 from smal.teaching import mapping
+from smal.teaching.calibration import TaughtFrames, correlation_length
 from smal.teaching.demonstration import Demonstration
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
@@ -109,6 +110,26 @@ def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> No
     with patch("smal.teaching.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
         found = taught(ROOM, drive(), scene=SCENE)[0]
     assert found.correlation_length == pytest.approx(usual, rel=0.25)
+
+
+def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_length() -> None:
+    """Views half as alike after 3 m; once, where the robot creeps, somebody passes: few pairs are so near."""
+    rng = np.random.default_rng(0)
+    way = np.sort(np.append(np.arange(0.0, 80.0), 40.25))
+    views = [unit(rng.standard_normal(1024).astype(np.float32))]
+    for step in np.diff(way):
+        kept = 0.5 ** (step / 3.0)
+        views.append(kept * views[-1] + math.sqrt(1.0 - kept**2) * unit(rng.standard_normal(1024).astype(np.float32)))
+    views[41] = unit(rng.standard_normal(1024).astype(np.float32))
+    frames = TaughtFrames(
+        images=[ROOM.look(drive().poses[0])] * len(way),
+        centred=lambda some: unit(np.stack([views[frame] for frame in some])),
+        poses=np.stack([way, np.zeros_like(way), np.zeros_like(way)], axis=1),
+        drives=np.zeros(len(way), dtype=np.int32),
+        describe=lambda _: np.empty((0, 1024), dtype=np.float32),
+        movements=np.zeros((5, 2)),
+    )
+    assert correlation_length(frames, Camera.of_field(70.0))[0] == pytest.approx(3.0, rel=0.25)
 
 
 class Reader(Sequence[Image]):
