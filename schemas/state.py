@@ -65,7 +65,7 @@ class State(Message):
     agreement: Annotated[float, Field(ge=-1.01, le=1.01)] = 0.0
     """Mean cosine between the query frames and the nearest frames of the matched sequence."""
     duality_gap: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """Certificate of the weights: relative distance to the global optimum of Eq. 7 at most."""
+    """How far the weights are from the optimum of Eq. 7 at most, relative."""
 
     @classmethod
     def of_belief(
@@ -104,6 +104,8 @@ class State(Message):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if sum(place.weight for place in self.places) > 1.01:
+            raise ValueError("the weights of places sum to 1 at most")
         if (self.model is None) != (self.status == "idle"):
             raise ValueError("the model is given exactly when the status is not 'idle'")
         of_paper = self.status == "recognized" and not self.places

@@ -92,8 +92,10 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
     What lies before a frame that came back to what another one shows led nowhere: a wrong turn and its correction, a
     way and back. What went round something did not come back: it is further from there than half of its way.
     """
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
+    # However long it stands: the time to tell grows with the square of the frames that are compared.
+    moved = np.append(True, np.diff(poses, axis=0).any(axis=1) | (np.diff(drives) != 0))
+    poses, drives = poses[moved], drives[moved]
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
     on = np.zeros(len(poses), dtype=np.bool_)
     frame = 0
     while frame < len(poses):
@@ -106,7 +108,7 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
         back = shows_same(later, poses[frame], length) & (apart < np.maximum(since, 0.1 * length) / 2.0)
         last = int(np.flatnonzero(back).max(initial=-1))
         frame += 1 if back[: last + 1].all() else last + 1
-    return on
+    return np.asarray(on[np.cumsum(moved) - 1])
 
 
 def turns_ahead(movements: NDArray[np.float64]) -> bool:

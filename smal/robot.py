@@ -213,5 +213,5 @@ class Robot:
 
     @property
     def done(self) -> bool:
-        """Whether it has said something of its goal, and has nothing left to do."""
+        """Whether it has said something of its goal."""
         return self.said is not None

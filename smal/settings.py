@@ -1,7 +1,6 @@
 """The tuned numbers of the map's method, with their units and reasons; of obstacles, in `smal.obstacles.clearance`.
 
-A plain fraction that explains itself stands where it is used. What the drives tell is not here: how the camera sees,
-over which way and turn views change, how alike views of one place are, how fast the robot drives and turns.
+A plain fraction that explains itself stands where it is used. What drives tell is measured (`smal.teaching`).
 """
 
 from dataclasses import dataclass
@@ -136,7 +135,6 @@ class Settings:
     #: It must have been followed for this way before, or have looked all around: a few views may show another place.
     tracked: float = 2.0
     goal_s: float = 1.25
-
     #: Without a decision it stands after this time: it has not gone on turning since.
     stands_after_s: float = 0.5
 

@@ -75,7 +75,7 @@ LARGEST_OF_EACH = [
         EXAMPLES[CompressedImage],
         status="recognized",
         model="f" * 64,
-        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.1),) * MAX_PLACES,
+        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.01),) * MAX_PLACES,
         lost=0.1,
         cosine=0.1,
         tracked_m=0.1,
