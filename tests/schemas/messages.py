@@ -188,6 +188,8 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
             fields |= {"model": None, "places": ()}
         else:
             fields["model"] = fields["model"] or "0123456789abcdef"
+        total = max(sum(place.weight for place in fields["places"]), 1.0)
+        fields["places"] = tuple(one.model_copy(update={"weight": one.weight / total}) for one in fields["places"])
         of_paper = fields["status"] == "recognized" and not fields["places"]
         fields["state"] = (fields["state"] or 0) if of_paper else None
     return fields
