@@ -45,10 +45,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(cls: type[M], payload: bytes, encoding: str) -> M:
-    """Unpack and validate one message of a class, whose name and version the encoding must have.
-
-    Raises DecodeError for any payload that is not a valid message; no other exception leaves this function.
-    """
+    """Unpack and validate one message of a class; DecodeError, and nothing else, for any payload that is none."""
     if (why := misfit(cls, encoding, len(payload))) is not None:
         raise DecodeError(why)
     try:

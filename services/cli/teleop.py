@@ -5,8 +5,7 @@ from typing import Annotated
 from typer import Option
 
 from services.cli import options
-from services.teleop.config import TeleopSettings
-from services.teleop.session import run
+from services.teleop.session import TeleopSettings, run
 from services.teleop.terminal import require_terminal
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Final, Literal, Self, TypeVar, cast
 
 from pydantic import ValidationError
@@ -105,11 +105,7 @@ class Node:
         *,
         replay: bool = False,
     ) -> None:
-        """Handle every message of a topic.
-
-        ``depth`` overrides how many messages are kept while the handler is busy; with ``replay`` it is sent what was
-        missed, see ``Bus.subscribe``.
-        """
+        """Handle every message of a topic; ``depth`` overrides how many wait, and ``replay`` is that of the bus."""
         self._inbox.open(topic.name, depth or topic.queue)
         refuse = partial(self._refuse, topic.name)
         read = self._reader(topic, handler, refuse)
@@ -356,7 +352,5 @@ class Node:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_raised: object) -> None:
         self.close()

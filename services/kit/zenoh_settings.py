@@ -1,7 +1,4 @@
-"""What Zenoh is told: where its routers are, what they and their clients may take, and how each message travels.
-
-Everything that is said to Zenoh by its settings stands here; ``zenoh_session`` and ``bus`` talk to it.
-"""
+"""All that Zenoh is told by settings: where routers are, what they and clients take, how each message travels."""
 
 import re
 from typing import Any, Final, NamedTuple

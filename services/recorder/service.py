@@ -179,15 +179,16 @@ class RecorderService:
 
     def _settled(self, folder: Path | None) -> RecordReply:
         """Go on recording until the grace of every ended episode is over, and what a kill cut off is sent again."""
-        self._node.spin(until=self._is_settled, timeout_s=_SETTLE_S)
+
+        def is_settled() -> bool:
+            replayed = not self._cut or self._clock() - self._began_s > EARLY_S
+            return replayed and not any(recording.closing for recording in self._open.values())
+
+        self._node.spin(until=is_settled, timeout_s=_SETTLE_S)
         if folder is not None:
             self._seal_leftovers(folder)
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
         return RecordReply(files=tuple(path.name for path in self._files), dropped=dropped)
-
-    def _is_settled(self) -> bool:
-        replayed = not self._cut or self._clock() - self._began_s > EARLY_S
-        return replayed and not any(recording.closing for recording in self._open.values())
 
     def _dropped_by_node(self) -> int:
         return sum(count for name, count in self._node.status().dropped.items() if name in TOPICS)

@@ -11,13 +11,7 @@ V = TypeVar("V", bound=View)
 
 
 class Episode(Generic[V]):
-    """One episode of a body; whoever drives it acts between one frame and the next.
-
-    ``passed`` is whether a run has reached its goal in some frame.
-
-    The request says the seed, the purpose, where to begin, and after how many frames the time is out, if ever. Raises
-    ServiceError when the body cannot do that.
-    """
+    """One episode of a body, which drives between one frame and the next; ServiceError when it cannot do as asked."""
 
     def __init__(self, body: Body[V], task: Task[V], request: ResetRequest) -> None:
         self.request = request
@@ -26,6 +20,7 @@ class Episode(Generic[V]):
         self._body = body
         self._task = task
         self._reached: bool | None = None
+        #: Whether a run has reached its goal in some frame.
         self.passed = False
         self.tick = self._timed = 0
         self.view = body.look(0)

@@ -28,10 +28,7 @@ def stopping_times_s(body: Stops) -> dict[str, float]:
 
 
 def check_stopping(body: Stops) -> None:
-    """Refuse a body that cannot stand in time.
-
-    Raises ServiceError after the silence of somebody it would move for longer than `STAND_WITHIN_S`.
-    """
+    """Raise ServiceError for a body that would move for longer than `STAND_WITHIN_S` after somebody's silence."""
     for who, stands_s in stopping_times_s(body).items():
         if not stands_s <= STAND_WITHIN_S:
             raise ServiceError(

@@ -1,7 +1,4 @@
-"""Episode after episode of one robot: what happens when a command comes, or when time passes.
-
-It takes requests, commands and clock readings, and gives messages; a ``Pace`` decides when the next frame is.
-"""
+"""Episode after episode of one robot: requests, commands and readings of the clock in, messages out."""
 
 import math
 import time
@@ -67,20 +64,16 @@ class EpisodeRunner(Generic[V]):
         self.task = task
         self._robot = robot
         self.session = session
-        self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
+        self._paces: dict[Mode, Callable[[], Pace[V]]] = {
+            "realtime": lambda: RealTime(gate, body, clock, self.wake),
+            **(paces or {}),
+        }
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
         self._cancelling = Cancelling()
         self._count = 0
-        self._running: Running[V] | None = None
-
-    def _real_time(self) -> Pace[V]:
-        return RealTime(self.gate, self.body, self._clock, self.wake)
-
-    @property
-    def running(self) -> Running[V] | None:
-        """The running episode, if any."""
-        return self._running
+        #: The running episode, if any.
+        self.running: Running[V] | None = None
 
     # -- what is asked for ----------------------------------------------------------------------------------------
 
@@ -91,7 +84,7 @@ class EpisodeRunner(Generic[V]):
     def resume(self, request: ResumeRequest) -> None:
         """Let the driver go on after a person has taken over. Raises ServiceError where they may not."""
         # Between two episodes there is nothing to have missed, and a person who has just come has heard of neither.
-        episode = None if self._running is None else request.episode
+        episode = None if self.running is None else request.episode
         self._unless(self.gate.resume(episode, request.tick, request.session))
 
     def check_reset(self, request: ResetRequest) -> None:
@@ -114,7 +107,7 @@ class EpisodeRunner(Generic[V]):
             self._unless(self.gate.not_theirs(request.session))
         if self.gate.taken_over and request.driver != "teleop":
             raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
-        run = self._running
+        run = self.running
         if (
             run is not None
             and request.session != run.request.session
@@ -124,10 +117,7 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"episode {run.id} is another client's; take over from its driver, or end that client")
 
     def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
-        """End the running episode, if any, and begin the next one; return the answer, and what to publish.
-
-        Raises ServiceError when it may not begin (see ``check_reset``), the body cannot, or somebody has cancelled it.
-        """
+        """End the running episode and begin the next one, or raise ServiceError; return answer and what to publish."""
         self.check_reset(request)
         messages = self.end()
         pace = self._paces[request.mode]()
@@ -144,13 +134,13 @@ class EpisodeRunner(Generic[V]):
         check_stopping(self.body)
         self.gate.guard = guard_of(self.body)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
-        self._running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
+        self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
         try:
             messages.extend(self._frame(run))
             pace.begin()
         except Exception:
-            self._running = None  # who asked is told that there is none
+            self.running = None  # who asked is told that there is none
             raise
         reply = ResetReply(
             episode=name,
@@ -168,7 +158,7 @@ class EpisodeRunner(Generic[V]):
 
     def end_by(self, request: EndRequest) -> list[Message]:
         """End the running episode when asked; ServiceError where it is another, or they may not."""
-        run = self._running
+        run = self.running
         if run is None or run.id != request.episode:
             raise ServiceError(f"episode {request.episode} is not running")
         driven = self.gate.taken_over or run.request.driver == "teleop"
@@ -187,10 +177,10 @@ class EpisodeRunner(Generic[V]):
 
         That frame is what a drive teaches as its goal; one that passed the goal and went on is ``aborted``.
         """
-        run = self._running
+        run = self.running
         if run is None:
             return []
-        self._running = None
+        self.running = None
         run.pace.end()
         outcome = outcome or ("found" if run.episode.reached else "aborted")
         return [self._event(run, "ended", outcome, judge, right)]
@@ -199,7 +189,7 @@ class EpisodeRunner(Generic[V]):
 
     def offer(self, command: Command) -> None:
         """Take a command to the gate."""
-        run = self._running
+        run = self.running
         refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(run.tick))
         if run is None or refusal is not None or command.source == "emergency_stop":
             return
@@ -209,7 +199,7 @@ class EpisodeRunner(Generic[V]):
 
     def hear(self, beat: Heartbeat) -> None:
         """Take a sign of life."""
-        now, run = self._clock(), self._running
+        now, run = self._clock(), self.running
         if beat.answers is not None:
             self.gate.hear(beat, now)
         if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
@@ -220,7 +210,7 @@ class EpisodeRunner(Generic[V]):
         """Return the next sign of life of the robot."""
         # While a world opens, nothing else looks whether the operator is still there.
         self.gate.watch(self._clock())
-        run = self._running
+        run = self.running
         nowhere = Message(robot=self._robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
         return Pulse.after(
             nowhere if run is None else self.header(run),
@@ -233,10 +223,10 @@ class EpisodeRunner(Generic[V]):
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""
         self.gate.watch(self._clock())
-        if self._running is None:
+        if self.running is None:
             return
         try:
-            yield from self._running.pace.poll(self, self._running)
+            yield from self.running.pace.poll(self, self.running)
         except Exception:
             # Half a frame cannot be answered, nor half a step made up for: nobody would ever go on.
             yield from self.end("aborted")

@@ -143,7 +143,12 @@ class Ros2Body:
         While somebody who must be heard is silent, no frame is new: its commands expire, as they do without a camera.
         """
         del tick
-        self._tell_lack()
+        lacks = self._lacks()
+        if lacks is not None and not self._lacked:
+            _log.warning("%s stands: %s", self.name, lacks)
+        elif lacks is None and self._lacked:
+            _log.info("%s: what it needs is heard again", self.name)
+        self._lacked = lacks is not None
         self._take_newest()
         assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
         captured_s = self._frame.captured_s
@@ -151,14 +156,6 @@ class Ros2Body:
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
         return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
-
-    def _tell_lack(self) -> None:
-        lacks = self._lacks()
-        if lacks is not None and not self._lacked:
-            _log.warning("%s stands: %s", self.name, lacks)
-        elif lacks is None and self._lacked:
-            _log.info("%s: what it needs is heard again", self.name)
-        self._lacked = lacks is not None
 
     def _take_newest(self) -> None:
         frame = self._senses.frame

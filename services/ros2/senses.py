@@ -139,7 +139,12 @@ class Senses:
                 raise MessageError(f"{len(payload)} bytes, more than {most}")
             message = self._messages.read(heard.type_name, payload)
             with self._lock:
-                made_s = arrived_s if heard.clock is None else _made_s(heard.clock, message, arrived_s)
+                made_s: float | None = arrived_s
+                if heard.clock is not None:
+                    stamp = message.header.stamp
+                    made_s = heard.clock.made_s(stamp.sec + stamp.nanosec / 1e9, arrived_s)
+                if made_s is None:
+                    raise MessageError("its stamp is not newer than that of the one before")
                 heard.take(message, made_s)
                 self._heard_s[topic] = made_s
         except MessageError as error:
@@ -273,14 +278,6 @@ def _button(message: RosMessage) -> Said:
 _STOPS: Final[dict[str, Callable[[RosMessage], Said]]] = {
     messages.HAZARDS: _hazards, messages.SENSOR_STATE: _bumpers, messages.BOOL: _button
 }  # fmt: skip
-
-
-def _made_s(clock: StampedClock, message: RosMessage, arrived_s: float) -> float:
-    stamp = message.header.stamp
-    made_s = clock.made_s(stamp.sec + stamp.nanosec / 1e9, arrived_s)
-    if made_s is None:
-        raise MessageError("its stamp is not newer than that of the one before")
-    return made_s
 
 
 def _triple(vector: RosMessage) -> Triple:

@@ -12,12 +12,9 @@ _MOST_M, _MOST_RAD_S, _MOST_M_S = 1e6, 100.0, 100.0
 
 
 class Wheels(NamedTuple):
-    """Where the wheels say that the base is since we listen, how far it went (backwards less), and how far it turned.
+    """Where the wheels say that a base is since we listen, how far it went (backwards less), and how far it turned."""
 
-    It was read at `read_s` by our clock.
-    """
-
-    read_s: float
+    read_s: float  # When that was, by our clock.
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0

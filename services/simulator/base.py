@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from schemas.base import Atom
+from schemas.base import DIRECTIONS, Atom
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
 from services.simulator.world.place import Place, Pose, Solid
@@ -32,9 +32,8 @@ class WheelSpeeds(NamedTuple):
 
 def wheel_speeds(atom: Atom, drive: Drive, speed: float = 1.0) -> WheelSpeeds:
     """Return the wheel speeds that an atom movement commands at a fraction `speed`, 0 to 1, of the nominal speed."""
-    forward = {"forward": drive.speed_m_s, "backward": -drive.speed_m_s}.get(atom, 0.0)
-    turn = {"left": drive.turn_rate_rad_s, "right": -drive.turn_rate_rad_s}.get(atom, 0.0)
-    half = turn * drive.track_m / 2
+    ahead, turn = DIRECTIONS[atom]
+    forward, half = ahead * drive.speed_m_s, turn * drive.turn_rate_rad_s * drive.track_m / 2
     return WheelSpeeds(speed * (forward - half), speed * (forward + half))
 
 
@@ -98,10 +97,7 @@ class KinematicBase:
         self._actuator = Actuator(self._drive, rng)
 
     def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Move for a moment, above 0 and at most `STEP_S`, at a fraction `speed`, 0 to 1, of the nominal speed.
-
-        It goes by the arc that the wheels' speeds make; an obstacle stops the robot where they touch.
-        """
+        """Go by the arc of the wheels' speeds for up to `STEP_S`, at a fraction `speed`, 0 to 1; obstacles stop it."""
         wheels = self._actuator.wheels(atom, speed, duration_s)
         collided = not self._advance(wheels, duration_s)
         if collided:

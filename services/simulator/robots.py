@@ -1,7 +1,9 @@
-"""The robots that can be simulated: their bodies, their wheels, and where their camera sits."""
+"""The robots that can be simulated, by the table `robots`: bodies, wheels, and where the camera sits."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
+
+from services.simulator.tables import table
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,6 @@ class Tag(NamedTuple):
 class RobotModel:
     """A robot with two driven wheels on one axis, and casters."""
 
-    name: str
     drive: Drive
     camera: CameraMount
     radius_m: float
@@ -50,18 +51,6 @@ class RobotModel:
         return max(self.height_m, self.camera.height_m)
 
 
-#: The two-wheel robot of the paper's campus.
-RESCUEBOT: Final = RobotModel(
-    "rescuebot", Drive(), CameraMount(ahead_m=0.35, height_m=1.0), radius_m=0.4, height_m=0.45, mass_kg=25.0
-)
-
-#: After the TurtleBot II of the paper's indoor experiment: Kobuki's track and wheels, a marker on the top plate.
-TURTLEBOT: Final = RobotModel(
-    "turtlebot",
-    Drive(speed_m_s=0.4, turn_rate_rad_s=0.785, track_m=0.23, wheel_radius_m=0.035),
-    CameraMount(ahead_m=0.1, height_m=0.36),
-    radius_m=0.18,
-    height_m=0.42,
-    mass_kg=6.3,
-    tag=Tag(number=7, side_m=0.2, height_m=0.43),
-)
+_ROBOTS: Final = table("robots", dict[str, RobotModel])
+RESCUEBOT: Final = _ROBOTS["rescuebot"]
+TURTLEBOT: Final = _ROBOTS["turtlebot"]

@@ -30,11 +30,6 @@ class Daylight:
         up, around = math.radians(self.elevation_deg), math.radians(self.azimuth_deg)
         return (-math.cos(up) * math.sin(around), -math.cos(up) * math.cos(around), -math.sin(up))
 
-    @property
-    def casts_shadows(self) -> bool:
-        """Whether the sun is strong enough for shadows to be seen."""
-        return max(self.sun) > 0.5
-
 
 @dataclass(frozen=True)
 class Variation:

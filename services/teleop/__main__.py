@@ -1,8 +1,7 @@
 """Drive by keyboard: ``python -m services.teleop``, the same as ``smal teleop``."""
 
 from services.kit.process import read_settings, run_service
-from services.teleop.config import TeleopSettings
-from services.teleop.session import run
+from services.teleop.session import TeleopSettings, run
 from services.teleop.terminal import require_terminal
 
 

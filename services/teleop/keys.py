@@ -74,14 +74,13 @@ class KeyParser:
             numbers, final, begun, single = match.groups()
             if begun is not None and len(begun) < _LONGEST_SEQUENCE:
                 self._begun = begun
-            event = _event(numbers.decode(), final.decode()) if final else _typed(single)
+            if final:
+                event = _event(numbers.decode(), final.decode())
+            else:
+                key = _KEYS.get(single[0]) if single else None
+                event = None if key is None else KeyEvent(key)
             if event is not None:
                 yield event
-
-
-def _typed(byte: bytes | None) -> KeyEvent | None:
-    key = _KEYS.get(byte[0]) if byte else None
-    return None if key is None else KeyEvent(key)
 
 
 def _event(numbers: str, final: str) -> KeyEvent | None:

@@ -2,17 +2,21 @@
 
 import secrets
 import time
-from typing import Final
+from typing import Annotated, Final
 
-from schemas.base import ATOMS
+from pydantic import Field
+
+from schemas.base import ATOMS, Atom
 from schemas.codec import printable
+from schemas.command import StopCause
+from schemas.episode import GoalName
 from schemas.rpc import Nothing, ResetRequest, Status
 from services.kit.errors import JobError
 from services.kit.node import Node
-from services.operator.operator import ANSWER_S, POLL_S, RESET_S, Operator
-from services.teleop.config import TeleopSettings
+from services.kit.settings import ServiceSettings
+from services.operator.operator import ANSWER_S, POLL_S, RESET_S, SILENCE_S, Operator
+from services.operator.report import Report
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
-from services.teleop.status import status_line
 from services.teleop.terminal import Terminal, open_terminal
 
 CONNECT_S: Final = 3.0
@@ -29,6 +33,29 @@ TELLS_S: Final = 1.0
 #: How often the recorder is asked how much room its disk has, and how long it may take to answer.
 DISK_S: Final = 5.0
 _DISK_ANSWER_S: Final = 1.0
+#: Keyboards begin to repeat 0.25 to 0.6 s after the press, and then do every 0.03 to 0.1 s.
+FIRST_HOLD_S: Final = 0.6
+REPEAT_HOLD_S: Final = 0.15
+_CAUSES: Final[dict[StopCause | None, str]] = {
+    None: "armed",
+    "not_armed": "not armed",
+    "emergency_stop": "emergency stop",
+    "operator_lost": "it had lost you; r resumes",
+    "fault": "its body has failed",
+}
+
+
+class TeleopSettings(ServiceSettings):
+    """Which episodes to drive, and how the keyboard repeats."""
+
+    seed: Annotated[int | None, Field(ge=0, lt=2**63 - 1_000_000)] = None
+    """Seed of the first episode, the next ones count up; drawn at random if not given."""
+    goal: GoalName = "victim"
+    """Name of the place that the drives lead to."""
+    first_hold_s: Annotated[float, Field(gt=0, le=2)] = FIRST_HOLD_S
+    """How long the first press of a key counts as held; at least the keyboard's delay before it repeats."""
+    repeat_hold_s: Annotated[float, Field(gt=0, le=2)] = REPEAT_HOLD_S
+    """How long each repeat counts as held; at least the keyboard's interval between two."""
 
 
 def run(settings: TeleopSettings) -> None:
@@ -139,3 +166,31 @@ class TeleopSession:
         if told not in (None, self._disk):
             self._terminal.say(f"RECORDING: {printable(str(told))}")
         self._disk = None if told is None else str(told)
+
+
+def status_line(robot: Report, held: Atom | None, now_s: float) -> str:
+    """Return what a person at a terminal is told of the robot, with the key that they hold."""
+    if robot.waiting:
+        episode = "waiting for the robot; a simulator's first picture takes a while"
+    elif robot.episode is None:
+        episode = f"ended: {robot.outcome}; n: next episode" if robot.outcome else "no episode; n: begin one"
+    else:
+        episode = "a person drives" if robot.driver == "teleop" else f"{robot.driver or 'somebody'} drives"
+    parts = ["EMERGENCY STOP"] if robot.emergency else []
+    return "  |  ".join([*parts, *_robot(robot, now_s), f"you: {held or '-'}", episode])
+
+
+def _robot(robot: Report, now_s: float) -> list[str]:
+    if robot.episode is None:
+        return [f"robot: {_CAUSES[robot.cause] if robot.answers else '-'}"]
+    if now_s - robot.at > SILENCE_S:
+        return [f"NO SIGN OF THE ROBOT for {now_s - robot.at:.0f} s"]
+    reasons = {
+        "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
+        "obstacle": "something is in the way, or not known to be free",
+        "silence": "nobody drives",
+        "taken_over": "you have taken over; r resumes",
+        "emergency_stop": _CAUSES[robot.cause],
+    }
+    doing = f"{robot.atom or '-'} ({reasons.get(robot.reason or '', '-')})"
+    return [f"frame {robot.tick}", f"robot: {doing}", f"refused {robot.refused}"]

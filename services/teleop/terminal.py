@@ -150,13 +150,9 @@ def open_terminal() -> Iterator[Terminal]:
     finally:
         logging.getLogger().removeHandler(log)
         terminal.close()
-        _restore(before)
-
-
-def _restore(mode: list[object]) -> None:
-    # A terminal that is gone has no mode.
-    with suppress(termios.error):
-        # Not TCSAFLUSH, which waits for a screen that may take nothing.
-        termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)  # type: ignore[arg-type]
-        # Keys that nobody read must not become the shell's next command.
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        # A terminal that is gone has no mode.
+        with suppress(termios.error):
+            # Not TCSAFLUSH, which waits for a screen that may take nothing.
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
+            # Keys that nobody read must not become the shell's next command.
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)

@@ -36,10 +36,7 @@ class TrackerService:
         self._lost = 0
 
     def handle(self, image: OverheadImage) -> TrackedPose:
-        """Return the pose at one frame, or that the tag is not seen.
-
-        Raises ServiceError when the image is none, or its calibration puts the camera below the tag.
-        """
+        """Return the pose at one frame, or that the tag is not seen; ServiceError for a bad image or calibration."""
         try:
             pose = locate(self._tag, decode_jpeg(image.data), image.calibration)
         except ValueError as error:

@@ -35,15 +35,12 @@ class Tag:
 
 
 class TagPose(NamedTuple):
-    """Where the tag is: metres east and north, heading in radians counter-clockwise from east, in [-pi, pi].
-
-    ``error_px`` is the root mean square distance of the tag's corners from where this pose puts them, pixels.
-    """
+    """Where the tag is: metres east and north, heading in radians counter-clockwise from east, in [-pi, pi]."""
 
     x_m: float
     y_m: float
     heading_rad: float
-    error_px: float
+    error_px: float  # Root mean square distance of the tag's corners from where this pose puts them.
 
 
 def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:

@@ -1,17 +1,14 @@
 """Victims and robots as meshes about their own origin, x forward."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-import shapely
-from numpy.typing import NDArray
 
 from services.simulator.robots import RobotModel, Tag
-from services.simulator.scene.meshes import ball, drum, flat, make, tube
+from services.simulator.scene.meshes import UPRIGHT, ball, drum, quads, tube
 from services.simulator.scene.surfaces import Finish, Piece, Surface, Vector
 from services.simulator.tables import table
 
@@ -54,22 +51,11 @@ def turtlebot(model: RobotModel) -> Iterator[Piece]:
 
 
 def tag(marker: Tag) -> Surface:
-    """Return a marker on a round white plate, its upper edge towards x."""
-    # Its corners keep a margin of one white module, which what finds markers needs.
-    radius = math.sqrt(0.5) * marker.side_m + marker.side_m / _MODULES
-    mesh = flat(shapely.Point(0.0, 0.0).buffer(radius, quad_segs=16), marker.height_m, 1.0)
-    # Seen from above with x up, the picture's columns go to -y and its rows to -x.
-    across, down = (0.5 - mesh.vertices[:, axis] / (2 * radius) for axis in (1, 0))
-    worn = make(mesh.vertices, mesh.normals, np.column_stack([across, down]), mesh.triangles)
-    return Surface(worn, _painted(marker, radius))
-
-
-def _painted(marker: Tag, radius: float) -> NDArray[np.uint8]:
-    """Return the picture of the plate, (n, n, 3) uint8 RGB, its side twice the plate's radius."""
+    """Return a marker on a white plate, its upper edge towards x."""
     known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     square = cv2.aruco.generateImageMarker(known, marker.number, _MODULES * _MODULE_PX)
-    side = round(2 * radius / marker.side_m * len(square))
-    before = (side - len(square)) // 2
-    after = side - len(square) - before
-    plate = cv2.copyMakeBorder(square, before, after, before, after, cv2.BORDER_CONSTANT, value=255)
-    return np.repeat(plate[..., None], 3, axis=2)
+    # A margin of one white module is what finds markers needs.
+    plate = np.pad(square, _MODULE_PX, constant_values=255)
+    half = marker.side_m * (0.5 + 1 / _MODULES)
+    corners = [(x, y, marker.height_m) for x, y in ((-half, half), (-half, -half), (half, -half), (half, half))]
+    return Surface(quads([corners], [UPRIGHT]), np.repeat(plate[..., None], 3, axis=2))

@@ -13,8 +13,7 @@ from services.simulator.scene.buildings import barriers, buildings
 from services.simulator.scene.ground import cast_shade, ground
 from services.simulator.scene.meshes import Mesh, ball, make, tube
 from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
-from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, surfaces
-from services.simulator.scene.textures import noise
+from services.simulator.scene.surfaces import Finish, Piece, Scene, Surface, surfaces
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
@@ -40,25 +39,21 @@ def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, light, shadows=shadows)
-    shaded = shadows and light.casts_shadows
+    # Where the sun is too weak for shadows to be seen, there are none.
+    shaded = shadows and max(light.sun) > 0.5
     shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
+    # More sky shines from opposite the sun than from elsewhere, so that shaded walls keep their shape.
+    east, north = -0.9 * np.array(light.direction[:2]) / max(math.hypot(*light.direction[:2]), 1e-9)
     return Scene(
-        lights=_lights(light),
+        ambient=light.sky,
+        lights=((light.direction, light.sun), ((float(east), float(north), -0.2), light.fill)),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),
         victim=surfaces(bodies.body("person")),
         decoys=tuple(surfaces(bodies.body(name)) for name in ("sacks", "trunk", "barrels")),
         sky=_sky(light),
     )
-
-
-def _lights(light: Daylight) -> Lights:
-    """Return the sun, and more sky from opposite it than from elsewhere, so that shaded walls keep their shape."""
-    east, north, _ = light.direction
-    level = max(math.hypot(east, north), 1e-9)
-    opposite = (-0.9 * east / level, -0.9 * north / level, -0.2)
-    return Lights(light.sky, ((light.direction, light.sun), (opposite, light.fill)))
 
 
 def _sky(light: Daylight) -> Surface:
@@ -92,38 +87,19 @@ def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
     return found
 
 
-def _crown(tree: Tree, rng: np.random.Generator) -> list[Mesh]:
+def _crown(tree: Tree, rng: np.random.Generator) -> Iterator[Mesh]:
+    """Yield a large ball of leaves and four small ones around it."""
     radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
-    middle = (low + tree.height_m) / 2
-    half = (tree.height_m - low) / 2
-    blobs = [_blob((tree.x, tree.y, middle), (radius * 0.8, radius * 0.8, half * 0.95), _DETAIL, rng)]
+    middle, half = (low + tree.height_m) / 2, (tree.height_m - low) / 2
+    yield ball((tree.x, tree.y, middle), (radius * 0.8, radius * 0.8, half * 0.95), _DETAIL)
     for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False) + rng.uniform(0, 1.5):
-        out = radius * rng.uniform(0.35, 0.5)
-        lift = half * rng.uniform(-0.45, 0.35)
-        size = radius * rng.uniform(0.5, 0.65)
-        centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + lift)
-        blobs.append(_blob(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL, rng))
-    return blobs
+        out, size = radius * rng.uniform(0.35, 0.5), radius * rng.uniform(0.5, 0.65)
+        centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + half * rng.uniform(-0.45, 0.35))
+        yield ball(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL)
 
 
-def _blob(
-    centre: tuple[float, float, float], radii: tuple[float, float, float], detail: int, rng: np.random.Generator
-) -> Mesh:
-    bumps = np.ones((detail + 1, 2 * detail + 1))
-    bumps[1:-1, :-1] += 0.08 * noise(rng, (detail - 1, 2 * detail), 1.0)
-    bumps[:, -1] = bumps[:, 0]
-    return ball(centre, radii, detail, bumps)
-
-
-def _tiers(tree: Tree) -> list[Mesh]:
+def _tiers(tree: Tree) -> Iterator[Mesh]:
     radius, low = (fraction * tree.height_m for fraction in _CROWN["conifer"])
-    rise = tree.height_m - low
-    return [
-        tube(
-            (tree.x, tree.y, low + rise * step / _TIERS * 0.8),
-            (tree.x, tree.y, low + rise * min(1.0, (step + 1.6) / _TIERS)),
-            (radius * (1 - 0.8 * step / _TIERS), 0.0),
-            10,
-        )
-        for step in range(_TIERS)
-    ]
+    for step in np.arange(_TIERS) / _TIERS:
+        foot, tip = low + (tree.height_m - low) * step * 0.8, low + (tree.height_m - low) * min(1.0, step + 0.4)
+        yield tube((tree.x, tree.y, foot), (tree.x, tree.y, tip), (radius * (1 - 0.8 * step), 0.0), 10)

@@ -10,7 +10,7 @@ from shapely import Polygon
 
 from services.kit.going_on import each
 from services.simulator.scene.facades import BARE, BAY_M, BAYS, GROUND, STOREY_M, STOREYS, UPPER, alike, in_steps
-from services.simulator.scene.meshes import Mesh, band, faces, flat, outline, ridged, running, tube, walls
+from services.simulator.scene.meshes import Mesh, band, faces, flat, outline, running, triangles, tube, walls
 from services.simulator.scene.surfaces import Finish, Piece
 from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Building, Facade
 
@@ -98,49 +98,27 @@ def _flat(building: Building) -> Iterator[Piece]:
 
 
 def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
-    top = building.height_m
-    corners = _corners(building.footprint)
+    """Yield a roof with a ridge along the rectangle that a building nearly fills, else slopes along all its edges."""
+    top, footprint = building.height_m, building.footprint
     cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)
-    below = building.footprint if corners is None else Polygon(corners)
-    eaves = below.buffer(_OVERHANG_M, join_style="mitre")
+    box = footprint.minimum_rotated_rectangle
+    fills = isinstance(box, Polygon) and not footprint.interiors and footprint.area >= _OBLONG * box.area
+    gabled = fills and building.roof == "gabled"
+    eaves = (box if gabled else footprint).buffer(_OVERHANG_M, join_style="mitre")
     yield _TRIM, flat(eaves, top - _FASCIA_M, 4.0).flipped()
     yield _TRIM, band(eaves, top - _FASCIA_M, top, 4.0)
-    if corners is None:
+    if not gabled:
         around, level = _around(eaves, top, building.roof_height_m)
         yield cover, around
         yield from ((Finish("gravel"), part) for part in level)
         return
-    edge = _moved_out(corners)
-    long, across = (float(np.linalg.norm(edge[k + 1] - edge[k])) for k in range(2))
-    rise = building.roof_height_m or _SLOPE * across / 2
-    run = min(across, long) / 2 if building.roof == "hipped" else 0.0
-    slopes, ends = ridged(edge, top, rise, run)
-    if building.roof == "hipped":
-        yield cover, faces(np.concatenate([slopes, ends]), _METRES)
-    else:
-        yield cover, faces(slopes, _METRES)
-        yield Finish(facade, None, BARE), faces(ends, _WALL_METRES)
-
-
-def _corners(footprint: Polygon) -> NDArray[np.float64] | None:
-    """Return the corners (4, 2) of the rectangle around a footprint that nearly fills it, the first side a long one.
-
-    Anticlockwise; None for a footprint with courtyards or of another shape.
-    """
-    around = footprint.minimum_rotated_rectangle
-    if not isinstance(around, Polygon) or footprint.interiors or footprint.area < _OBLONG * around.area:
-        return None
-    corners = outline(around)[0][:4]
-    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    return np.roll(corners, -1, axis=0) if sides[0] < sides[1] else corners
-
-
-def _moved_out(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return corners (4, 2) of a rectangle moved outwards by the overhang, in the same order."""
-    ahead = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
-    left = np.array([-ahead[1], ahead[0]])
-    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    return np.asarray(corners + _OVERHANG_M * (signs[:, :1] * ahead + signs[:, 1:] * left), dtype=np.float64)
+    a, b, c, d = np.insert(outline(eaves)[0][:4], 2, top, axis=1)
+    if np.linalg.norm(b - a) < np.linalg.norm(c - b):
+        a, b, c, d = b, c, d, a
+    rise = building.roof_height_m or _SLOPE * float(np.linalg.norm(c - b)) / 2
+    first, last = (a + d) / 2 + (0.0, 0.0, rise), (b + c) / 2 + (0.0, 0.0, rise)
+    yield cover, faces(np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]]), _METRES)
+    yield Finish(facade, None, BARE), faces(np.array([[b, c, last], [d, a, first]]), _WALL_METRES)
 
 
 def _around(eaves: Polygon, z: float, rise_m: float) -> tuple[Mesh, list[Mesh]]:
@@ -148,8 +126,7 @@ def _around(eaves: Polygon, z: float, rise_m: float) -> tuple[Mesh, list[Mesh]]:
     run = _SLOPED * shapely.maximum_inscribed_circle(eaves, tolerance=0.1).length
     inner = eaves.buffer(-run, join_style="mitre", mitre_limit=2.0)
     rise = rise_m or _SLOPE * run
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(eaves.difference(inner)))
-    points = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)[:, :3]
+    points = triangles(eaves.difference(inner))
     edge = shapely.union_all([eaves.exterior, *eaves.interiors])
     high = shapely.distance(shapely.points(points), edge) > run / 2
     corners = np.concatenate([points, np.where(high, z + rise, z)[..., None]], axis=-1)

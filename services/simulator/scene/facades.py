@@ -26,10 +26,8 @@ UPPER, GROUND, BARE = range(3)
 MOST_LOOKS: Final = 64
 
 _CELL_PX: Final = 256
-# Step of colours, and number of variants (0: all), from the finest to the coarsest: 5 styles by 8 colours or none.
-_ROUNDINGS: Final = (
-    (1, 0), (16, 0), (32, 0), (64, 0), (64, 8), (64, 4), (128, 4), (128, 2), (128, 1),
-)  # fmt: skip
+# Step of colours, and number of variants, from the finest to the coarsest: 5 styles by 8 colours or none.
+_ROUNDINGS: Final = ((1, 2**32), (16, 2**32), (64, 2**32), (64, 8), (64, 4), (128, 4), (128, 2), (128, 1))
 _WALL_COLOURS: Final[dict[FacadeStyle, tuple[Rgb, ...]]] = {
     "brick": ((150, 78, 60), (122, 60, 50), (168, 104, 76), (136, 92, 78)),
     "plaster": ((224, 214, 190), (206, 176, 140), (186, 192, 176), (214, 190, 178)),
@@ -58,12 +56,8 @@ def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
         found = {
-            facade: Facade(
-                facade.style,
-                facade.colour and in_steps(facade.colour, colours),
-                facade.variant % variants if variants else facade.variant,
-            )
-            for facade in wanted
+            one: Facade(one.style, one.colour and in_steps(one.colour, colours), one.variant % variants)
+            for one in wanted
         }
         if len(set(found.values())) <= MOST_LOOKS:
             return found
@@ -84,8 +78,7 @@ def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
     gables and low bands, has no windows (256, 1024, 3).
     """
     seed = zlib.crc32(repr(astuple(facade)).encode())
-    again, rng = np.random.default_rng(seed), np.random.default_rng(seed)
-    bare = _wall(facade.style, _plan(facade, again).wall, 1, again)
+    rng = np.random.default_rng(seed)
     plan = _plan(facade, rng)
     upper = _wall(facade.style, plan.wall, STOREYS, rng)
     ground = _wall(facade.style, plan.wall, 1, rng)
@@ -98,7 +91,7 @@ def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
             _door(ground, plan, bay, rng)
         else:
             _window(ground, plan, bay, 0, rng)
-    return upper, ground, bare
+    return upper, ground, _wall(facade.style, plan.wall, 1, rng)
 
 
 def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
@@ -117,7 +110,9 @@ def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
 
 def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generator) -> Picture:
     shape = (storeys * _CELL_PX, BAYS * _CELL_PX)
-    shade = _weathered(shape, rng)
+    sheet = _weather_sheet()
+    shifted = np.roll(sheet, rng.integers(0, sheet.shape[0], 2).tolist(), axis=(0, 1))
+    shade = 1.0 + 0.03 * shifted[: shape[0], : shape[1]]
     if style == "brick":
         shade *= _courses(shape, rng, course_px=8, brick_px=24)
     elif style == "wood":
@@ -129,15 +124,9 @@ def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generato
     return coloured(colour, shade)
 
 
-def _weathered(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return the shade of an old wall: a piece of one big sheet, since making noise is slow."""
-    sheet = _weather_sheet()
-    rolled = np.roll(sheet, rng.integers(0, sheet.shape[0], 2).tolist(), axis=(0, 1))
-    return 1.0 + 0.03 * rolled[: shape[0], : shape[1]]
-
-
 @lru_cache(maxsize=1)
 def _weather_sheet() -> NDArray[np.float64]:
+    """Return the unevenness of an old wall, of which every wall has a piece, since making noise is slow."""
     return layered(np.random.default_rng(0), (STOREYS * _CELL_PX, BAYS * _CELL_PX), (2.0, 60.0))
 
 

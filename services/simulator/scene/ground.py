@@ -5,21 +5,20 @@ which are many and small, lie on top: thicker than paint, so that the camera's d
 """
 
 import itertools
-import math
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely import MultiPolygon, Polygon, affinity
+from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from services.kit.going_on import each
-from services.simulator.scene.meshes import UP, flat
+from services.simulator.scene.meshes import UP, flat, triangles
 from services.simulator.scene.surfaces import Finish, Piece
-from services.simulator.world.place import Bounds
+from services.simulator.world.place import Bounds, polygons
 from services.simulator.world.terrain import AreaKind, Road, Terrain
 
 _KERB_M: Final = 0.15
@@ -53,20 +52,17 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
 
 def _laid(material: str, area: BaseGeometry, shade: BaseGeometry, z: float) -> Iterator[Piece]:
     for parts, normal in ((area.difference(shade), UP), (area.intersection(shade), -UP)):
-        yield from ((Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in _polygons(parts))
+        yield from ((Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in polygons(parts, 1e-4))
 
 
 def _tiles(bounds: Bounds) -> list[Polygon]:
     """Return squares along the lines of a grid of `_TILE_M` that cover bounds, the outer ones cut to fit."""
     columns, rows = (
-        [low, *(_TILE_M * np.arange(math.floor(low / _TILE_M) + 1, math.ceil(high / _TILE_M))).tolist(), high]
+        np.unique(np.clip(_TILE_M * np.arange(low // _TILE_M, high // _TILE_M + 2), low, high)).tolist()
         for low, high in (bounds[::2], bounds[1::2])
     )
-    return [
-        shapely.box(left, bottom, right, top)
-        for left, right in itertools.pairwise(columns)
-        for bottom, top in itertools.pairwise(rows)
-    ]
+    sides = itertools.product(itertools.pairwise(columns), itertools.pairwise(rows))
+    return [shapely.box(left, bottom, right, top) for (left, right), (bottom, top) in sides]
 
 
 def _claims(terrain: Terrain) -> list[tuple[str, BaseGeometry]]:
@@ -94,7 +90,7 @@ def _layers(claims: list[tuple[str, BaseGeometry]], tile: Polygon) -> dict[str, 
         if not claim.intersects(tile):
             continue
         # Where a claim only touches what is left, the intersection has lines and points as well.
-        layers[material] = MultiPolygon(_polygons(left.intersection(claim)))
+        layers[material] = MultiPolygon(polygons(left.intersection(claim), 1e-4))
         left = left.difference(claim)
     return layers | {"grass": left}
 
@@ -130,25 +126,13 @@ def cast_shade(
         (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2) for house in terrain.buildings
     ]
     solids += [(barrier.line.buffer(0.15, cap_style="flat"), 0.0, barrier.height_m) for barrier in terrain.barriers]
-    swept = [_swept(outline, step * low, step * high) for outline, low, high in each(solids)]
-    # A crown is convex, and so is what it sweeps.
-    swept += [_ends(outline, step * low, step * high).convex_hull for outline, low, high in crowns]
+    swept = [_swept(outline, step * low, step * high) for outline, low, high in each([*solids, *crowns])]
     return shapely.union_all(swept).simplify(_SHADE_M)
 
 
 def _swept(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
     """Return what a polygon covers while it is pushed from one displacement (2,) to another."""
-    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
-    edges = [np.stack([r[:-1] + begin, r[1:] + begin, r[1:] + end, r[:-1] + end], axis=1) for r in rings]
-    sides = np.asarray(shapely.polygons(np.concatenate(edges)))
-    # An edge along the push sweeps no area; its flat quadrilateral would be invalid.
-    return shapely.union_all([*sides[shapely.is_valid(sides)], _ends(polygon, begin, end)])
-
-
-def _ends(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
-    return shapely.union_all([affinity.translate(polygon, *shift) for shift in (begin, end)])
-
-
-def _polygons(geometry: BaseGeometry) -> list[Polygon]:
-    parts = getattr(geometry, "geoms", [geometry])
-    return [part for part in parts if isinstance(part, Polygon) and part.area > 1e-4]
+    corners = triangles(polygon)
+    # A triangle is convex, and so is what it sweeps.
+    ends = np.concatenate([corners + begin, corners + end], axis=1)
+    return shapely.union_all(shapely.convex_hull(shapely.multipoints(ends)))

@@ -8,11 +8,16 @@ from typing import Final
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.furniture import Box
 from services.simulator.world.place import Pose
 
 UP: Final = np.array([0.0, 0.0, 1.0])
+#: Of a picture upright on a rectangle, from its lower left corner on.
+UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
+# The same without its outermost edge, at which filtering mixes in the opposite one.
+_WHOLE: Final = [(0.003, 0.997), (0.997, 0.997), (0.997, 0.003), (0.003, 0.003)]
 #: A material's picture repeats after so much of furniture.
 TEXTURE_M: Final = 0.6
 
@@ -81,11 +86,7 @@ def grid(vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArr
     triangles = np.concatenate(
         [np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)]
     )
-    points = vertices.reshape(-1, 3)
-    # At a pole, where all points of a row are one, half of the triangles have no area.
-    a_b_c = points[triangles]
-    solid = np.linalg.norm(np.cross(a_b_c[:, 1] - a_b_c[:, 0], a_b_c[:, 2] - a_b_c[:, 0]), axis=1) > 1e-12
-    return make(points, normals.reshape(-1, 3), uvs.reshape(-1, 2), triangles[solid])
+    return make(vertices.reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), triangles)
 
 
 def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
@@ -130,30 +131,18 @@ def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Me
     )
 
 
+def triangles(polygon: BaseGeometry) -> NDArray[np.float64]:
+    """Return triangles (n, 3, 2), anticlockwise, that fill an area."""
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    return shapely.get_coordinates(shapely.orient_polygons(parts)).reshape(-1, 4, 2)[:, :3]
+
+
 def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.float64] = UP) -> Mesh:
     """Return a level area seen from above whose texture repeats every `metres`."""
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
-    points = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)[:, :3].reshape(-1, 2)
+    points = triangles(polygon).reshape(-1, 2)
     vertices = np.column_stack([points, np.full(len(points), z)])
     order = np.arange(len(points)).reshape(-1, 3)
     return make(vertices, np.broadcast_to(normal, vertices.shape), points / metres, order)
-
-
-def ridged(
-    corners: NDArray[np.float64], z: float, rise: float, run: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return slopes (4, 3, 3) and ends (2, 3, 3) of a roof over a rectangle (4, 2), anticlockwise seen from outside.
-
-    The ridge is along its first side, `rise` above the eaves at `z`, and ends `run` before the short sides.
-    """
-    a, b, c, d = (np.append(corner, z) for corner in corners)
-    along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
-    first, last = (
-        np.append((corners[0] + corners[3]) / 2 + run * along, z + rise),
-        np.append((corners[1] + corners[2]) / 2 - run * along, z + rise),
-    )
-    slopes = np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]])
-    return slopes, np.array([[b, c, last], [d, a, first]])
 
 
 def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
@@ -174,14 +163,13 @@ def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
     return make(corners.reshape(-1, 3), np.repeat(normal, 3, axis=0), uvs.reshape(-1, 2) / metres, order)
 
 
-def ball(centre: ArrayLike, radii: ArrayLike, detail: int, bumps: NDArray[np.float64] | None = None) -> Mesh:
-    """Return an ellipsoid of `detail` rings and twice as many sectors; `bumps` (detail + 1, 2 detail + 1) scale it."""
+def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
+    """Return an ellipsoid of `detail` rings and twice as many sectors."""
     polar, around = np.meshgrid(
         np.linspace(0, np.pi, detail + 1), np.linspace(0, 2 * np.pi, 2 * detail + 1), indexing="ij"
     )
     unit = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
-    scaled = unit if bumps is None else unit * bumps[..., None]
-    vertices = np.asarray(centre) + scaled * np.asarray(radii)
+    vertices = np.asarray(centre) + unit * np.asarray(radii)
     normals = unit / np.asarray(radii)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     uvs = np.stack([around / np.pi, polar / np.pi], axis=-1)
@@ -228,21 +216,12 @@ def block(box: Box, low: float, high: float) -> Mesh:
     return merge(sides if low <= 0.0 else [*sides, flat(outline, low, TEXTURE_M).flipped()])
 
 
-def panel(left: tuple[float, float], right: tuple[float, float], low: float, high: float) -> Mesh:
-    """Return an upright rectangle that wears a whole picture, given its ends (x, y) seen from outside."""
-    corners = [(*left, low), (*right, low), (*right, high), (*left, high)]
-    edge = 0.003
-    return quads([corners], [[(edge, 1 - edge), (1 - edge, 1 - edge), (1 - edge, edge), (edge, edge)]])
-
-
 def cased(box: Box, low: float, high: float) -> Mesh:
     """Return the four sides of a box, each with the whole picture."""
-    x_min, y_min, x_max, y_max = box
-    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
-    return merge(panel(corners[side], corners[(side + 1) % 4], low, high) for side in range(4))
+    return quads(sides(outline(shapely.box(*box))[0], low, high), [_WHOLE] * 4)
 
 
 def front(box: Box, low: float, high: float) -> Mesh:
     """Return the front of a box with the whole picture."""
-    _, y_min, x_max, y_max = box
-    return panel((x_max, y_min), (x_max, y_max), low, high)
+    _, left, x, right = box
+    return quads([[(x, left, low), (x, right, low), (x, right, high), (x, left, high)]], [_WHOLE])

@@ -16,7 +16,7 @@ from services.kit.going_on import each
 from services.simulator.scene.bodies import body
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
-from services.simulator.scene.surfaces import Lights, Surface, surfaces
+from services.simulator.scene.surfaces import Surface, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
@@ -64,7 +64,9 @@ class SceneCamera:
         scene = build_scene(world, settings.light, shadows=settings.shadows)
         try:
             self._scene = sapien.Scene([sapien.render.RenderSystem()])
-            self._light(scene.lights)
+            self._scene.set_ambient_light(scene.ambient)
+            for direction, colour in (*scene.lights, *[_DARK] * (_LIGHTS - len(scene.lights))):
+                self._scene.add_directional_light(direction, colour, shadow=False)
             # In the order of drawing: what is drawn first hides the others; the sky is last, and goes with the camera.
             self._victim = self._add(self._body(scene.victim, VICTIM))
             self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
@@ -149,10 +151,9 @@ class SceneCamera:
     def _look_from(self, pose: Pose, tilt: Tilt) -> None:
         if (pose, tilt) == self._seen_from:
             return
-        ahead_m = self._mount.ahead_m
-        x, y = pose.x + ahead_m * math.cos(pose.heading), pose.y + ahead_m * math.sin(pose.heading)
         self._put_robot(pose)
-        mast = self._sapien.Pose((x, y, self._mount.height_m), _turn(pose.heading, tilt))
+        at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
+        mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
         self._mast.set_pose(mast)
         if self._sky is not None:
             self._sky.set_pose(self._sapien.Pose(mast.p))
@@ -162,11 +163,6 @@ class SceneCamera:
 
     def _put_robot(self, pose: Pose) -> None:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
-
-    def _light(self, lights: Lights) -> None:
-        self._scene.set_ambient_light(lights.ambient)
-        for direction, colour in (*lights.directional, *[_DARK] * (_LIGHTS - len(lights.directional))):
-            self._scene.add_directional_light(direction, colour, shadow=False)
 
     def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
         """Return a body of all the surfaces, whose pixels carry `label`; each picture is one material."""

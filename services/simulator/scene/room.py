@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from services.simulator.scene import bodies
 from services.simulator.scene.furniture import furnish
-from services.simulator.scene.meshes import block, flat, front, quads
-from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, Vector, surfaces
+from services.simulator.scene.meshes import UPRIGHT, block, flat, front, quads
+from services.simulator.scene.surfaces import Finish, Piece, Scene, Surface, Vector, surfaces
 from services.simulator.scene.textures import as_picture, coloured, layered, noise
 from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
@@ -41,9 +41,7 @@ _SHEET_M: Final = 2.0
 _CONTACT: Final = (0.5, 0.07)
 _AROUND: Final = (0.42, 0.22)
 _SEED: Final = 11
-Metres = NDArray[np.float64]
-# A picture upright on a rectangle, from its lower left corner on.
-_UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
+_LINO: Final = (150, 156, 156)
 
 
 def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
@@ -55,14 +53,15 @@ def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
     tag = room.robot.tag
     return Scene(
         # As bright and in the colour that the time of day gives them.
-        Lights(_times(_AMBIENT, light.lamps), tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS)),
+        ambient=_times(_AMBIENT, light.lamps),
+        lights=tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS),
         # What is in front comes first, so that what is behind it need not be drawn there.
         still=(
             *surfaces([*skirting(room), *furniture, *hung]),
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
             Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
-            Surface(quads([corners], [_UPRIGHT]), paint_floor(room, shadows=shadows)),
+            Surface(quads([corners], [UPRIGHT]), paint_floor(room, shadows=shadows)),
         ),
         victim=surfaces(bodies.body("nao")),
         decoys=tuple(surfaces(bodies.body(name)) for name in ("bottle", "cartons", "bin")),
@@ -107,10 +106,13 @@ def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
 def paint_floor(room: Room, *, shadows: bool) -> NDArray[np.uint8]:
     """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it."""
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
-    sizes = zip(shape, (room.north_south_m, room.east_west_m), strict=True)
-    down, across = ((np.arange(count) + 0.5) / count * size_m for count, size_m in sizes)
-    colour, tone = _lino(down[:, None], across[None, :], np.random.default_rng(_SEED))
-    plain = coloured(colour, tone)
+    across = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * room.east_west_m
+    rng, sheet = np.random.default_rng(_SEED), np.floor(across / _SHEET_M).astype(int)
+    tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
+    seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
+    grains: tuple[tuple[float, tuple[float, float]], ...] = ((0.045, (2, 2)), (0.03, (5, 14)), (0.015, (90, 90)))
+    marble = 1.0 + sum(much * _sheet(rng, shape, grain_px) for much, grain_px in grains)
+    plain = coloured(_LINO, tone * seam * marble)
     if not shadows:
         return plain
     shade = cv2.resize(floor_light(room), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -170,16 +172,7 @@ def _pixels(metres: float) -> int:
     return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
 
 
-def _lino(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
-    sheet = np.floor(across / _SHEET_M).astype(int)
-    tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
-    seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
-    shape = down.size, across.size
-    marble = 0.045 * _sheet(rng, shape, 2.0) + 0.03 * _sheet(rng, shape, (5.0, 14.0)) + 0.015 * _sheet(rng, shape, 90.0)
-    return (150, 156, 156), tone * seam * (1.0 + marble)
-
-
-def _sheet(rng: np.random.Generator, shape: tuple[int, ...], grain_px: float | tuple[float, float]) -> Metres:
+def _sheet(rng: np.random.Generator, shape: tuple[int, ...], grain_px: tuple[float, float]) -> NDArray[np.float64]:
     """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
     rows, columns = (min(count, 1024) for count in shape)
     return np.tile(noise(rng, (rows, columns), grain_px), (shape[0] // rows, shape[1] // columns))

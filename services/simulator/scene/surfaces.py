@@ -25,17 +25,11 @@ class Surface:
     glows: bool = False
 
 
-class Lights(NamedTuple):
-    """Light from everywhere, and light from far away: (direction that it goes, colour) of each."""
-
-    ambient: Vector
-    directional: tuple[tuple[Vector, Vector], ...]
-
-
 class Scene(NamedTuple):
     """Everything to be drawn."""
 
-    lights: Lights
+    ambient: Vector  # The light from everywhere.
+    lights: tuple[tuple[Vector, Vector], ...]  # Those far away: the direction that each goes, and its colour.
     still: tuple[Surface, ...]  # What never moves.
     victim: tuple[Surface, ...]  # The victim, about its own origin, x forward.
     decoys: tuple[tuple[Surface, ...], ...]  # What can lie in its place instead, of its size.

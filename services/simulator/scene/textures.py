@@ -66,22 +66,18 @@ def paint(material: str) -> Picture:
     return _PAINTERS[how.pop("painter")](np.random.default_rng(zlib.crc32(material.encode())), **how)
 
 
-def _speckled(
-    rng: np.random.Generator, colour: Rgb, grains: tuple[float, ...] = (2.0, 40.0), contrast: float = 0.08
-) -> Picture:
-    return coloured(colour, 1.0 + contrast * layered(rng, _SHAPE, grains))
+def _rough(rng: np.random.Generator, colour: Rgb, layers: list[tuple[float, float, float]], cracks: int = 0) -> Picture:
+    """Paint unevenness: of each layer how high and how wide its blobs are, pixels, and how strong; and cracks on it."""
+    shades = (contrast * noise(rng, _SHAPE, (down, across)) for down, across, contrast in layers)
+    picture = coloured(colour, 1.0 + sum(shades, np.zeros(_SHAPE)))
+    for _ in range(cracks):
+        steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
+        cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
+    return picture
 
 
 def _plain(_rng: np.random.Generator, colour: Rgb) -> Picture:
     return np.full((*_PLAIN_SHAPE, 3), colour, dtype=np.uint8)
-
-
-def _asphalt(rng: np.random.Generator, colour: Rgb) -> Picture:
-    picture = coloured(colour, 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
-    for _ in range(3):
-        steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
-        cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
-    return picture
 
 
 def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
@@ -91,9 +87,17 @@ def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 def _paving(
-    rng: np.random.Generator, colour: Rgb, rows: int, columns: int, joint_px: int, running: bool = True
+    rng: np.random.Generator,
+    colour: Rgb,
+    rows: int,
+    columns: int,
+    joint_px: int,
+    *,
+    running: bool = True,
+    contrast: float = 0.05,
+    upright: bool = False,
 ) -> Picture:
-    """Paint slabs, each a little different, with dark joints; `running` shifts every other row."""
+    """Paint slabs, each a little different, with dark joints; `running` shifts every other row, `upright` turns all."""
     height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
     tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
     within = np.ones((height, width))
@@ -102,17 +106,8 @@ def _paving(
     for row in range(1, rows, 2) if running else ():
         band = slice(row * height, (row + 1) * height)
         picture[band] = np.roll(picture[band], width // 2, axis=1)
-    return coloured(colour, picture * (1.0 + 0.05 * layered(rng, _SHAPE, (1.5, 30.0))))
-
-
-def _stones(rng: np.random.Generator, colour: Rgb) -> Picture:
-    rough = 1.0 + 0.10 * layered(rng, _SHAPE, (2.0, 20.0))
-    return as_picture(_paving(rng, colour, rows=8, columns=4, joint_px=5) * rough[..., None])
-
-
-def _boards(rng: np.random.Generator, colour: Rgb) -> Picture:
-    level = _paving(rng, colour, rows=8, columns=1, joint_px=14, running=False)
-    return np.asarray(cv2.rotate(level, cv2.ROTATE_90_CLOCKWISE), dtype=np.uint8)
+    made = coloured(colour, picture * (1.0 + contrast * layered(rng, _SHAPE, (1.5, 30.0))))
+    return np.rot90(made, -1) if upright else made
 
 
 def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:
@@ -127,15 +122,6 @@ def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:
     return as_picture(picture)
 
 
-def _bark(rng: np.random.Generator, colour: Rgb) -> Picture:
-    return coloured(colour, 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
-
-
-def _grain(rng: np.random.Generator, colour: Rgb) -> Picture:
-    fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
-    return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
-
-
 def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
     down, across = np.indices(_SHAPE)
     threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
@@ -143,6 +129,5 @@ def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
 
 
 _PAINTERS: Final[dict[str, Painter]] = {
-    "asphalt": _asphalt, "bark": _bark, "boards": _boards, "grain": _grain, "grass": _grass, "leaves": _leaves,
-    "paving": _paving, "plain": _plain, "speckled": _speckled, "stones": _stones, "weave": _weave,
+    "grass": _grass, "leaves": _leaves, "paving": _paving, "plain": _plain, "rough": _rough, "weave": _weave,
 }  # fmt: skip

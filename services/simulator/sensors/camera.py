@@ -194,10 +194,7 @@ def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadM
 
 
 class FindVictim:
-    """The task of every simulated world: the victim is near, and in view.
-
-    Where a person says that a goal is elsewhere, it is there.
-    """
+    """The task of every simulated world: the victim is near and in view; or the goal is where a person said."""
 
     def __init__(self) -> None:
         self._told: dict[tuple[str, str], list[Pose]] = {}

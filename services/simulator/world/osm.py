@@ -9,11 +9,11 @@ import numpy as np
 import osmium
 import shapely
 from numpy.typing import NDArray
-from shapely import LineString, MultiPolygon, Polygon, STRtree
+from shapely import LineString, MultiPolygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from schemas.codec import printable
-from services.simulator.world.place import Bounds, WorldError
+from services.simulator.world.place import Bounds, WorldError, polygons
 
 Tags = Mapping[str, str]
 Points = NDArray[np.float64]
@@ -87,11 +87,7 @@ class Extract(NamedTuple):
 
 
 def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
-    """Read an OpenStreetMap XML file as exported by openstreetmap.org, or a part `around` the new origin.
-
-    WorldError where it cannot be read, is none, defines entities, is cut short, holds no located element, or is too
-    large.
-    """
+    """Read an OpenStreetMap XML file, or a part `around` the new origin; WorldError where it is of no use."""
     try:
         _check_file(path)
         found = _Found()
@@ -190,8 +186,11 @@ class _Found:
             except OutlineError as error:
                 self._broken.append(Unread(tags, str(error)))
             else:
-                outer = [ref for ref in roles if roles[ref] != "inner"]
-                drawn.update(ref for ref in outer if _says_the_same(self._ways[ref][1], tags))
+                for ref in (ref for ref in roles if roles[ref] != "inner"):
+                    # It is another drawing of the relation where it is of the same kind of thing, or of nothing else.
+                    of = self._ways[ref][1]
+                    if of and (of == tags or _KIND_KEYS & of.keys() & tags.keys()):
+                        drawn.add(ref)
         return Extract(
             bounds=(x_min, y_min, x_max, y_max),
             latitude_deg=float(origin[1]),
@@ -247,17 +246,10 @@ def _faces(lines: Sequence[LineString]) -> list[BaseGeometry]:
 
 def only_areas(geometry: BaseGeometry) -> BaseGeometry:
     """Return the polygons in a geometry as one; an `OutlineError` where there is none."""
-    # What remains of an outline that crosses itself may be a collection of collections.
-    every = [inner for part in shapely.get_parts(geometry) for inner in shapely.get_parts(part)]
-    parts = [part for part in every if isinstance(part, Polygon) and part.area > 0]
+    parts = polygons(geometry)
     if not parts:
         raise OutlineError("its outline encloses nothing")
     return parts[0] if len(parts) == 1 else MultiPolygon(parts)
-
-
-def _says_the_same(way_tags: Tags, area_tags: Tags) -> bool:
-    """Return whether an outer way is another drawing of its relation: of the same kind of thing, or of nothing else."""
-    return bool(way_tags) and (way_tags == area_tags or bool(_KIND_KEYS & way_tags.keys() & area_tags.keys()))
 
 
 def _check_file(path: Path) -> None:

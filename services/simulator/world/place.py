@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias, TypeV
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
+from shapely import Polygon, get_parts
 from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
@@ -55,6 +56,12 @@ class Solid(NamedTuple):
     low_m: float
     high_m: float
     opaque: bool  # Whether it hides what is behind it from a robot; trees and hedges are not counted on.
+
+
+def polygons(geometry: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
+    """Return the polygons in a geometry, and in collections in it, that are larger than an area."""
+    parts = get_parts(get_parts(geometry))
+    return [part for part in parts if isinstance(part, Polygon) and part.area > least_m2]
 
 
 @dataclass(frozen=True)

@@ -62,16 +62,15 @@ def planted(
     for number, shape, leaf_type, height_m in plantings:
         wood = isinstance(shape, Polygon)
         rng = np.random.default_rng(zlib.crc32(f"{'wood' if wood else 'row'} {number}".encode()))
-        points = _jittered_grid(shape, spacing_m, rng) if isinstance(shape, Polygon) else _along(shape)
+        if isinstance(shape, Polygon):
+            points = _jittered_grid(shape, spacing_m, rng)
+        else:
+            places = np.arange(0.0, shape.length + 1e-6, _ROW_M)
+            points = shapely.get_coordinates(shapely.line_interpolate_point(shape, places))
         free = np.ones(len(points), dtype=np.bool_)
         free[tree.query(shapely.points(points), "intersects")[0]] = False
         (scattered if wood else in_rows).extend(_trees(points[free], leaf_type, height_m, rng))
     return [*in_rows[:_MOST_IN_ROWS], *scattered[:_MOST_SCATTERED]]
-
-
-def _along(line: LineString) -> NDArray[np.float64]:
-    places = np.arange(0.0, line.length + 1e-6, _ROW_M)
-    return shapely.get_coordinates(shapely.line_interpolate_point(line, places))
 
 
 def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator) -> NDArray[np.float64]:

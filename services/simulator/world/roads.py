@@ -12,6 +12,7 @@ from shapely import LineString, Polygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.osm import Tags
+from services.simulator.world.place import polygons
 from services.simulator.world.tags import MEANINGS, metres
 from services.simulator.world.terrain import Area, Barrier, Building, Road, plan
 
@@ -36,7 +37,9 @@ _SHORTEST_M: Final = 0.3
 
 def road(line: LineString, tags: Tags) -> Road:
     """Return the road of a line with a known `highway`: as wide as stated, else as its lanes or its class suggest."""
-    highway, lanes = tags["highway"], _lanes(tags)
+    highway, lanes = tags["highway"], 0
+    if re.fullmatch("[0-9]{1,3}", tags.get("lanes", "")):
+        lanes = min(int(tags["lanes"]), _MOST_LANES)
     width_m = metres(tags.get("width")) or metres(tags.get("est_width"))
     if width_m is None and highway in MEANINGS.street_width_m and lanes:
         width_m = lanes * _LANE_M
@@ -49,11 +52,6 @@ def road(line: LineString, tags: Tags) -> Road:
         marked=highway in MEANINGS.marked and tags.get("lane_markings") != "no" and lanes != 1,
         sidewalks=_has_sidewalks(tags),
     )
-
-
-def _lanes(tags: Tags) -> int:
-    text = tags.get("lanes", "")
-    return min(int(text), _MOST_LANES) if re.fullmatch("[0-9]{1,3}", text) else 0
 
 
 def _has_sidewalks(tags: Tags) -> bool:
@@ -101,7 +99,7 @@ def bridge_water(areas: Iterable[Area], roads: Iterable[Road]) -> Iterator[Area]
             yield area
         else:
             rest = area.footprint.difference(shapely.union_all([strips[hit] for hit in hits]))
-            yield from (replace(area, **plan(part)) for part in _polygons(rest))
+            yield from (replace(area, **plan(part)) for part in polygons(rest, _SMALLEST_M2))
 
 
 def open_barriers(
@@ -121,8 +119,8 @@ def open_barriers(
 
 
 def _opened(building: Building, passage: BaseGeometry) -> Iterator[Building]:
-    beside = _polygons(building.footprint.difference(passage))
-    above = _polygons(building.footprint.intersection(passage))
+    beside = polygons(building.footprint.difference(passage), _SMALLEST_M2)
+    above = polygons(building.footprint.intersection(passage), _SMALLEST_M2)
     if not above:
         yield building
         return
@@ -139,7 +137,3 @@ def _strip(road: Road) -> BaseGeometry:
 
 def _half_width_m(road: Road) -> float:
     return max(road.width_m, _NARROWEST_GAP_M) / 2 + _MARGIN_M
-
-
-def _polygons(area: BaseGeometry) -> list[Polygon]:
-    return [part for part in shapely.get_parts(area) if isinstance(part, Polygon) and part.area > _SMALLEST_M2]

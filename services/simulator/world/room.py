@@ -194,10 +194,7 @@ class RoomFile(Room):
             raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room")
 
     def world(self, name: str) -> World:
-        """Return the world that the file describes.
-
-        WorldError where start or victim have no room, there is no way, or a victim can be seen that should be hidden.
-        """
+        """Return the world that the file describes; WorldError where a place has no room, no way, or does not hide."""
         world = World(replace(self, name=name), self.start.pose, self.victim.pose)
         self._check_room_for("start", world.start, _SCALE.start_room_m)
         self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)

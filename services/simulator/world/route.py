@@ -72,10 +72,7 @@ def obstacles_of(place: Place) -> Obstacles:
 
 
 class LaneGraph:
-    """A place's lanes as points (n, 2) not far apart, joined where nothing is in the way.
-
-    `costs` (n, n) is a symmetric sparse matrix: metres of an edge, more where it is tight.
-    """
+    """A place's lanes as points (n, 2) not far apart, joined where nothing is in the way."""
 
     def __init__(self, place: Place) -> None:
         self._scale = place.scale
@@ -89,6 +86,7 @@ class LaneGraph:
         keys = np.round(np.concatenate(chains), 2)
         points, index = np.unique(keys, axis=0, return_inverse=True)
         self.points = np.asarray(points, dtype=np.float64)
+        #: Symmetric and sparse (n, n): metres of an edge, more where it is tight.
         self.costs = self._edges(_consecutive(chains, index.ravel()))
 
     def _edges(self, pairs: NDArray[np.int64]) -> csr_array:
@@ -149,7 +147,9 @@ class RoutesTo:
         while node != len(self._graph.points):
             corners.append(self._graph.points[node])
             node = int(self._towards_goal[node])
-        return _corners(np.array([*corners, self._goal]))
+        # The simplifier that preserves topology never returns for some paths with nearly equal points.
+        line = shapely.simplify(LineString([*corners, self._goal]), 0.02, preserve_topology=False)
+        return np.asarray(shapely.get_coordinates(line), dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
@@ -167,9 +167,7 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     """Plan the way from anywhere to the victim, (k, 2) corners in metres, k at least 2.
 
     It goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off everything
-    solid (the robot's radius on a first leg that begins closer).
-
-    Raises WorldError where no free way leads from there to the victim.
+    solid (the robot's radius on a first leg that begins closer); WorldError where no such way is free.
     """
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:
@@ -182,8 +180,8 @@ def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
     """Return a place beside a way, to the left, with the way's direction; before its end, of which there is none."""
     along_m = min(max(along_m, 0.0), way.length - 0.1)
     here, there = way.interpolate(along_m), way.interpolate(along_m + 0.1)
-    heading = math.atan2(there.y - here.y, there.x - here.x)
-    return Pose(here.x - aside_m * math.sin(heading), here.y + aside_m * math.cos(heading), heading)
+    along = Pose(here.x, here.y, math.atan2(there.y - here.y, there.x - here.x))
+    return Pose(*along.at(0.0, aside_m), along.heading)
 
 
 def route_length_m(route: NDArray[np.float64]) -> float:
@@ -197,9 +195,3 @@ def _consecutive(chains: list[NDArray[np.float64]], index: NDArray[np.int64]) ->
     first = np.setdiff1d(np.arange(len(index) - 1), last)
     pairs = np.stack([index[first], index[first + 1]], axis=1)
     return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]], dtype=np.int64)
-
-
-def _corners(path: NDArray[np.float64]) -> NDArray[np.float64]:
-    # The simplifier that preserves topology never returns for some paths with nearly equal points.
-    line = shapely.simplify(shapely.LineString(path), 0.02, preserve_topology=False)
-    return np.asarray(shapely.get_coordinates(line), dtype=np.float64)

@@ -10,7 +10,8 @@ from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
-from services.simulator.world.osm import OPEN, Element, Extract, OutlineError, Points, Tags, only_areas
+from services.simulator.world.osm import OPEN, Element, Extract, OutlineError, Points, only_areas
+from services.simulator.world.place import polygons
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Planting, planted
 from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
 from services.simulator.world.tags import MEANINGS, Kind, metres
@@ -73,7 +74,10 @@ class _Survey:
         if node.tags.get("natural") == "tree":
             (self._used if inside else self.left_out)["tree" if inside else f"tree: {_OUTSIDE}"] += 1
             if inside:
-                self._trees.append(_tree(node.id, here, node.tags))
+                kind: TreeKind = "conifer" if node.tags.get("leaf_type") == "needleleaved" else BROAD[node.id % 2]
+                usual_m = USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
+                height_m = min(metres(node.tags.get("height")) or usual_m, _TALLEST_TREE_M)
+                self._trees.append(Tree(here.x, here.y, height_m, kind))
 
     def take(self, element: Element[Points] | Element[BaseGeometry]) -> None:
         for kind in meaning.kinds_of(element.tags):
@@ -89,7 +93,9 @@ class _Survey:
     def _way(self, kind: Kind, way: Element[Any], points: Points) -> None:
         try:
             if kind in _LINEAR:
-                self._lines(kind, way, _lines_in(_line_through(points), self._frame))
+                # Where it crosses itself, it is not cut.
+                parts = shapely.get_parts(shapely.clip_by_rect(_line_through(points), *self._frame.bounds))
+                self._lines(kind, way, [part for part in parts if part.geom_type == "LineString" and part.length > 0])
             else:
                 self._area(kind, way, _area_within(points))
         except OutlineError as error:
@@ -111,32 +117,32 @@ class _Survey:
                     self._barriers.append(Barrier(line, _length(tags.get("height"), usual_m, _BARRIER_M), barrier_kind))
                 case "waterway":
                     width_m = _length(tags.get("width"), MEANINGS.waterway_width_m[tags["waterway"]], _WATERWAY_M)
-                    water = _polygons_in(line.buffer(width_m / 2), self._frame)
+                    water = polygons(line.buffer(width_m / 2).intersection(self._frame))
                     self._areas += [Area(**plan(part), kind="water") for part in water]
                 case _:
                     self._plantings.append(Planting(way.id, line, tags.get("leaf_type", "")))
 
     def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
-        polygons, tags = _polygons_in(area, self._frame), element.tags
-        if not polygons:
+        parts, tags = polygons(area.intersection(self._frame)), element.tags
+        if not parts:
             self.left_out[f"{kind}: {_OUTSIDE}"] += 1
             return False
         if kind in {"building", "building part"}:
-            if max(polygon.area for polygon in polygons) < SMALLEST_M2:
+            if max(part.area for part in parts) < SMALLEST_M2:
                 self.skipped[f"{kind}: it is smaller than {SMALLEST_M2:.0f} m2"] += 1
                 return False
             outlines = self._outlines if kind == "building" else self._parts
-            outlines.append(Outline(element.id, MultiPolygon(polygons), tags))
+            outlines.append(Outline(element.id, MultiPolygon(parts), tags))
         else:
             cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
-            self._areas += [Area(**plan(polygon), kind=cover) for polygon in polygons]
+            self._areas += [Area(**plan(part), kind=cover) for part in parts]
             if kind == "square":
-                self._squares += polygons
+                self._squares += parts
             trees_m = meaning.trees_on(tags)
             if kind == "wood" and trees_m is not None:
                 leaves = tags.get("leaf_type", "")
-                self._plantings += [Planting(element.id, polygon, leaves, trees_m or None) for polygon in polygons]
+                self._plantings += [Planting(element.id, part, leaves, trees_m or None) for part in parts]
         if kind != "building part":  # whether a part is used is known only when all are there
             self._used[kind] += 1
         return True
@@ -185,29 +191,12 @@ def _line_through(points: Points) -> LineString:
     return line
 
 
-def _polygons_in(area: BaseGeometry, frame: Polygon) -> list[Polygon]:
-    """Return the parts of a valid area that lie inside the frame; touching it is not enough."""
-    return [part for part in shapely.get_parts(area.intersection(frame)) if isinstance(part, Polygon) and part.area > 0]
-
-
-def _lines_in(line: LineString, frame: Polygon) -> list[LineString]:
-    """Return the parts of a line that lie inside the frame; where it crosses itself, it is not cut."""
-    parts = shapely.get_parts(shapely.clip_by_rect(line, *frame.bounds))
-    return [part for part in parts if part.geom_type == "LineString" and part.length > 0]
-
-
 def _is_tangled(points: Points) -> bool:
     segments = np.asarray(shapely.linestrings(np.stack([points[:-1], points[1:]], axis=1)))
     tree = STRtree(segments)
     if tree.query(segments).shape[1] > _MOST_NEAR_PAIRS_A_SEGMENT * len(segments):
         return True
     return bool(tree.query(segments, "crosses").shape[1] > 2 * _MOST_CROSSINGS)
-
-
-def _tree(number: int, here: shapely.Point, tags: Tags) -> Tree:
-    kind: TreeKind = "conifer" if tags.get("leaf_type") == "needleleaved" else BROAD[number % 2]
-    height = metres(tags.get("height")) or USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (number % 6))
-    return Tree(here.x, here.y, min(height, _TALLEST_TREE_M), kind)
 
 
 def _length(text: str | None, usual_m: float, limits: tuple[float, float]) -> float:

@@ -106,10 +106,7 @@ def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[n
 
 
 def moved_victim(world: World, rng: np.random.Generator) -> Pose:
-    """Draw where a victim lies that has moved by up to `Scale.moved_m`: free, and in sight of its place.
-
-    Raises WorldError where no such place was found in 1000 draws.
-    """
+    """Draw where a victim lies that has moved up to `Scale.moved_m`: free, in sight of its place; else a WorldError."""
     there, obstacles, scale = world.victim, obstacles_of(world.place), world.scale
     for _ in range(_TRIES):
         away_m, towards = scale.moved_m * math.sqrt(rng.uniform()), rng.uniform(0.0, math.tau)

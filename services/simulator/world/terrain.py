@@ -23,7 +23,7 @@ from shapely.geometry.base import BaseGeometry
 from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.osm import LARGEST_M, MOST_WAY_M
-from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World
+from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World, polygons
 
 FORMAT: Final = "smal.terrain/1"
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
@@ -306,8 +306,7 @@ def _on_grid(terrain: Terrain) -> Terrain:
         rounded = shapely.transform(polygon, lambda points: np.round(points, _DECIMALS))
         if not rounded.is_valid:
             rounded = shapely.set_precision(polygon, 10.0**-_DECIMALS)
-        parts = shapely.get_parts(rounded)
-        yield from (plan(part) for part in parts if isinstance(part, Polygon) and part.area > 0)
+        yield from map(plan, polygons(rounded))
 
     return replace(
         terrain,

@@ -17,7 +17,7 @@ from services.simulator.physics import PhysicalBase
 from services.simulator.robots import RESCUEBOT, TURTLEBOT, Drive, RobotModel
 from services.simulator.world.place import Pose, Solid
 
-robots = pytest.mark.parametrize("robot", [RESCUEBOT, TURTLEBOT], ids=lambda robot: robot.name)
+robots = pytest.mark.parametrize("robot", [RESCUEBOT, TURTLEBOT], ids=["rescuebot", "turtlebot"])
 
 
 class Hall:

@@ -18,7 +18,7 @@ from services.robot.gate import CommandGate
 from services.robot.runner import EpisodeRunner
 from services.robot.service import RobotService
 from services.robot.task import OperatorsTask
-from services.teleop.config import FIRST_HOLD_S
+from services.teleop.session import FIRST_HOLD_S
 from tests.command import run_smal
 from tests.services.conftest import RunNode
 from tests.services.robot.line import LineBody
