@@ -36,19 +36,13 @@ LANES: Final[tuple[Lane, ...]] = get_args(Lane)
 class Topic:
     """One row of the table."""
 
-    name: str
-    """The key after ``smal/<robot>/``."""
+    name: str  # The key after ``smal/<robot>/``.
     message: type[Message]
-    rate_hz: float | None
-    """Nominal rate while an episode runs; None for events."""
-    queue: int
-    """Messages that a receiver keeps; the oldest gives way to the newest."""
-    recorded: bool
-    """Whether the recorder writes it."""
-    lane: Lane = "ordinary"
-    """Which of a process's links it travels by."""
-    reliable: bool = False
-    """Whether the sender waits rather than drops when the network is full."""
+    rate_hz: float | None  # Nominal rate while an episode runs; None for events.
+    queue: int  # Messages that a receiver keeps; the oldest gives way to the newest.
+    recorded: bool  # Whether the recorder writes it.
+    lane: Lane = "ordinary"  # Which of a process's links it travels by.
+    reliable: bool = False  # Whether the sender waits rather than drops when the network is full.
 
     def key(self, robot: str) -> str:
         """Return the Zenoh key of this topic for one robot (or ``*`` for every robot)."""

@@ -15,11 +15,9 @@ MOST_BYTES: Final = 256 << 20
 class Item(NamedTuple):
     """What was taken from an inbox."""
 
-    name: str
-    """Its queue."""
+    name: str  # Its queue.
     content: object
-    waited_s: float
-    """How long it waited, seconds."""
+    waited_s: float  # How long it waited, seconds.
 
 
 class _Waiting(NamedTuple):

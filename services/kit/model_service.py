@@ -86,12 +86,9 @@ class LoadedModel:
     """A model that a service may work with."""
 
     model: AnyModel
-    name: str
-    """Its file: the path in the settings, or the name that a call gave."""
-    stride: int
-    """Frames from one decision to the next; 1 but for the paper's scheme."""
-    goal: str | None
-    """Where to go; None for the only goal."""
+    name: str  # Its file: the path in the settings, or the name that a call gave.
+    stride: int  # Frames from one decision to the next; 1 but for the paper's scheme.
+    goal: str | None  # Where to go; None for the only goal.
 
     @property
     def identity(self) -> str:

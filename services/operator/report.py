@@ -11,17 +11,12 @@ from schemas.episode import Episode, Outcome, Purpose
 class Report:
     """What was last heard of the robot, and of its episode."""
 
-    #: When it last told of itself, by the operator's clock.
-    at: float = 0.0
+    at: float = 0.0  # When it last told of itself, by the operator's clock.
     answers: bool = False
-    #: An episode was asked for, and has not begun yet.
-    waiting: bool = False
-    #: An emergency stop was asked for here, and the robot was not armed since.
-    emergency: bool = False
-    #: Why the robot stands until it is armed.
-    cause: StopCause | None = None
-    #: The running episode; none where there is none.
-    episode: str | None = None
+    waiting: bool = False  # An episode was asked for, and has not begun yet.
+    emergency: bool = False  # An emergency stop was asked for here, and the robot was not armed since.
+    cause: StopCause | None = None  # Why the robot stands until it is armed.
+    episode: str | None = None  # The running episode; none where there is none.
     #: Of the running episode, or of the last one: its newest frame, and how the robot moved.
     tick: int = 0
     atom: Atom | None = None
@@ -33,10 +28,8 @@ class Report:
     driver: Source | None = None
     goal: str | None = None
     world: str | None = None
-    #: How it ended.
-    outcome: Outcome | None = None
-    #: Whether what it said is so, of "not here"; None where nobody knows.
-    right: bool | None = None
+    outcome: Outcome | None = None  # How it ended.
+    right: bool | None = None  # Whether what it said is so, of "not here"; None where nobody knows.
 
 
 def told_of(event: Episode) -> str:

@@ -52,11 +52,9 @@ class _Recording:
 
     writer: EpisodeWriter | None
     touched_s: float
-    #: Before that not all of it was sent again: a recorder that was killed had its beginning.
-    not_before_s: float = 0.0
+    not_before_s: float = 0.0  # Before that not all of it was sent again: a recorder that was killed had its beginning.
     closing: bool = False
-    #: When it is finished whatever still comes: nobody told that the episode ended.
-    deadline_s: float = math.inf
+    deadline_s: float = math.inf  # When it is finished whatever still comes: nobody told that the episode ended.
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""

@@ -31,11 +31,9 @@ Triple = tuple[float, float, float]
 class ImuReading(NamedTuple):
     """What the inertial unit felt over one step of time, about and along the axes ahead, left and up."""
 
-    after_s: float
-    """End of the step, seconds since the episode began."""
+    after_s: float  # End of the step, seconds since the episode began.
     angular_velocity_rad_s: Triple
-    acceleration_m_s2: Triple
-    """Gravity is felt as an acceleration upwards."""
+    acceleration_m_s2: Triple  # Gravity is felt as an acceleration upwards.
 
 
 class View(Protocol):
@@ -75,10 +73,8 @@ class Beginning:
 
     route: tuple[tuple[float, float], ...] = ()
     """Way points from there to the goal, metres; none where the way is not known."""
-    found_m: float | None = None
-    """How near the goal counts as found; None where nobody knows where it is."""
-    victim: tuple[float, float] | None = None
-    """Where the victim lies, metres; None where it is not known, or nowhere."""
+    found_m: float | None = None  # How near the goal counts as found; None where nobody knows where it is.
+    victim: tuple[float, float] | None = None  # Where the victim lies, metres; None where it is not known, or nowhere.
 
 
 V_co = TypeVar("V_co", bound=View, covariant=True)

@@ -51,8 +51,7 @@ class Applied:
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
-    #: Age of the command, since the capture of its frame.
-    age_s: float = field(default=0.0, compare=False)
+    age_s: float = field(default=0.0, compare=False)  # Age of the command, since the capture of its frame.
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ class _Operator:
     session: str
     name: str
     sequence: int
-    #: When the newest pulse was sent that they have answered.
-    answered_s: float
+    answered_s: float  # When the newest pulse was sent that they have answered.
     there: bool
 
 

@@ -27,25 +27,19 @@ class Running(Generic[V]):
     id: str
     episode: Episode[V]
     pace: "Pace[V]"
-    #: When it began, by the gate's time and by the wall clock.
-    begun_s: float
+    begun_s: float  # When it began, by the gate's time and by the wall clock.
     begun_ns: int
     #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
     stamp_ns: int
-    #: When the client that began it was last heard of.
-    client_s: float
-    #: The number of its last sign of life.
-    client_beat: int = -1
-    #: Whether the goal has been reached at all.
-    found: bool = False
+    client_s: float  # When the client that began it was last heard of.
+    client_beat: int = -1  # The number of its last sign of life.
+    found: bool = False  # Whether the goal has been reached at all.
     applied: Applied | None = None
-    #: How many times it was said in this tick what moves the robot.
-    said: int = 0
+    said: int = 0  # How many times it was said in this tick what moves the robot.
     #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
     ready_s: dict[int, float] = field(default_factory=dict)
     latency_s: dict[Source, float] = field(default_factory=dict)
-    #: The messages of the last frame that a driver needs to answer it.
-    frame: tuple[Message, ...] = ()
+    frame: tuple[Message, ...] = ()  # The messages of the last frame that a driver needs to answer it.
 
     @property
     def request(self) -> ResetRequest:

@@ -39,8 +39,7 @@ class Camera(_Part):
     topic: Topic
     type: Literal["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"] = messages.COMPRESSED_IMAGE
     info: Topic | None = None
-    #: From the light on the sensor to the stamp of a picture.
-    latency_s: Seconds = 0.0
+    latency_s: Seconds = 0.0  # From the light on the sensor to the stamp of a picture.
 
 
 class Input(_Part):
@@ -54,13 +53,11 @@ class Scan(Input):
     """A laser scanner, or whatever tells distances as one; scanners turn 5 to 10 times a second."""
 
     silence_s: Silence = 0.5
-    #: Nearer than this, from the scanner, nothing may be where the robot goes.
-    stop_m: Positive
+    stop_m: Positive  # Nearer than this, from the scanner, nothing may be where the robot goes.
     #: Where ahead is in the scanner's own angles, counter-clockwise; and how far to both sides of the way is looked.
     ahead_rad: Annotated[float, Field(gt=-3.15, lt=3.15)] = 0.0
     half_angle_rad: Angle = 0.6
-    #: Nearer than this are parts of the robot.
-    blind_m: Seconds = 0.0
+    blind_m: Seconds = 0.0  # Nearer than this are parts of the robot.
     #: The widest angle of a way of which the scanner may say nothing; at 0.3 m a table's leg, 6 cm, is as wide.
     gap_rad: Angle = 0.2
     #: Whether a range of 0 says that nothing is within reach; a scanner that is covered or broken says the same.
@@ -107,14 +104,12 @@ class Ros2Config(_Part):
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
     speed_m_s: Positive
     turn_rate_rad_s: Positive
-    #: From that speed to standing.
-    braking_s: Seconds
+    braking_s: Seconds  # From that speed to standing.
     #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
     watchdog_s: Positive
     velocity: Velocity = Velocity()
     camera: Camera
-    #: The wheels; their silence is the base's.
-    odometry: Input | None = None
+    odometry: Input | None = None  # The wheels; their silence is the base's.
     imu: Input | None = None
     scan: Scan | None = None
     stops: tuple[Stop, ...] = ()

@@ -17,10 +17,8 @@ class Way(NamedTuple):
 
     nearest_m: float
     """How far the nearest thing is that is nearer than `Scan.stop_m`; else infinity. Too near to be measured is 0."""
-    unseen_rad: float
-    """The widest angle in which no beam tells anything."""
-    seen: bool
-    """Whether that is narrow enough for the way to be free."""
+    unseen_rad: float  # The widest angle in which no beam tells anything.
+    seen: bool  # Whether that is narrow enough for the way to be free.
 
 
 def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:

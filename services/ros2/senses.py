@@ -71,10 +71,8 @@ class Heard(NamedTuple):
     """A topic that is listened to."""
 
     type_name: str
-    take: Callable[[RosMessage, float], None]
-    """Takes a message, and when it was made by our clock."""
-    clock: StampedClock | None = None
-    """That of its stamps; None where messages count from their arrival."""
+    take: Callable[[RosMessage, float], None]  # Takes a message, and when it was made by our clock.
+    clock: StampedClock | None = None  # That of its stamps; None where messages count from their arrival.
     silence_s: float | None = None
     """After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not."""
 

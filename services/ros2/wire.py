@@ -31,8 +31,7 @@ class Qos(NamedTuple):
 
     reliable: bool
     depth: int
-    #: Transient local: who comes late wants what was said last.
-    latched: bool = False
+    latched: bool = False  # Transient local: who comes late wants what was said last.
 
     def text(self) -> str:
         """Return it as it stands in a liveliness token; empty is the default."""

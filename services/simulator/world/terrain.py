@@ -193,8 +193,7 @@ class Terrain:
     """An outdoor place: everything that stands or lies on the ground."""
 
     name: str = ""
-    source: Source | None = None
-    """None for one made otherwise than from a map."""
+    source: Source | None = None  # None for one made otherwise than from a map.
     bounds: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
     buildings: Many[Building]
     roads: Many[Road]
