@@ -50,10 +50,7 @@ class Topic:
 
     @property
     def kept(self) -> int:
-        """How many messages of a recorded topic its sender keeps; of events as many as if they came at 10 Hz.
-
-        Half as many again as the nominal rate asks for: commands are applied at 12 Hz and more.
-        """
+        """How many messages a sender keeps: half as many again as the nominal rate, or 10 Hz of events, asks for."""
         return math.ceil(1.5 * KEPT_S * (self.rate_hz or 10))
 
     @property

@@ -69,10 +69,6 @@ class RpcError(JobError):
     """A call was refused by the service or not answered."""
 
 
-def _ignore(_why: str) -> None:
-    """Tell nobody."""
-
-
 class Bus:
     """One process's connection to the router; the robot's id is part of every key.
 
@@ -156,7 +152,7 @@ class Bus:
             publisher_detection=True,
         )
 
-    def subscribe(self, topic: Topic, take: Take, refused: Refused = _ignore, *, replay: bool = False) -> None:
+    def subscribe(self, topic: Topic, take: Take, refused: Refused = lambda _: None, *, replay: bool = False) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
 
         It is given payload, encoding, and how many seconds it took by the clocks of both machines, or None. ``refused``
@@ -244,7 +240,7 @@ class Bus:
         service: str,
         verb: str,
         answer: Callable[[bytes, Callable[[Strict], None]], None],
-        refused: Refused = _ignore,
+        refused: Refused = lambda _: None,
     ) -> None:
         """Answer calls: ``answer(request_json, reply)`` runs on a thread of its own and may pass ``reply`` on.
 

@@ -54,16 +54,16 @@ def ailment(status: Status) -> str | None:
     return None
 
 
-class Metrics:
+class Metrics(Collector):
     """The metrics of one node, whose name and robot are labels of each; ``status`` tells the counts.
 
     A hop from one service to the next is its transit on the bus, its wait in the queue and the work on it.
     """
 
     def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
-        self._labels = (service, robot)
+        self._labels, self._status = (service, robot), status
         self.registry = CollectorRegistry()
-        self.registry.register(_StatusCollector(robot, status))
+        self.registry.register(self)
         ProcessCollector(registry=self.registry)
         self._times = {
             what: Histogram(
@@ -76,21 +76,13 @@ class Metrics:
         """Count how long something took, of a topic or a source of commands."""
         self._times[what].labels(*self._labels, of).observe(max(0.0, seconds))
 
-
-class _StatusCollector(Collector):
-    """Turns a node's status into metrics whenever it is asked."""
-
-    def __init__(self, robot: str, status: Callable[[], Status]) -> None:
-        self._robot = robot
-        self._status = status
-
     def describe(self) -> Iterator[Metric]:
         """Name nothing beforehand: a registry would otherwise ask for the status before there is one."""
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        status = self._status()
-        labels = (status.service, self._robot)
+        """Turn the status into metrics."""
+        status, labels = self._status(), self._labels
         for name, meaning in _COUNTS.items():
             counts = CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC)
             yield _by_topic(counts, labels, getattr(status, name))

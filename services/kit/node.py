@@ -84,8 +84,7 @@ class Node:
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
         self._complaints: defaultdict[tuple[str, str], Throttle] = defaultdict(Throttle)
-        #: Held to count what goes wrong, which is noticed on several threads.
-        self._counting = threading.Lock()
+        self._counting = threading.Lock()  # Held to count what goes wrong, which is noticed on several threads.
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http = None

@@ -7,10 +7,7 @@ import numpy as np
 
 
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types
-    """Return a message of a kind, for example ``nav_msgs/msg/Odometry``, of the types of a distribution.
-
-    Its fields are maps for the messages in it, sequences for arrays; what is not given is zero or empty.
-    """
+    """Return a message of a kind (``nav_msgs/msg/Odometry``); what its fields, maps in maps, lack is zero or empty."""
     given = dict(fields or {})
     made = {name: _value(store, node, given.pop(name, None)) for name, node in store.fielddefs[kind][1]}
     if given:

@@ -30,8 +30,7 @@ class Commands:
         self.last_ended: str | None = None
         #: Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
         self.stop: int | None = None
-        #: Whether an emergency stop is asked for.
-        self.emergency = False
+        self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
         self._sent: Atom | None = None
         self._answered = -1

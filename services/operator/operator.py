@@ -63,8 +63,7 @@ class Operator:
         self._there = there
         self.report = Report()
         self.commands = Commands(node.robot, clock)
-        #: The running episode, if it was begun here, and how it was asked for.
-        self.mine: str | None = None
+        self.mine: str | None = None  # The running episode, if it was begun here, and how it was asked for.
         self.request: ResetRequest | None = None
         self._beats = count()
         #: When something was heard of the robot, and of its episode.

@@ -29,8 +29,7 @@ class Disk:
     ) -> None:
         self._clock = clock
         self._free = free
-        #: When how many bytes had been written.
-        self._written: deque[tuple[float, int]] = deque()
+        self._written: deque[tuple[float, int]] = deque()  # When how many bytes had been written.
         #: What whoever drives has to know, in one line; None while there is room enough.
         self.warning: str | None = None
 

@@ -94,8 +94,7 @@ class RecorderService:
         #: Episodes of which a killed recorder left the beginning. The rest is sent again, soon after this time.
         self._cut: set[str] = set()
         self._began_s = 0.0
-        #: What it left that cannot be sealed.
-        self._given_up: set[Path] = set()
+        self._given_up: set[Path] = set()  # What it left that cannot be sealed.
         self._sealed: Counter[str] = Counter()
         self._lost = 0
         self._dropped_before = 0

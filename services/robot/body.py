@@ -99,9 +99,7 @@ class Stops(Protocol):
 class Body(Stops, Protocol[V_co]):
     """Wheels and a camera; ``drive`` and ``stand`` return at once, 50 times a second on a thread of their own."""
 
-    @property
-    def speed_m_s(self) -> float:
-        """Nominal speed of ``forward`` and ``backward``, greater than 0."""
+    speed_m_s: float  # Nominal speed of ``forward`` and ``backward``, greater than 0.
 
     @property
     def camera(self) -> Camera | None:

@@ -17,8 +17,7 @@ class Cancelling:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        #: Who has asked for what is being begun; None while nothing is.
-        self._asker: str | None = None
+        self._asker: str | None = None  # Who has asked for what is being begun; None while nothing is.
         self._by: str | None = None
 
     def cancel(self, session: str, operator: str | None) -> None:

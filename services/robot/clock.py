@@ -10,8 +10,5 @@ PULSE_S: Final = 0.05
 
 
 def now_s() -> float:
-    """Return seconds that also pass while the machine is suspended, and that nobody can set.
-
-    With a clock that stands meanwhile, a command from before would still look fresh when the machine wakes.
-    """
+    """Return seconds that nobody can set, and that pass in suspension too: no command looks fresh after it."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)

@@ -20,8 +20,7 @@ class Episode(Generic[V]):
         self._body = body
         self._task = task
         self._reached: bool | None = None
-        #: Whether a run has reached its goal in some frame.
-        self.passed = False
+        self.passed = False  # Whether a run has reached its goal in some frame.
         self.tick = self._timed = 0
         self.view = body.look(0)
 

@@ -60,8 +60,7 @@ class ActuatorLoop:
         self._complaints, self._last_complaints = Throttle(), Throttle()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
-        #: How many steps began later than the next one was due.
-        self.late = 0
+        self.late = 0  # How many steps began later than the next one was due.
         #: How old the command that is carried out was, from the capture of its frame, when it began to be.
         self.delay_s = 0.0
         self._answered: int | None = None

@@ -56,10 +56,7 @@ class Teller(Protocol[V]):
     """Who takes the frames and tells of them: the runner, as far as a pace needs it."""
 
     gate: CommandGate
-
-    @property
-    def running(self) -> Running[V] | None:
-        """The running episode, if any."""
+    running: Running[V] | None  # The running episode, if any.
 
     def next_frame(self, run: Running[V]) -> Iterator[Message]:
         """Take the next frame, and end the episode if it ends with it."""

@@ -72,8 +72,7 @@ class EpisodeRunner(Generic[V]):
         self._wall_clock_ns = wall_clock_ns
         self._cancelling = Cancelling()
         self._count = 0
-        #: The running episode, if any.
-        self.running: Running[V] | None = None
+        self.running: Running[V] | None = None  # The running episode, if any.
 
     # -- what is asked for ----------------------------------------------------------------------------------------
 
@@ -173,10 +172,7 @@ class EpisodeRunner(Generic[V]):
         return self.end(run.episode.outcome, right=right if request.said == "not_here" else None)
 
     def end(self, outcome: Outcome | None = None, judge: Judge = "task", *, right: bool | None = None) -> list[Message]:
-        """End the running episode; without an outcome it is ``found`` if the last frame shows the goal reached.
-
-        That frame is what a drive teaches as its goal; one that passed the goal and went on is ``aborted``.
-        """
+        """End the running episode; without an outcome it is ``found`` if the last frame, which is taught, shows it."""
         run = self.running
         if run is None:
             return []

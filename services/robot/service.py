@@ -58,8 +58,7 @@ class RobotService:
         self._runner = runner
         self._node = node
         self._timed: tuple[str, int | None] | None = None
-        #: Whether another robot of this id is there, to which it is left.
-        self.left = False
+        self.left = False  # Whether another robot of this id is there, to which it is left.
         runner.wake = node.soon(self.poll)
         for source, topic in COMMANDS.items():
             # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.

@@ -138,10 +138,7 @@ class Ros2Body:
         return Beginning()
 
     def look(self, tick: int) -> Ros2View:
-        """Return the newest frame, and what belongs to its moment.
-
-        While somebody who must be heard is silent, no frame is new: its commands expire, as they do without a camera.
-        """
+        """Return the newest frame and what belongs to it; none is new while somebody who must be heard is silent."""
         del tick
         lacks = self._lacks()
         if lacks is not None and not self._lacked:

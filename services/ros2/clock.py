@@ -27,10 +27,8 @@ class StampedClock:
         self._last_stamp_s = 0.0
         self._last_arrived_s = 0.0
         self._since_s = 0.0
-        #: How many times the other clock seemed to leap.
-        self.leaps = 0
-        #: How much longer than the fastest the last message took, seconds.
-        self.delay_s = 0.0
+        self.leaps = 0  # How many times the other clock seemed to leap.
+        self.delay_s = 0.0  # How much longer than the fastest the last message took, seconds.
 
     @property
     def offset_s(self) -> float | None:

@@ -92,12 +92,10 @@ class Senses:
         self._forbidden: dict[str, tuple[Ban, ...]] = {}
         self._unseen: dict[Atom, str] = {}
         self._complaints = Throttle()
-        #: The newest one.
-        self.frame: Frame | None = None
+        self.frame: Frame | None = None  # The newest one.
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
-        #: Whether the bumper was pressed since this was last set.
-        self.touched = False
+        self.touched = False  # Whether the bumper was pressed since this was last set.
         #: Messages that were none, or not newer than the one before, by topic.
         self.refused: Counter[str] = Counter()
         self.camera_clock = StampedClock()

@@ -35,8 +35,7 @@ class Track:
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
         self._now = Wheels(0.0)
-        #: How many times it leapt.
-        self.leaps = 0
+        self.leaps = 0  # How many times it leapt.
 
     def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
         """Take the next pose."""

@@ -134,8 +134,7 @@ class RmwZenoh(Bridge):
     ) -> None:
         self._messages, self._domain, self._hashed = messages, domain, hashed
         self._us = f"%/{_mangled(namespace)}/{node}"
-        #: A wildcard never matches the first part.
-        self.tokens = f"@ros2_lv/{domain}/**"
+        self.tokens = f"@ros2_lv/{domain}/**"  # A wildcard never matches the first part.
 
     def type_hash(self, type_name: str) -> str:
         """Return the hash, or Humble's word for having none."""

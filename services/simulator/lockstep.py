@@ -86,14 +86,11 @@ class Lockstep:
         if now - run.ready_s[run.tick] > GIVE_UP_S:
             yield from runner.end()
         elif now - self._sent_s > RESEND_S and not runner.gate.emergency_stop:
-            yield from self._send_again(runner, run)
-
-    def _send_again(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
-        # Who wants the other images may have come, or have become known, only after the frame was made.
-        *others, image = run.frame
-        made = {message.topic_name for message in others}
-        run.frame = (*others, *run.episode.view.more(runner.header(run), made), image)
-        runner.gate.expect_anybody()
-        self._sent_s = self._clock()
-        self.resent += 1
-        yield from run.frame
+            # Who wants the other images may have come, or have become known, only after the frame was made.
+            *others, image = run.frame
+            made = {message.topic_name for message in others}
+            run.frame = (*others, *run.episode.view.more(runner.header(run), made), image)
+            runner.gate.expect_anybody()
+            self._sent_s = self._clock()
+            self.resent += 1
+            yield from run.frame

@@ -59,8 +59,7 @@ class Worlds:
     def __init__(self, settings: SimulatorSettings) -> None:
         self._settings = settings
         self._first = Path(settings.world).stem
-        #: The world that was opened last, and its variation.
-        self.here = self._first, settings.variation
+        self.here = self._first, settings.variation  # The world that was opened last, and its variation.
 
     def names(self) -> list[str]:
         """Return the names of all worlds that can be asked for, sorted."""

@@ -42,8 +42,7 @@ class Terminal:
         self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
         self._status = self._drawn = ""
         self._closed = False
-        #: Whether the terminal has said that it tells releases.
-        self.tells_releases = False
+        self.tells_releases = False  # Whether the terminal has said that it tells releases.
         self._drawer = threading.Thread(target=self._draw, name="screen", daemon=True)
         self._drawer.start()
 

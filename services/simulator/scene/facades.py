@@ -49,10 +49,7 @@ class _Plan(NamedTuple):
 
 
 def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
-    """Return for each façade the one that is painted for it, at most `MOST_LOOKS` different ones.
-
-    Of more than these, which take memory, colours and then variants are rounded in coarser and coarser steps.
-    """
+    """Return for each façade the one that is painted for it: at most `MOST_LOOKS`, rounded as coarsely as needed."""
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
         found = {

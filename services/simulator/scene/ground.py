@@ -117,10 +117,7 @@ def _dashes(streets: list[Road]) -> Iterator[Polygon]:
 def cast_shade(
     terrain: Terrain, sun: tuple[float, float, float], crowns: list[tuple[Polygon, float, float]]
 ) -> BaseGeometry:
-    """Return where the ground lies in the shade of buildings, barriers and crowns, where sunlight goes as `sun` says.
-
-    Of each crown there is the outline from above, and the heights of its lower and upper end.
-    """
+    """Return where the ground is shaded by buildings, barriers and crowns (outline, low, high), as `sun` goes."""
     step = np.array(sun[:2]) / -sun[2]
     solids = [
         (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2) for house in terrain.buildings

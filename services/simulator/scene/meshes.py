@@ -146,10 +146,7 @@ def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.f
 
 
 def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
-    """Return flat triangles (n, 3, 3), anticlockwise seen from outside, that wear a texture upright.
-
-    The texture repeats every `metres` along the level and up the slope. A triangle without area is left out.
-    """
+    """Return triangles (n, 3, 3), anticlockwise from outside; their texture repeats along the level and the slope."""
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice_area = np.linalg.norm(across, axis=1)
     solid = twice_area > 1e-9

@@ -43,10 +43,7 @@ def planted(
     areas: Iterable[Area],
     barriers: Iterable[Barrier],
 ) -> list[Tree]:
-    """Return trees every 8 m along all rows, and about 7.5 m apart in all woods, at most 800; always the same.
-
-    None stands on a road, in a building, in water or on paving, or in a wall.
-    """
+    """Return trees along rows, and in woods, off roads, buildings, water, paving and walls; always the same ones."""
     if not plantings:
         return []
     taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
