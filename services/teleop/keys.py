@@ -17,17 +17,9 @@ Key = Literal[
 #: What a terminal tells besides: that it tells releases, and that its keys go to another window now.
 News = Literal["tells_releases", "focus_lost"]
 _LETTERS: Final[dict[str, Key]] = {
-    "w": "forward",
-    "s": "backward",
-    "a": "left",
-    "d": "right",
-    " ": "stop",
-    "e": "emergency_stop",
-    "n": "new_episode",
-    "r": "resume",
-    "f": "found",
-    "q": "quit",
-}
+    "w": "forward", "s": "backward", "a": "left", "d": "right", " ": "stop", "e": "emergency_stop",
+    "n": "new_episode", "r": "resume", "f": "found", "q": "quit",
+}  # fmt: skip
 _ARROWS: Final[dict[str, Key]] = {"A": "forward", "B": "backward", "D": "left", "C": "right"}
 #: Arrows of the number pad have numbers of their own where all keys are told.
 _PAD: Final[dict[int, Key]] = {57419: "forward", 57420: "backward", 57417: "left", 57418: "right"}

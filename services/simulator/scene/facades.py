@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from services.simulator.scene.faces import fill
 from services.simulator.scene.textures import Picture, as_picture, coloured, layered
+from services.simulator.tables import table
 from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import Facade, FacadeStyle
 
@@ -28,13 +29,7 @@ MOST_LOOKS: Final = 64
 _CELL_PX: Final = 256
 # Step of colours, and number of variants, from the finest to the coarsest: 5 styles by 8 colours or none.
 _ROUNDINGS: Final = ((1, 2**32), (16, 2**32), (64, 2**32), (64, 8), (64, 4), (128, 4), (128, 2), (128, 1))
-_WALL_COLOURS: Final[dict[FacadeStyle, tuple[Rgb, ...]]] = {
-    "brick": ((150, 78, 60), (122, 60, 50), (168, 104, 76), (136, 92, 78)),
-    "plaster": ((224, 214, 190), (206, 176, 140), (186, 192, 176), (214, 190, 178)),
-    "concrete": ((172, 168, 160), (150, 152, 154), (190, 180, 164)),
-    "glass": ((96, 118, 134), (112, 126, 128), (84, 104, 128)),
-    "wood": ((150, 116, 84), (206, 204, 194), (116, 132, 130)),
-}
+_WALL_COLOURS: Final = table("facades", dict[FacadeStyle, tuple[Rgb, ...]])
 
 
 class _Plan(NamedTuple):

@@ -28,7 +28,7 @@ _LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
 _CEILING_M: Final = 2.4
 #: How far each kind stands off the wall.
 _THICK_M: Final[dict[FittingKind, float]] = {"door": 0.03, "poster": 0.004, "whiteboard": 0.025, "window": 0.02}
-_SKIRTING_M: Final = (0.08, 0.014)
+_SKIRTING_M: Final = 0.08
 _RIM: Final[dict[FittingKind, Finish]] = {
     "door": Finish("lacquer", (206, 206, 200)), "poster": Finish("white_plastic"),
     "whiteboard": Finish("aluminium"), "window": Finish("white_plastic"),
@@ -57,7 +57,7 @@ def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
         lights=tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS),
         # What is in front comes first, so that what is behind it need not be drawn there.
         still=(
-            *surfaces([*skirting(room), *furniture, *hung]),
+            *surfaces([*furniture, *hung]),
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
             Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
@@ -80,19 +80,6 @@ def walls(room: Room) -> Iterator[Surface]:
         wall, length_m = room.wall(name)
         picture = paint_wall(room.wall_colour, length_m, room.walls_m, number)
         yield Surface(front((0.0, 0.0, 0.0, length_m), 0.0, room.walls_m).placed(wall), picture)
-
-
-def skirting(room: Room) -> Iterator[Piece]:
-    """Yield the skirting boards, with a gap where a door reaches the floor."""
-    high, thick = _SKIRTING_M
-    for name in get_args(Wall):
-        wall, length_m = room.wall(name)
-        faces = [fitting.face()[0] for fitting in room.fittings if fitting.wall == name and fitting.foot_m < high]
-        doors = sorted((left, right) for _, left, _, right in faces)
-        ends = [0.0, *(end for door in doors for end in door), length_m]
-        for left, right in zip(ends[::2], ends[1::2], strict=True):
-            if right > left:
-                yield Finish("lacquer", (226, 223, 214)), block((0.0, left, thick, right), 0.0, high).placed(wall)
 
 
 def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
@@ -145,14 +132,17 @@ def floor_light(room: Room) -> NDArray[np.float64]:
 
 
 def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDArray[np.uint8]:
-    """Return the picture of one painted wall: a little uneven, darker in its corners and towards the floor."""
+    """Return the picture of one painted wall with its skirting: a little uneven, darker in corners and to the floor."""
     shape = min(_pixels(height_m) // 4, 512), min(_pixels(length_m) // 4, 1024)
     rng = np.random.default_rng([_SEED, seed])
     up = (np.arange(shape[0])[::-1, None] + 0.5) / shape[0] * height_m
     along = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * length_m
     corner = np.minimum(along, length_m - along)
     light = (1 - 0.16 * np.exp(-up / 0.25)) * (1 - 0.13 * np.exp(-corner / 0.3)) * (1 - 0.08 * np.exp(-(height_m - up)))
-    return coloured(colour, light * (1.0 + 0.012 * layered(rng, shape, (2.0, 70.0))))
+    picture = coloured(colour, light * (1.0 + 0.012 * layered(rng, shape, (2.0, 70.0))))
+    board = round(_SKIRTING_M / height_m * shape[0])
+    picture[-board:], picture[-board - 1] = (214, 211, 202), (150, 147, 140)
+    return picture
 
 
 def paint_ceiling() -> NDArray[np.uint8]:
