@@ -8,5 +8,5 @@ ruff check .
 ruff format --check .
 mypy
 lint-imports
-# In two processes, for the two cores that it must do with; whoever is done takes from what is left to the other.
-python -m pytest -rs -n 2 --dist worksteal "$@"
+# In three processes on two cores: one in three waits for a robot, a browser or a deadline. `tests/sharing.py` shares out.
+python -m pytest -rs -n 3 "$@"

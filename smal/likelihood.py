@@ -19,7 +19,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from smal.settings import SETTINGS
 
@@ -58,6 +57,8 @@ def over(cosines: NDArray[Any], middle: float, spread: float) -> NDArray[Any]:
 
 def log_ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return log(here / elsewhere) at each `GRID` point, ascending: what stands out more never speaks less."""
+    from scipy.optimize import isotonic_regression  # noqa: PLC0415 - only learning needs it, and it is slow to import
+
     ratio = np.log(np.maximum(here, 1e-300) / elsewhere)
     return np.asarray(isotonic_regression(ratio, weights=here + elsewhere).x, dtype=np.float64)
 

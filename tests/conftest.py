@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,14 +15,18 @@ from hypothesis import settings
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.command import run_smal
-from tests.sharing import made_once
+from tests.sharing import Sharing, made_once, turn
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+    from xdist.remote import Producer
 
 # Numpy reads it when it is loaded. A second thread does nothing for products as small as ours, and where another
 # process wants the core it waits in a loop: learning then takes four times the processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests start some hundred processes: each would compile all that it imports again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # The same examples in every run: what fails, fails for whoever changed something. HYPOTHESIS_PROFILE=default explores.
 # None has a deadline: a busy machine is slow, and that proves nothing.
 settings.register_profile("default", deadline=None)
@@ -37,6 +42,17 @@ def pytest_configure() -> None:
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, lambda *_: None)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what lasts longest, so that no process is left alone with it."""
+    items.sort(key=lambda item: turn(item.nodeid))
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Sharing:
+    """Have processes share the tests by folder and file, whatever ``--dist`` says."""
+    config.option.loadscopereorder = False
+    return Sharing(config, log)
 
 
 @pytest.fixture(scope="session")

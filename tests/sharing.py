@@ -1,11 +1,31 @@
-"""What is costly to make is made once a run of the tests, however many processes share the work."""
+"""How processes share the tests: who does which, and what is costly to make is made once a run."""
 
 import fcntl
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+#: What drives robots in real time, and waits more than it computes: one process does the whole folder.
+REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/system/")
+#: What is begun first, since it lasts longest: pure computing before the last, so that only two of them drive at once.
+FIRST: Final = (*REAL_TIME[:2], "tests/smal/", REAL_TIME[2])
+
+
+def turn(nodeid: str) -> int:
+    """Return when a test's turn is."""
+    return next((k for k, folder in enumerate(FIRST) if nodeid.startswith(folder)), len(FIRST))
+
+
+class Sharing(LoadScopeScheduling):
+    """Gives a process that is free the next file, with what its tests share, or the next folder of `REAL_TIME`."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file, _, _ = nodeid.partition("::")
+        return next((folder for folder in REAL_TIME if nodeid.startswith(folder)), file)
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:

@@ -24,10 +24,13 @@ def noise(
 ) -> NDArray[np.float64]:
     """Return smooth seamless noise, mean 0 and standard deviation 1; `grain_px` is the size of its blobs."""
     down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
-    frequency_down, frequency_across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    frequency_down, frequency_across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    # Of what is finer the filter lets less than 1e-15 through: it is left out, which halves the time.
+    frequency_across = frequency_across[frequency_across * across < 4.2]
     keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))
     # Filtering by a product of spectra is a circular convolution, which is what makes the edges meet.
-    smooth = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) * keep, shape)
+    spectrum = np.fft.fft(np.fft.rfft(rng.standard_normal(shape))[:, : frequency_across.size], axis=0) * keep
+    smooth = np.fft.irfft(np.fft.ifft(spectrum, axis=0), shape[1])
     smooth -= smooth.mean()
     return np.asarray(smooth / max(float(smooth.std()), 1e-9), dtype=np.float64)
 

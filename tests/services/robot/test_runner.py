@@ -1,24 +1,22 @@
-"""Episodes of a robot on a line: who may begin one, who ends it, and what is told meanwhile, in real time."""
+"""Episodes of a robot on a line: what moves it, what is told meanwhile in real time, and how one ends."""
 
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 
 from schemas.base import Message
 from schemas.camera_info import CameraInfo
-from schemas.command import CommandApplied, StopCause
+from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.heartbeat import Heartbeat
 from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.pose import Pose
-from schemas.rpc import ArmRequest, EndRequest, ResetRequest, ResumeRequest
+from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
 from services.kit.node import ServiceError
-from services.robot.gate import MAX_AGE_S, CommandGate
+from services.robot.gate import MAX_AGE_S
 from services.robot.loop import PERIOD_S
-from services.robot.runner import CLIENT_S, EpisodeRunner
+from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask
 from tests.services.robot.driving import (
     Runner,
@@ -33,12 +31,6 @@ from tests.services.robot.driving import (
     runner_of,
 )
 from tests.services.robot.line import Clock, LineBody, LineView
-
-
-def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True) -> None:
-    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0, "session": session, "name": "desk"}
-    answers = runner.pulse().number if operator else None
-    runner.hear(Heartbeat(**header, sequence=sequence, answers=answers, present=present))
 
 
 def applied(messages: list[Message]) -> list[CommandApplied]:
@@ -171,191 +163,6 @@ def test_the_end_of_an_episode_is_standing_still() -> None:
     assert body.orders[-1][0] == "forward"
     runner.end()
     assert body.orders[-1] == ("stop", 0.0)
-
-
-@pytest.mark.parametrize("cause", get_args(StopCause))
-@pytest.mark.parametrize("driver", ["policy", "expert", "teleop"])
-def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(cause: StopCause, driver: str) -> None:
-    runner, _ = begin(LineBody(Clock()))
-    runner.gate.stop(cause)
-    episode = runner.running
-    with pytest.raises(ServiceError, match=r"smal teleop \(n\)"):
-        reset(runner, driver=driver)
-    assert runner.running is episode, "a refused reset ends nothing"
-    with pytest.raises(ServiceError, match="another stop was latched meanwhile"):
-        runner.arm(ArmRequest(stop=runner.gate.emergency_stop + 1))
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
-    reset(runner, driver="teleop")
-    assert runner.running is not episode
-
-
-def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
-    clock = Clock()
-    body = LineBody(clock)
-    runner, _ = begin(body, mode="realtime")
-    answer(runner)
-    advance(runner, clock, 0.1)
-    runner.gate.stop()
-    advance(runner, clock, 0.1)
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
-    answer(runner)
-    advance(runner, clock, 0.1)
-    assert body.orders[-1][0] == "stop"
-    with pytest.raises(ServiceError, match="a person has taken over"):
-        reset(runner, driver="policy")
-    run = runner.running
-    assert run is not None
-    with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
-        runner.resume(ResumeRequest(episode="other", tick=9))
-    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
-    answer(runner)
-    advance(runner, clock, 0.04)
-    assert body.orders[-1][0] == "forward"
-
-
-def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither() -> None:
-    """Theirs is a teleop that was just started: it has heard of no frame."""
-    runner, _ = begin(LineBody(Clock()), mode="realtime")
-    runner.end()
-    runner.gate.stop()
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
-    with pytest.raises(ServiceError, match="a person has taken over"):
-        reset(runner)
-    runner.resume(ResumeRequest(episode="none", tick=0))
-    reset(runner)
-    with pytest.raises(ServiceError, match="another episode has begun"):
-        runner.resume(ResumeRequest(episode="none", tick=0))
-
-
-def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
-    clock = Clock()
-    runner, _ = begin(LineBody(clock), session="a", mode="realtime")
-    run = runner.running
-    for k in range(10):
-        clock.now_s += CLIENT_S / 2
-        beat(runner, "a", k)
-        beat(runner, "b", k)
-        for session in ("b", ""):
-            with pytest.raises(ServiceError, match="is another client's"):
-                reset(runner, session=session)
-    assert runner.running is run
-    assert runner.gate.stop_cause is None
-    reset(runner, session="a")
-    assert runner.running is not run, "whose it is may begin the next"
-    beat(runner, "a")
-    clock.now_s += CLIENT_S + 0.01
-    beat(runner, "a")  # it comes twice, and counts once
-    reset(runner, session="b")
-    beat(runner, "b", 10)
-    beat(runner, "b", 11, present=False)
-    reset(runner, session="c")
-
-
-def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
-    runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
-    with pytest.raises(ServiceError, match="is another client's"):
-        reset(runner, session="o", driver="teleop")
-    answer(runner, "stop", source="teleop")
-    reset(runner, session="o", driver="teleop")
-    assert runner.running is not None
-    assert runner.running.request.session == "o"
-
-
-HELD = r"only the operator \(at desk\) may do that"
-
-
-def taken_over() -> Runner:
-    """Return a runner of client a's run, from which operator o has taken over."""
-    runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
-    beat(runner, "o", operator=True)
-    answer(runner, "stop", source="teleop", session="o")
-    assert runner.gate.taken_over
-    return runner
-
-
-def test_nobody_else_begins_an_episode_while_the_operator_is_there_who_has_taken_over() -> None:
-    """An episode that a person drives would make their takeover forgotten, and the next one could be the policy's."""
-    runner = taken_over()
-    run = runner.running
-    for session in ("a", "b", ""):
-        for driver in ("teleop", "policy", "expert"):
-            with pytest.raises(ServiceError, match=HELD):
-                reset(runner, session=session, driver=driver)
-    assert (runner.running, runner.gate.taken_over) == (run, True)
-
-
-def test_the_end_of_its_episode_does_not_undo_a_takeover() -> None:
-    runner = taken_over()
-    assert runner.running is not None
-    with pytest.raises(ServiceError, match=HELD):
-        runner.end_by(EndRequest(episode=runner.running.id, session="b"))
-    runner.end_by(EndRequest(episode=runner.running.id, session="a"))
-    with pytest.raises(ServiceError, match=HELD):
-        reset(runner, session="a", driver="teleop")
-    with pytest.raises(ServiceError, match=HELD):
-        reset(runner, session="a")
-    runner.resume(ResumeRequest(episode="none", tick=0, session="o"))
-    reset(runner, session="a")
-
-
-@pytest.mark.parametrize("how", ["leaves", "is lost"])
-def test_who_has_taken_over_and_is_gone_holds_the_robot_no_longer(how: str) -> None:
-    runner = taken_over()
-    if how == "leaves":
-        beat(runner, "o", 1, operator=True, present=False)
-    else:
-        runner.gate.watch(1000.0)
-        runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
-    with pytest.raises(ServiceError, match="a person has taken over; resume"):
-        reset(runner, session="a")
-    reset(runner, session="b", driver="teleop")
-
-
-def test_nobody_ends_what_an_operator_drives_to_begin_something_else() -> None:
-    runner, _ = begin(LineBody(Clock()), session="o", driver="teleop", mode="realtime")
-    beat(runner, "o", operator=True)
-    run = runner.running
-    assert run is not None
-    with pytest.raises(ServiceError, match=HELD):
-        runner.end_by(EndRequest(episode=run.id, session="b"))
-    with pytest.raises(ServiceError, match=HELD):
-        reset(runner, session="b", driver="teleop")
-    with pytest.raises(ServiceError, match="is another client's"):
-        reset(runner, session="b")
-    runner.end_by(EndRequest(episode=run.id, session="o", found=True))
-    reset(runner, session="b")
-    assert runner.running is not None, "an operator who looks on holds up no program"
-    assert runner.running.request.session == "b"
-
-
-def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
-    for mode in ("lockstep", "realtime"):
-        clock = Clock()
-        runner, _ = begin(LineBody(clock), mode=mode)
-        beat(runner, "o", operator=True)
-        clock.now_s += 0.3
-        list(runner.poll())
-        assert runner.gate.stop_cause == "operator_lost"
-
-
-def test_what_the_operator_says_was_found_was_found() -> None:
-    body = LineBody(Clock())
-    gate = CommandGate(first_stop=1)
-    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces)
-    runner.arm(ArmRequest(stop=1))
-    reset(runner, purpose="drive", driver="teleop")
-    run = runner.running
-    assert run is not None
-    beat(runner, "o", operator=True)
-    with pytest.raises(ServiceError, match=r"only the operator \(at desk\) may do that"):
-        runner.end_by(EndRequest(episode=run.id, found=True, session="x"))
-    with pytest.raises(ServiceError, match="episode other is not running"):
-        runner.end_by(EndRequest(episode="other", found=True, session="o"))
-    (ended,) = runner.end_by(EndRequest(episode=run.id, found=True, session="o"))
-    assert isinstance(ended, Episode)
-    assert (ended.outcome, ended.judge) == ("found", "operator")
-    with pytest.raises(ServiceError, match="is not running"):
-        runner.end_by(EndRequest(episode=run.id))
 
 
 @pytest.mark.parametrize(

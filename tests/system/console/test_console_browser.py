@@ -15,7 +15,7 @@ from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world.loading import WORLDS_FOLDER
 from tests.benchmarks.faults.proxy import link
 from tests.services.waiting import eventually
-from tests.system.console_site import (
+from tests.system.console.console_site import (
     Site,
     arm,
     begin_a_drive,
@@ -35,7 +35,7 @@ from tests.system.console_site import (
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
 #: Teach, learn, run, found.
 WHOLE_LOOP_S = 240.0
 
@@ -58,6 +58,24 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     assert data(page, "outcome") == "found"
     assert time.monotonic() - began_s <= WHOLE_LOOP_S
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
+
+
+def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:
+    drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
+    world = page.locator("#world-form [name=world]")
+    eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
+    page.select_option("#world-form [name=variation]", "dark")
+    page.fill("#drive-form [name=name]", "By night")
+    page.select_option("#world-form [name=world]", "My town-")
+    insist(
+        page,
+        site,
+        lambda: page.click("#drive-form button"),
+        lambda: data(page, "episode").startswith("by-night-") and "in My town-" in page.inner_text("#episode"),
+    )
+    assert site.robot("variation") == "dark"
+    page.click("#end")
+    eventually(lambda: data(page, "episode") == "")
 
 
 def in_page(script: str) -> Callable[[Page], None]:
@@ -119,24 +137,6 @@ def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site) -> None
 
     hold(page, site, press, "left")
     stands_in_time(page, site, lambda page: page.mouse.up(), "pad")
-
-
-def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:
-    drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
-    world = page.locator("#world-form [name=world]")
-    eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
-    page.select_option("#world-form [name=variation]", "dark")
-    page.fill("#drive-form [name=name]", "By night")
-    page.select_option("#world-form [name=world]", "My town-")
-    insist(
-        page,
-        site,
-        lambda: page.click("#drive-form button"),
-        lambda: data(page, "episode").startswith("by-night-") and "in My town-" in page.inner_text("#episode"),
-    )
-    assert site.robot("variation") == "dark"
-    page.click("#end")
-    eventually(lambda: data(page, "episode") == "")
 
 
 # -- faults -----------------------------------------------------------------------------------------------------------

@@ -12,12 +12,12 @@ import pytest
 
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.waiting import eventually
-from tests.system.console_site import Site, data, hold, insist, run_in
+from tests.system.console.console_site import Site, data, hold, insist, run_in
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A stack with its page, for one module of tests."""
+"""One stack with its page, for all that a person does there."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ import pytest
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from services.kit.bus import Bus
 from services.table import stack_services
-from tests.system.console_site import Site, opened
+from tests.system.console.console_site import Site, opened
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def site(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Start a stack on the world ``yard``."""
+    """Start a stack in the world where a drive takes some seconds."""
     root, endpoint = tmp_path_factory.mktemp("root"), free_endpoint()
     address = free_endpoint().removeprefix("tcp/")
     (root / "worlds").mkdir()
-    shutil.copy(near, root / "worlds")
+    world = shutil.copy(near, root / "worlds")
     below = flags(root=root)
     own = {
-        "robot": flags(world="yard", camera_width=160, camera_height=120) + below,
+        "robot": flags(world=world, camera_width=160, camera_height=120) + below,
         **dict.fromkeys(("recognition", "policy", "recorder"), below),
         "console": flags(console=address) + below,
     }
