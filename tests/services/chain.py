@@ -102,9 +102,7 @@ def save_model(path: Path, frames: int = 18) -> Path:
 def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Popen[str]]:
     """Run a service as a process; it must end with status 0 within five seconds of SIGTERM."""
     child = subprocess.Popen(
-        [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags],
-        stderr=subprocess.PIPE,
-        text=True,
+        [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags], stderr=subprocess.PIPE, text=True
     )
     try:
         yield child

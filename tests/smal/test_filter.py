@@ -17,16 +17,7 @@ from smal.model import VisualMap, unit
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
 from smal.settings import SETTINGS
-from tests.smal.synthetic_world import (
-    COLOR,
-    COLUMNS,
-    ROWS,
-    Drive,
-    Room,
-    drive,
-    from_beside,
-    usual_map,
-)
+from tests.smal.synthetic_world import COLOR, COLUMNS, ROWS, Drive, Room, drive, from_beside, usual_map
 
 ROOM = Room()
 
@@ -257,11 +248,7 @@ def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
 @settings(deadline=None, derandomize=True, max_examples=15)
 @given(
     seed=st.integers(0, 2**16),
-    steps=st.lists(
-        st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)),
-        min_size=1,
-        max_size=12,
-    ),
+    steps=st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=1, max_size=12),
 )
 def test_a_belief_is_made_of_probabilities(seed: int, steps: list[tuple[float, float, float]]) -> None:
     rng = np.random.default_rng(seed)

@@ -19,11 +19,7 @@ def moved(pose: tuple[float, float, float], movement: Movement) -> tuple[float, 
     """Make half of the turn, go ahead, and make the other half, as dead reckoning and the filter do."""
     x, y, heading = pose
     middle = heading + movement.turn_rad / 2.0
-    return (
-        x + movement.ahead * math.cos(middle),
-        y + movement.ahead * math.sin(middle),
-        heading + movement.turn_rad,
-    )
+    return (x + movement.ahead * math.cos(middle), y + movement.ahead * math.sin(middle), heading + movement.turn_rad)
 
 
 @settings(deadline=None, derandomize=True)

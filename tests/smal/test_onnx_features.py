@@ -150,11 +150,7 @@ def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
     named = FeatureSettings((STRANGE,))
     assert (named.size, named.needs) == (4, {"color"})
     line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
-    for use in (
-        lambda: extract(picture(48, 64), named),
-        lambda: FeatureSettings.parse(STRANGE),
-        lambda: named.text,
-    ):
+    for use in (lambda: extract(picture(48, 64), named), lambda: FeatureSettings.parse(STRANGE), lambda: named.text):
         with pytest.raises(ValueError, match=f"^{line}$"):
             use()
 

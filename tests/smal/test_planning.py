@@ -17,15 +17,7 @@ from smal.movement import Atom
 from smal.planning import Planner, cost_to_go
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
-from tests.smal.synthetic_world import (
-    START,
-    TICK,
-    Room,
-    drive,
-    driven,
-    from_beside,
-    usual_map,
-)
+from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_beside, usual_map
 
 #: Pairs of keyframes, and how the first stands to the second.
 Stitches = tuple[tuple[tuple[int, int], tuple[float, float, float]], ...]

@@ -10,8 +10,7 @@ from tests.benchmarks.bus import benchmark as bus
 
 @pytest.mark.system
 @pytest.mark.parametrize(
-    ("flags", "ways", "targets"),
-    [(["--secure"], ["open", "secure"] * 2, 2), (["--flood"], ["alone", "flooded"], 1)],
+    ("flags", "ways", "targets"), [(["--secure"], ["open", "secure"] * 2, 2), (["--flood"], ["alone", "flooded"], 1)]
 )
 def test_everything_is_measured(
     flags: list[str], ways: list[str], targets: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

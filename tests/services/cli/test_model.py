@@ -174,11 +174,7 @@ def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, 
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"reward": np.nan}, "finite"),
-        ({"state_streams": 10**6}, "state_streams"),
-    ],
+    ("change", "said"), [({"reward": np.nan}, "finite"), ({"state_streams": 10**6}, "state_streams")]
 )
 def test_an_odd_model_is_one_line(
     paper_model: PaperModel, tmp_path: Path, mistake: Mistake, change: dict[str, object], said: str

@@ -111,13 +111,7 @@ def test_a_dead_service_comes_back_with_its_flags(
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize(
-    ("number", "when"),
-    [
-        (signal.SIGKILL, "starting"),
-        (signal.SIGHUP, "running"),
-    ],
-)
+@pytest.mark.parametrize(("number", "when"), [(signal.SIGKILL, "starting"), (signal.SIGHUP, "running")])
 def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Signals, when: str) -> None:
     name = f"orphans-{number}-{when}-{os.getpid()}"
     with subprocess.Popen(

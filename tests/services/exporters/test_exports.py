@@ -20,15 +20,7 @@ from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.recorded import RecordedEpisode
 from tests import corridor
-from tests.services.exporters.recorded_drive import (
-    MADE,
-    SPEED,
-    START_NS,
-    TURN_RATE,
-    atoms_of,
-    poses,
-    recording,
-)
+from tests.services.exporters.recorded_drive import MADE, SPEED, START_NS, TURN_RATE, atoms_of, poses, recording
 from tests.services.importers import sources
 from tests.services.importers.test_formats import episode_of, imported
 

@@ -244,10 +244,7 @@ def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, 
     endpoint, brief = free_endpoint.replace("tcp/", "tls/"), tmp_path / "brief"
     shutil.copytree(keys, brief)
     certificates.issue(brief, certificates.HOSTS, days=3 / 86400)
-    with (
-        secured_router(endpoint, keys),
-        closing(open_session(endpoint, certificate_in(brief, "operator"))) as session,
-    ):
+    with secured_router(endpoint, keys), closing(open_session(endpoint, certificate_in(brief, "operator"))) as session:
         assert session.info.routers_zid()
         eventually(lambda: not session.info.routers_zid(), timeout_s=10.0)
         # And it stays out.

@@ -11,15 +11,7 @@ from services.recordings.encoding import decode_image
 from services.recordings.reader import Recording, read_recording
 from services.recordings.stream import RecordingError
 from services.recordings.writer import EpisodeWriter
-from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
-    applied,
-    episode,
-    event,
-    features,
-    frame,
-    pixels,
-)
+from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, features, frame, pixels
 from tests.services.recordings.test_recorder_files import leave, record
 
 

@@ -22,15 +22,7 @@ from services.recordings.contents import contents_of, verify
 from services.recordings.reader import read_recording
 from services.recordings.repair import repair
 from services.recordings.sink import partial_of
-from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
-    applied,
-    episode,
-    event,
-    frame,
-    image,
-    observation,
-)
+from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, image, observation
 from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
 from tests.services.waiting import eventually, introduce, ready, status_of
 

@@ -65,11 +65,7 @@ def photograph(shot: Shot, *tags: Tag, cover: np.ndarray | None = None) -> np.nd
 
 
 def _put(
-    picture: np.ndarray,
-    camera: Calibration,
-    tag: Tag,
-    pose: tuple[float, float, float],
-    cover: np.ndarray | None,
+    picture: np.ndarray, camera: Calibration, tag: Tag, pose: tuple[float, float, float], cover: np.ndarray | None
 ) -> None:
     """Draw one robot: every pixel is the mean of what its supersamples see on the tag's plane."""
     middle = pixel(camera, pose[0], pose[1], tag.height_m)

@@ -125,11 +125,7 @@ def test_two_of_the_same_number() -> None:
 
 @pytest.mark.parametrize(
     ("camera", "tag"),
-    [
-        (CAMERA, replace(TAG, side_m=0.23)),
-        (CAMERA, replace(TAG, height_m=0.0)),
-        (changed(CAMERA, focal_px=640.0), TAG),
-    ],
+    [(CAMERA, replace(TAG, side_m=0.23)), (CAMERA, replace(TAG, height_m=0.0)), (changed(CAMERA, focal_px=640.0), TAG)],
 )
 def test_wrong_size_height_or_calibration(camera: Calibration, tag: Tag) -> None:
     image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)), TAG)

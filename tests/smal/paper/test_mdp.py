@@ -54,11 +54,7 @@ def test_frequencies_by_hand() -> None:
     actions = [int32(5, 6, 5, 7), int32(5, 7)]
     T = learn_transitions(streams, actions, [True, True], 3)
     pairs = dict(zip(zip(T.state.tolist(), T.action.tolist(), strict=True), T.matrix.toarray().tolist(), strict=True))
-    assert pairs == {
-        (0, 5): pytest.approx([0, 1 / 3, 2 / 3]),
-        (1, 6): [1, 0, 0],
-        (2, NO_ACTION): [0, 0, 1],
-    }
+    assert pairs == {(0, 5): pytest.approx([0, 1 / 3, 2 / 3]), (1, 6): [1, 0, 0], (2, NO_ACTION): [0, 0, 1]}
     assert T.goals.tolist() == [2]
     assert T.pair_counts.tolist() == [3, 1, 0]
 

@@ -7,16 +7,7 @@ from hypothesis import strategies as st
 
 from smal import solve
 from tests.benchmarks.recognition.algorithm2 import algorithm2
-from tests.smal.paper.matching import (
-    STRUCTURES,
-    Problem,
-    answers,
-    check,
-    check_bounds,
-    optimum,
-    polar,
-    structured,
-)
+from tests.smal.paper.matching import STRUCTURES, Problem, answers, check, check_bounds, optimum, polar, structured
 from tests.smal.worlds import matching_problem
 
 # Templates that span the whole space leave no residuals: `solve` promises no more than about 1e-5 there, and is slow.

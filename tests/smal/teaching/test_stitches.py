@@ -17,14 +17,7 @@ from smal.planning import Planner
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 from smal.teaching.stitches import stitched
-from tests.smal.synthetic_world import (
-    SCENE,
-    START,
-    Room,
-    drive,
-    driven,
-    taught,
-)
+from tests.smal.synthetic_world import SCENE, START, Room, drive, driven, taught
 
 #: Two drives that begin the same way, the second 12 cm to the left, and part after 2 m.
 LEFT = drive(START, ((2.0, 60.0), (1.5, 0.0)))

@@ -79,11 +79,7 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
         x, y, heading = found.key_poses[key]
         for column, place in ((0, -found.aside), (1, 0.0), (2, found.aside)):
             for turn in (-20, 0, 20):
-                pose = (
-                    x - math.sin(heading) * place,
-                    y + math.cos(heading) * place,
-                    heading + math.radians(turn),
-                )
+                pose = (x - math.sin(heading) * place, y + math.cos(heading) * place, heading + math.radians(turn))
                 components = found.described(centering.apply(extract(ROOM.look(pose), COLOR)))
                 cosines = found.cosines(components, np.array(key), np.arange(3)[:, None], np.arange(TURNS_DEG.size))
                 best = np.unravel_index(cosines.argmax(), cosines.shape)

@@ -8,17 +8,7 @@ import numpy as np
 from services.experiments.evaluation.drives import save_arrays
 from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import (
-    Errand,
-    Finding,
-    Learn,
-    Query,
-    Recognize,
-    Searches,
-    Teach,
-    Unit,
-    units,
-)
+from services.experiments.evaluation.units import Errand, Finding, Learn, Query, Recognize, Searches, Teach, Unit, units
 
 SMALL = Plan(
     "small",

@@ -61,14 +61,19 @@ def by_services(
     return end, np.array(poses), answers
 
 
+@pytest.fixture(scope="module")
+def simulation(near: Path) -> Simulation:
+    return open_simulation(str(near), CameraSettings(160, 120), depth=True)
+
+
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
-    near: Path, taught: Path, taught_paper: Path, scheme: Scheme
+    simulation: Simulation, taught: Path, taught_paper: Path, scheme: Scheme
 ) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
-    simulation, model = open_simulation(near, CameraSettings(160, 120), depth=True), load_model(file)
+    model = load_model(file)
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
         service.load(LoadedModel.read(file))
