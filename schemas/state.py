@@ -54,6 +54,8 @@ class State(Message):
     """Probability that what is sought is in view; none where nothing is known of it; of the filter."""
     near: bool = False
     """Whether as much of the view speaks for it as where the taught ways ended, or nearly."""
+    seen_left: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """How far left of the middle of the view it is, as a share of the width."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized by the paper's scheme."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -75,13 +77,13 @@ class State(Message):
         keyframes: NDArray[np.intp],
         offsets: NDArray[np.float64],
         weights: NDArray[np.float64],
-        seen: tuple[float, bool] | None = None,
+        seen: tuple[float, bool, float] | None = None,
         **of_all: float,
     ) -> Self:
         """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
 
-        ``seen`` is the probability that what is sought is in view, and whether it is near; ``of_all`` is what is said
-        of all of it: lost, cosine and tracked_m.
+        ``seen`` is the probability that what is sought is in view, whether it is near, and how far to the left;
+        ``of_all`` is what is said of all of it: lost, cosine and tracked_m.
         """
         places = tuple(
             Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
@@ -91,7 +93,7 @@ class State(Message):
         )
         lost = min(of_all.pop("lost"), 1.0)
         status = "unknown" if lost > 0.5 else "recognized"
-        told = {} if seen is None else {"seen": seen[0], "near": seen[1]}
+        told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
         return cls.after(observation, status=status, model=model, places=places, lost=lost, **told, **of_all)
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:

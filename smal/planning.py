@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 from smal.filter import Belief
 from smal.model import VisualMap, in_common_axes
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
-from smal.obstacles.avoidance import STANDS, hit_m, turn_round
+from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
@@ -37,8 +37,8 @@ class Decision:
 
     Of its kinds "follow" is along the taught way; "look_around": turn, since places disagree; "guess": drive all the
     same, since looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "blocked": stop,
-    since something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought;
-    "goal": stop, having said that it is found, or not here.
+    since something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought, or
+    go up to it; "goal": stop, having said that it is found, or not here.
     """
 
     kind: Kind
@@ -135,7 +135,8 @@ class Planner:
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
-        self._looked_rad = self._guessed_s = self._driven = self._searched_s = 0.0
+        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
+        self._toward_rad: float | None = None
         self._plan(frozenset())
         #: Whether it takes itself to be where it was taught that the goal is.
         self.arrived = False
@@ -152,9 +153,9 @@ class Planner:
         """Say what to do until the next frame.
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
-        what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether
-        what is sought is in view: it is found where the robot has arrived, or as near as the ways ended. Where
-        nobody can tell, a robot that has arrived says that it has found it.
+        what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether what is
+        sought is in view: it is found where it is as near as where the ways ended, and a robot that has arrived goes up
+        to it. Where nobody can tell, a robot that has arrived says that it has found it.
         `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
         turns on the spot.
         """
@@ -177,16 +178,17 @@ class Planner:
         at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
-        self.arrived = self.arrived or (ended and sure and (tracked or looked))
+        if not self.arrived and ended and sure and (tracked or looked):
+            self.arrived, self._ends = True, self._ends_here(belief)
         if self.said is None:
-            approach = leads & (left_to_go < SETTINGS.approach_s * self._map.speed)
+            approach = leads & (to_end < SETTINGS.approach_s * self._map.speed)
             self._say(belief, elapsed_s, seen, float(belief.weights @ approach) * (1.0 - belief.lost))
 
         kind: Kind
         if self.said is not None:
             kind = "goal"
         elif self.arrived:
-            kind = "search"
+            kind, error_rad = "search", self._toward_rad or 0.0
         elif clear and (looked or not ended):
             kind = "follow"
         elif not looked:
@@ -196,7 +198,9 @@ class Planner:
         if not self._map.odometry or Atom.LEFT in self._going or not has_way or kind not in ("follow", "guess"):
             around = None
         if around is not None:
-            kind, error_rad = self._round(kind, error_rad, around, self._way_ahead(belief, around.reach_m))
+            step_m = self._map.speed * self._map.tick_s
+            round_rad = way_round(around, self._way_ahead(belief, around.reach_m), self._turn_rad, step_m, error_rad)
+            kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * _SIDES[self._turning]
         atom = self._atom(kind, to_turn_rad, elapsed_s)
         if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
@@ -205,38 +209,26 @@ class Planner:
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
         return Decision(kind, atom, error_rad)
 
-    def _round(
-        self, kind: Kind, error_rad: float, around: Surroundings, way: NDArray[np.float64]
-    ) -> tuple[Kind, float]:
-        """Return what to do, and where to, where something may stand in the way."""
-        far_m = hit_m(around, way)
-        if far_m < math.inf or around.free_m(ahead=True) == 0.0:
-            round_rad = turn_round(around, way, self._turn_rad, self._map.speed * self._map.tick_s)
-            if round_rad is not None:
-                return kind, round_rad
-            if far_m < STANDS * around.radius_m:
-                return "blocked", error_rad
-        return kind, error_rad
-
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
-        if there < 0.1 and belief.lost <= 0.5:  # It has been carried away.
-            self.arrived, self._searched_s = False, 0.0
         sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
-        if sees and there > 0.5 and (self.arrived or (seen is not None and seen.near)):
+        self._toward_rad = None
+        if sees and (self.arrived if seen is None else seen.near and (self.arrived or there > 0.5)):
             self.said = "found"
         elif self.arrived:
+            if sees and seen is not None and self._neared_s < SETTINGS.goal_s:
+                self._toward_rad = seen.left * math.radians(self._map.scene[0])
             self._search(belief, elapsed_s)
 
     def _search(self, belief: Belief, elapsed_s: float) -> None:
-        """Look around; having looked all around go to another end, or say "not here"."""
+        """Look all around, whatever other place that looks like; then go to another end, or say "not here"."""
         self._searched_s += elapsed_s
         around_s = math.radians(SETTINGS.search_deg) / self._turn_rad * self._map.tick_s
         # One that turns ahead would leave the place.
         if self._searched_s < (SETTINGS.stands_s if Atom.LEFT in self._going else around_s):
             return
-        self._plan(self._tried | self._ends_here(belief))
-        self.arrived, self._searched_s = False, 0.0
+        self._plan(self._tried | self._ends)
+        self.arrived, self._searched_s, self._neared_s = False, 0.0, 0.0
         if not np.isfinite(self._to_go_s[belief.keyframes]).any():
             self.said = "not_here"
 
@@ -256,13 +248,15 @@ class Planner:
         if kind in ("goal", "dead_end", "blocked"):
             self._turning = None
             return Atom.STOP
-        if kind == "search":
+        if kind == "search" and self._toward_rad is None:
             self._turning = None if Atom.LEFT in self._going else Atom.LEFT
             return self._turning or Atom.STOP
         if kind == "look_around":
             return self._look(to_turn_rad, elapsed_s)
         atom = self._steer(to_turn_rad)
-        if kind == "guess":
+        if kind == "search" and atom in self._going:
+            self._neared_s += elapsed_s
+        elif kind == "guess":
             self._guessed_s += elapsed_s
         elif atom in self._going:
             self._driven += self._map.speed * elapsed_s

@@ -54,26 +54,29 @@ class Localizer:
         goal = next(iter(goals)) if goal is None and len(goals) == 1 else goal
         sight = model.sights.get(goal or "")
         self._witness = None if sight is None else Witness(sight)
-        last = mapped.arc[mapped.keyframes[mapped.key_range[1]]]
-        left = last - mapped.arc[mapped.keyframes]
-        self._near = (mapped.key_goals == goal) & (left <= SETTINGS.approach_s * mapped.speed)
+        to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
+        self._near = (mapped.key_goals == goal) & (np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
         self._filter.reset()
         self._pose: Sequence[float] | None = None
+        self._since_near = math.inf
         if self._witness is not None:
             self._witness.reset()
 
     def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> Glimpse | None:
         """Return whether what is sought is in view; None where nothing is known of it.
 
-        `picture` is `smal.features.picture.small` of the frame. Far from where it was taught to be, nobody looks.
+        `picture` is `smal.features.picture.small` of the frame. Far from where it was taught to be, nobody looks; who
+        turns there is still there, whatever other place that looks like.
         """
         if self._witness is None or picture is None:
             return None
-        if float(belief.weights @ self._near[belief.keyframes]) < 0.5:
+        if float(belief.weights @ self._near[belief.keyframes]) >= 0.5:
+            self._since_near = 0.0
+        if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, near=False)
         return self._witness.look(picture)
@@ -117,6 +120,7 @@ class Localizer:
             ahead, turn = self._map.movements[list(atoms)].mean(axis=0) * ticks
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, noise)
+        self._since_near += abs(movement.ahead)
         # Not before: a frame that is refused is not taken in.
         if odometry is not None or atoms:
             self._pose = odometry

@@ -110,7 +110,7 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
-        seen = None if state.seen is None else Glimpse(state.seen, state.near)
+        seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
         decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around)
         atom = decision.atom.name.lower()

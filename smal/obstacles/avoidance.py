@@ -24,11 +24,24 @@ _ASIDE: Final = 6.0
 #: Distance from things beyond which more is of no use, in radii, and what a metre costs more right beside them.
 _ROOM, _TIGHT_COST = 2.0, 2.0
 #: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
-STANDS: Final = 6.0
+_STANDS: Final = 6.0
 #: Turns to each side that are tried at most: a degree apart.
 _TURNS: Final = 180
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
 _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
+
+
+def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, error_rad: float) -> float | None:
+    """Return by how much to turn, to the left: by `error_rad` where nothing stands in the way (s, 2); None to stop.
+
+    Turns are as in `turn_round`.
+    """
+    far_m = hit_m(around, way)
+    if far_m < math.inf or around.free_m(ahead=True) == 0.0:
+        round_rad = turn_round(around, way, turn_rad, step_m)
+        if round_rad is not None or far_m < _STANDS * around.radius_m:
+            return round_rad
+    return error_rad
 
 
 def hit_m(around: Surroundings, way: Floats) -> float:

@@ -83,18 +83,19 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         for k, (one, _, _) in enumerate(patches)
         if len(patches) > 1
     ]
-    here = [best_window(one, windows) for one in left_out]
+    here = [best_window(one, windows)[0] for one in left_out]
     at_end = [float(one.sum()) for one, (picture, _, _) in zip(left_out, patches, strict=False) if id(picture) in ends]
     every, new_codes = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
-        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], new_codes]), far), windows)
+        best_window(speaking(cells_of(one, 2), every, known, far), windows)[0]
         for k, one in enumerate(pictures)
+        for known in [np.concatenate([codes[elsewhere(k)], new_codes])]
     ]
     ratio = _ratio(np.array(here), np.array(elsewhere_scores))
     if ratio is None:
         return None
-    # Where none of the last views is left, it is never near.
-    size = float(np.median(at_end)) if at_end else float(np.prod(SHAPE))
+    # Where none of the last views is left, the nearest one is that in which it is largest.
+    size = float(np.median(at_end or [max(float(one.sum()) for one in left_out)]))
     return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size)
 
 

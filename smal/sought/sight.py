@@ -95,12 +95,16 @@ class Sight:
         if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()):
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
-    def says(self, picture: Image) -> tuple[float, float] | None:
-        """Return the log ratio of a small picture, and how many cells speak for it; None where nothing shows."""
+    def says(self, picture: Image) -> tuple[float, float, float] | None:
+        """Return the log ratio of a small picture, how many cells speak for it, and where; None where nothing shows.
+
+        Where is from the middle to the left, as a share of the width, -0.5 to 0.5.
+        """
         if float(picture.std()) < SETTINGS.plain:
             return None
         speaks = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
-        return float(np.interp(best_window(speaks, self.windows), SCORES, self.log_ratio)), float(speaks.sum())
+        best, left = best_window(speaks, self.windows)
+        return float(np.interp(best, SCORES, self.log_ratio)), float(speaks.sum()), left
 
 
 def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
@@ -110,14 +114,16 @@ def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[A
     return speaks
 
 
-def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> float:
-    """Return the highest mean over a window."""
+def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> tuple[float, float]:
+    """Return the highest mean over a window, and how far left of the middle that is, as a share of the width."""
     total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    best = 0.0
+    best, left = 0.0, 0.0
     for rows, columns in windows.tolist():
         inside = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
-        best = max(best, float(inside.max()) / (rows * columns))
-    return min(best, 1.0)
+        mean = float(inside.max()) / (rows * columns)
+        if mean > best:
+            best, left = mean, 0.5 - (int(inside.argmax()) % inside.shape[1] + columns / 2.0) / speaks.shape[1]
+    return min(best, 1.0), left
 
 
 def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
@@ -140,10 +146,11 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
 
 
 class Glimpse(NamedTuple):
-    """How probable it is that what is sought is in view, and whether it is about as near as where the ways ended."""
+    """How probable it is that what is sought is in view; whether about as near as where the ways ended; and where."""
 
     probability: float
     near: bool
+    left: float = 0.0  # Of the middle of the view, as a share of its width, -0.5 to 0.5.
 
 
 class Witness:
@@ -159,12 +166,12 @@ class Witness:
 
     def look(self, picture: Image) -> Glimpse:
         """Take a small picture. A view that is hidden is no evidence."""
-        said, near = self._sight.says(picture), False
+        said, near, left = self._sight.says(picture), False, 0.0
         if said is not None:
             self._said.append(said[0])
             # An area falls with the square of the distance.
-            near = said[1] > self._sight.size / SETTINGS.as_near**2
+            near, left = said[1] > self._sight.size / SETTINGS.as_near**2, said[2]
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean(self._said)) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
-        return Glimpse(odds / (1.0 + odds), near)
+        return Glimpse(odds / (1.0 + odds), near, left)

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,8 +110,35 @@ def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> Non
     decision = planner.decide(END, seen=Glimpse(0.5, near=False))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
     assert decision.atom is Atom.LEFT
-    assert planner.decide(END, seen=Glimpse(0.99, near=False)).atom is Atom.STOP
+    assert planner.decide(END, seen=Glimpse(0.99, near=True)).atom is Atom.STOP
     assert planner.said == "found"
+
+
+def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
+    planner = Planner(STRAIGHT)
+    planner.decide(END, seen=Glimpse(0.0, near=False))
+    kinds = [planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=False)).kind for _ in range(120)]
+    assert set(kinds) == {"search", "goal"}
+    assert planner.said == "not_here"
+
+
+def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
+    planner = Planner(replace(STRAIGHT, scene=np.array([70.0, 0.5, 10.0])))
+    atoms = [planner.decide(END, seen=Glimpse(0.99, False, left)).atom for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
+    assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
+    assert planner.said is None
+    assert planner.decide(END, seen=Glimpse(0.99, near=True)).atom is Atom.STOP
+    assert planner.said == "found"
+
+
+def test_it_does_not_go_far_for_what_never_comes_near() -> None:
+    planner = Planner(STRAIGHT)
+    made = Counter[Atom]()
+    while planner.said is None:
+        assert made.total() < 200, "it never says anything"
+        made[planner.decide(END, seen=Glimpse(0.99, near=False)).atom] += 1
+    assert planner.said == "not_here"
+    assert made[Atom.FORWARD] * STRAIGHT.tick_s <= SETTINGS.goal_s + STRAIGHT.tick_s
 
 
 def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
