@@ -29,12 +29,10 @@ _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 
 
 
 class Simulation:
-    """A robot in a world.
+    """A robot in a world, with a camera (or settings for a rendered one) and a `base`, a `KinematicBase` if not given.
 
-    It sees with a rendered camera of such settings, or with a camera that is given, and drives with a `base`, a
-    `KinematicBase` if not given. `shake` is how much the camera shakes, as is usual in that place if not given. Of the
-    `variation` haze and exposure are taken; the rest of it is in the world (see `vary`) and in the camera's light. With
-    a `depth` camera it runs into nothing that it sees.
+    `shake` is how much the camera shakes, as is usual in that place if not given. Of the `variation` haze and exposure
+    are taken, the rest is in world and light. With a `depth` camera it runs into nothing that it sees.
     """
 
     pose: Pose  # Where it truly is.
@@ -81,10 +79,9 @@ class Simulation:
     ) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
-        Different purposes with one seed are independent. `anywhere` begins beside the way, as recovery drives do.
-        Where the `victim` is moved to, and what lies in its place, is by the seed too, and so is where so many
-        `obstacles` stand in the way to its place, so many `people` walk, or what has it `blocked`. Returns the start
-        pose, or raises WorldError where there is no room for them.
+        Different purposes with one seed are independent. `anywhere` begins beside the way. Where the `victim` lies if
+        it is moved, and so many `obstacles` stand and `people` walk, or what has the way `blocked`, is by the seed too.
+        Returns the start pose; WorldError where there is no room for all that.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))

@@ -21,8 +21,10 @@ _CORNICE_M: Final = 0.18
 _SLOPE: Final = 0.6
 # A footprint that fills less of the rectangle around it has no ridge along that rectangle.
 _OBLONG: Final = 0.85
-# Part of the widest place of a footprint without a ridge that its slopes cover; the rest is level.
+# Part of the widest place of a footprint that slopes along its edges cover, the rest is level: of an angled one, or its
+# arms would have no slopes; and of a rectangle.
 _SLOPED: Final = 0.7
+_TO_THE_RIDGE: Final = 0.99
 _METRES: Final = (4.0, 4.0)
 _WALL_METRES: Final = (BAYS * BAY_M, STOREY_M)
 # Colours of roofs are rounded: each one is a picture of its own.
@@ -108,7 +110,7 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     yield _TRIM, flat(eaves, top - _FASCIA_M, 4.0).flipped()
     yield _TRIM, band(eaves, top - _FASCIA_M, top, 4.0)
     if not gabled:
-        around, level = _around(eaves, top, building.roof_height_m)
+        around, level = _around(eaves, top, building.roof_height_m, _TO_THE_RIDGE if fills else _SLOPED)
         yield cover, around
         yield from ((Finish("gravel"), part) for part in level)
         return
@@ -121,9 +123,9 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     yield Finish(facade, None, BARE), faces(np.array([[b, c, last], [d, a, first]]), _WALL_METRES)
 
 
-def _around(eaves: Polygon, z: float, rise_m: float) -> tuple[Mesh, list[Mesh]]:
+def _around(eaves: Polygon, z: float, rise_m: float, sloped: float) -> tuple[Mesh, list[Mesh]]:
     """Return slopes along all the edges of any footprint, and the level parts in the middle of it."""
-    run = _SLOPED * shapely.maximum_inscribed_circle(eaves, tolerance=0.1).length
+    run = sloped * shapely.maximum_inscribed_circle(eaves, tolerance=0.1).length
     inner = eaves.buffer(-run, join_style="mitre", mitre_limit=2.0)
     rise = rise_m or _SLOPE * run
     points = triangles(eaves.difference(inner))

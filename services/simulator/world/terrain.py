@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 import numpy as np
@@ -283,12 +283,12 @@ def terrain_text(world: World) -> str:
     whole = json.dumps(content, default=lambda line: line.coords[:])
     # Adding zero turns -0.0 into 0.0.
     rounded = json.loads(whole, parse_float=lambda number: round(float(number), _DECIMALS) + 0.0)
+    in_a_line = partial(json.dumps, ensure_ascii=False, allow_nan=False)
     lines = []
     for key, value in rounded.items():
-        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+        text = in_a_line(value)
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            each_one = (json.dumps(one, ensure_ascii=False, allow_nan=False) for one in value)
-            text = "[\n  " + ",\n  ".join(each_one) + "\n ]"
+            text = "[\n  " + ",\n  ".join(map(in_a_line, value)) + "\n ]"
         lines.append(f'"{key}": {text}')
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
