@@ -54,7 +54,7 @@ class VisualMap:
     movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.teaching.movements`).
     tick_s: float  # Time between two taught frames.
     odometry: bool  # Whether poses are of odometry, or the usual movements of atoms added up.
-    scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees: for people.
+    scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees.
     goals: tuple[str, ...]  # Where each drive leads.
     names: tuple[tuple[str, ...], ...]  # Demonstrations of each drive: several where frames between them were lost.
     #: (s, 2) pairs of keyframes of different drives that show one place (`smal.teaching.stitches`), ascending; and of
@@ -278,10 +278,8 @@ class Model(Stored):
 
     def __repr__(self) -> str:
         """Say what it is, not all its numbers."""
-        return (
-            f"Model({len(self.mapped.keyframes)} keyframes of {len(self.mapped.goals)} drives, "
-            f"{'+'.join(self.feature_settings.modalities)})"
-        )
+        sees = "+".join(self.feature_settings.modalities)
+        return f"Model({len(self.mapped.keyframes)} keyframes of {len(self.mapped.goals)} drives, {sees})"
 
     def content(self) -> Content:
         """Return what its file says of it, and the arrays in it."""
@@ -301,8 +299,7 @@ class Model(Stored):
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Scale vectors (..., r) to unit length; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: NDArray[np.float32] = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
-    return scaled
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6), dtype=np.float32)
 
 
 def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:

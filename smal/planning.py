@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from smal.filter import Belief
 from smal.model import VisualMap, in_common_axes
@@ -107,7 +107,7 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
-        self._tried = frozenset[int]({-1})
+        self._tried: frozenset[int] | None = None
         self.reset()
 
     def _plan(self, tried: frozenset[int]) -> None:
@@ -139,7 +139,7 @@ class Planner:
         self._toward_rad: float | None = None
         self._plan(frozenset())
         #: Whether it takes itself to be where it was taught that the goal is.
-        self.arrived = False
+        self.arrived, self._ends = False, frozenset[int]()
         self.said: Said | None = None
 
     def decide(
@@ -156,8 +156,7 @@ class Planner:
         what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether what is
         sought is in view: it is found where it is as near as where the ways ended, and a robot that has arrived goes up
         to it. Where nobody can tell, a robot that has arrived says that it has found it.
-        `around` is what stands about the robot, in metres, round which it goes, if the map has metres, and the robot
-        turns on the spot.
+        Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
         elapsed_s = self._map.tick_s if elapsed_s is None else min(elapsed_s, SETTINGS.stands_after_s)
@@ -195,9 +194,9 @@ class Planner:
             kind = "look_around"
         else:
             kind = "guess" if has_way or lost else "dead_end"
-        if not self._map.odometry or Atom.LEFT in self._going or not has_way or kind not in ("follow", "guess"):
+        if not self._map.odometry or Atom.LEFT in self._going:
             around = None
-        if around is not None:
+        if around is not None and has_way and kind in ("follow", "guess"):
             step_m = self._map.speed * self._map.tick_s
             round_rad = way_round(around, self._way_ahead(belief, around.reach_m), self._turn_rad, step_m, error_rad)
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
@@ -227,9 +226,9 @@ class Planner:
         # One that turns ahead would leave the place.
         if self._searched_s < (SETTINGS.stands_s if Atom.LEFT in self._going else around_s):
             return
-        self._plan(self._tried | self._ends)
+        self._plan((self._tried or frozenset()) | self._ends)
         self.arrived, self._searched_s, self._neared_s = False, 0.0, 0.0
-        if not np.isfinite(self._to_go_s[belief.keyframes]).any():
+        if float(belief.weights @ np.isfinite(self._to_go_s[belief.keyframes])) < 0.5:
             self.said = "not_here"
 
     def _ends_here(self, belief: Belief) -> frozenset[int]:
@@ -238,7 +237,11 @@ class Planner:
         here = int(taught.key_drives[self._guide[belief.keyframes[belief.weights.argmax()]]])
         last = np.unique(taught.key_range[1])
         away = np.hypot(*(poses[last] - poses[last[taught.key_drives[last] == here]])[:, :2].T)
-        near = away < 2.0 * SETTINGS.goal_s * taught.speed
+        # Drives that share no place are in axes of their own.
+        one, other = taught.key_drives[taught.stitched].T
+        links = sparse.csr_array((np.ones(one.size), (one, other)), shape=(len(taught.goals),) * 2)
+        group = connected_components(links, directed=False)[1]
+        near = (away < 2.0 * SETTINGS.goal_s * taught.speed) & (group[taught.key_drives[last]] == group[here])
         return frozenset(taught.key_drives[last[near]].tolist()) | {here}
 
     def _atom(self, kind: Kind, to_turn_rad: float, elapsed_s: float) -> Atom:

@@ -67,10 +67,9 @@ class Localizer:
             self._witness.reset()
 
     def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> Glimpse | None:
-        """Return whether what is sought is in view; None where nothing is known of it.
+        """Return whether what is sought is in view of a frame (`smal.features.picture.small`); None where nobody knows.
 
-        `picture` is `smal.features.picture.small` of the frame. Far from where it was taught to be, nobody looks; who
-        turns there is still there, whatever other place that looks like.
+        Far from where it was taught to be, nobody looks; who turns there is still there, whatever that looks like.
         """
         if self._witness is None or picture is None:
             return None
@@ -189,7 +188,9 @@ class Robot:
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
         seen = self._localizer.seen(small(image), self.belief)
-        if depth is not None and odometry is not None:
+        if depth is None or odometry is None:  # What stood there may be elsewhere by now.
+            self._around = None
+        else:
             self._around = self._around or Surroundings(depth[1].radius_m)
             self._around.look(odometry, *depth)
         self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen, around=self._around)

@@ -157,13 +157,13 @@ class Settings:
     #: Mean score where it is not in view, as a share of the best one of the approach, at least: round the end there are
     #: things that the way does not show.
     least_score: float = 0.025
-    #: Views of half a second say together what one says.
+    #: So many views say together what one says: half a second at ten a second.
     views_as_one: int = 5
     #: Probability that it is in view of a robot that has arrived and looks around; how much worse it is to say wrongly
     #: that it is there than to look on.
     in_view: float = 0.2
     false_seen: float = 40.0
-    #: Nearer than this many times how near the taught ways ended, what is seen is found without going on to the end.
+    #: What is seen is found nearer than this many times how near the taught ways ended.
     as_near: float = 1.3
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0

@@ -32,7 +32,9 @@ _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
 
 
 def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, error_rad: float) -> float | None:
-    """Return by how much to turn, to the left: by `error_rad` where nothing stands in the way (s, 2); None to stop.
+    """Return by how much to turn, to the left; None to stop, where nothing leads round what stands in the way (s, 2).
+
+    By `error_rad` where nothing stands there, or still far ahead.
 
     Turns are as in `turn_round`.
     """

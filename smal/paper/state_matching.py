@@ -98,7 +98,7 @@ def solve(
     if not seen.size:
         return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), sequence_length, 0.0, 0.0, 0, True, np.zeros(q))
     found = WorkingSet(rows, frames[seen], sequence_length, lambda1, lambda2, tolerance)
-    found.grow_until_certified()
+    found.grow_until_proved()
     used = np.flatnonzero(found.weights.any(axis=1))
     weights, residuals = np.zeros((used.size, q)), np.zeros(q)
     weights[:, seen], residuals[seen] = found.weights[used], found.residuals

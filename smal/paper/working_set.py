@@ -23,7 +23,7 @@ Columns = NDArray[np.intp]
 # Sequences to start with.
 _FIRST = 4
 _MAX_ROUNDS = 200
-# Alternating projections to bound polars: while sequences are being sorted out, and to certify.
+# Alternating projections to bound polars: while sequences are being sorted out, and to prove.
 _QUICK, _THOROUGH = 8, 100
 # A row is worth a weight if the dual point holds it so far.
 _TIGHT = 0.7
@@ -74,7 +74,7 @@ class WorkingSet:
         """Relative duality gap of the full problem."""
         return 1.0 - self.lower_bound / self.objective
 
-    def grow_until_certified(self) -> None:
+    def grow_until_proved(self) -> None:
         """Grow the working set until the gap of the full problem is within the tolerance.
 
         Rounding may keep it from getting there; then it ends early.
@@ -83,7 +83,7 @@ class WorkingSet:
         tolerance = max(_LOOSE, finest)
         for _ in range(_MAX_ROUNDS):
             self._solve(tolerance)
-            lacking = self._certify(tolerance)
+            lacking = self._prove(tolerance)
             if self.gap <= self._tolerance:
                 return
             if not lacking.size:
@@ -136,7 +136,7 @@ class WorkingSet:
         self._theta: Array = (alpha / query_scale)[:, None] * self._query
         self._theta -= (B / template_scale).T @ self._frames_of_set
 
-    def _certify(self, tolerance: float) -> Columns:
+    def _prove(self, tolerance: float) -> Columns:
         """Bound all polars, and with them the optimum from below; return the frames that are lacking."""
         n, m = self._rows.shape
         size = float(np.linalg.norm(self._theta))

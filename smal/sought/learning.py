@@ -96,7 +96,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         return None
     # Where none of the last views is left, the nearest one is that in which it is largest.
     size = float(np.median(at_end or [max(float(one.sum()) for one in left_out)]))
-    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size)
+    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size) if size > 0.0 else None
 
 
 def _lasting(patches: list[_Patch]) -> list[_Patch]:

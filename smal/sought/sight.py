@@ -162,16 +162,16 @@ class Witness:
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._said = deque[float](maxlen=SETTINGS.views_as_one)
+        self._said, self._left = deque[float](maxlen=SETTINGS.views_as_one), 0.0
 
     def look(self, picture: Image) -> Glimpse:
         """Take a small picture. A view that is hidden is no evidence."""
-        said, near, left = self._sight.says(picture), False, 0.0
+        said, near = self._sight.says(picture), False
         if said is not None:
             self._said.append(said[0])
             # An area falls with the square of the distance.
-            near, left = said[1] > self._sight.size / SETTINGS.as_near**2, said[2]
+            near, self._left = said[1] > self._sight.size / SETTINGS.as_near**2, said[2]
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean(self._said)) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
-        return Glimpse(odds / (1.0 + odds), near, left)
+        return Glimpse(odds / (1.0 + odds), near, self._left)

@@ -176,6 +176,8 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         every = np.flatnonzero(frames.drives == drive)
         some = every[_near_and_far(every.size, SETTINGS.most_frames)]
         apart, turned = frames.apart(some)
+        if not apart.any():
+            continue
         centred = frames.centred(some)
         alike = centred @ centred.T
         blind &= not centred.any()
@@ -185,17 +187,19 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         cosines.append(alike[same])
         distant.append(alike[apart >= 0.1 * apart.max()])
         curves.append(some[np.argwhere(np.triu(near & ~same & (turned < math.radians(SETTINGS.overlap_deg))))])
+    if not ways:
+        raise ValueError("the robot does not move in any demonstration")
+    if blind:
+        raise ValueError("all images of the demonstrations look the same")
     if frames.car:
         way, cosine = _turns_undone(frames, camera, np.concatenate(curves))
         ways, cosines = [way, *ways], [cosine, *cosines]
     unrelated = float(np.concatenate(distant).mean())
     way, cosine = np.concatenate(ways), np.concatenate(cosines)
-    reach = float(way.max(initial=0.0))
-    if reach <= 0.0:
-        raise ValueError("the robot does not move in any demonstration")
-    if blind:
-        raise ValueError("all images of the demonstrations look the same")
+    reach = float(way.max())
     while True:
+        if not (way[way <= reach] > 0.0).any():
+            raise ValueError("between two images of the demonstrations nothing stays alike: frames are too far apart")
         edges = np.linspace(0.0, reach, 100)
         within = way <= reach
         where = np.digitize(way[within], edges[1:-1])

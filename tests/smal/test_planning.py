@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
         tick_s=TICK,
         odometry=True,
-        scene=np.array([0.7, 0.3, 5.0]),
+        scene=np.array([70.0, 0.3, 5.0]),
         goals=goals or ("victim",) * len(ways),
         names=tuple((f"drive-{k}",) for k in range(len(ways))),
         stitched=np.array([pair for pair, _ in stitches], dtype=np.int32).reshape(-1, 2),
@@ -123,7 +122,7 @@ def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
 
 
 def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
-    planner = Planner(replace(STRAIGHT, scene=np.array([70.0, 0.5, 10.0])))
+    planner = Planner(STRAIGHT)
     atoms = [planner.decide(END, seen=Glimpse(0.99, False, left)).atom for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
     assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
     assert planner.said is None

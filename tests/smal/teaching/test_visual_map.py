@@ -128,6 +128,23 @@ def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_lengt
     assert correlation_length(frames, Camera.of_field(70.0))[0] == pytest.approx(3.0, rel=0.25)
 
 
+def test_views_that_stay_alike_nowhere_are_refused() -> None:
+    """Noise alone: standing still, no image is like the one before."""
+    rng = np.random.default_rng(0)
+    way = np.repeat(np.arange(0.0, 40.0), 3)
+    views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))
+    frames = TaughtFrames(
+        images=[ROOM.look(drive().poses[0])] * len(way),
+        centred=lambda some: views[list(some)],
+        poses=np.stack([way, np.zeros_like(way), np.zeros_like(way)], axis=1),
+        drives=np.zeros(len(way), dtype=np.int32),
+        describe=lambda _: np.empty((0, 1024), dtype=np.float32),
+        movements=np.zeros((5, 2)),
+    )
+    with pytest.raises(ValueError, match="too far apart"):
+        correlation_length(frames, Camera.of_field(70.0))
+
+
 class Reader(Sequence[Image]):
     """Images of a drive, which are drawn when they are asked for; counts who asks, and what is still held."""
 
