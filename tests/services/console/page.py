@@ -53,7 +53,7 @@ class Page:
 
     def get(self, path: str, **headers: str) -> tuple[int, bytes]:
         """Ask for something by HTTP."""
-        connection = HTTPConnection(self.address, timeout=5.0)
+        connection = HTTPConnection(self.address, timeout=30.0)
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         return answer.status, answer.read()

@@ -47,7 +47,7 @@ def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> Non
         assert (answer, why in said, said.count("\n")) == (status, True, 1), said
         assert (nobody.maps, kept()) == ([], 0)
     # Nor is one without any origin.
-    connection = HTTPConnection(seated.address, timeout=5.0)
+    connection = HTTPConnection(seated.address, timeout=30.0)
     connection.request("POST", "/map?name=town", b"<osm/>", {"Smal-Seat": seated.word})
     assert connection.getresponse().status == 403
     assert nobody.maps == []

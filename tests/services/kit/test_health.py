@@ -57,7 +57,7 @@ def node(settings: ServiceSettings) -> Iterator[Node]:
 def get(node: Node, path: str) -> tuple[int, str]:
     assert node._http is not None
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{node._http.server_port}{path}", timeout=5.0) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{node._http.server_port}{path}", timeout=30.0) as answer:
             return answer.status, answer.read().decode()
     except HTTPError as error:
         with closing(error):

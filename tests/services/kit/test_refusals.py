@@ -145,7 +145,7 @@ def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
             publisher = rude.declare_publisher(key, congestion_control=block, priority=first, express=True)
             eventually(lambda publisher=publisher: publisher.matching_status.matching)
             publisher.put(b"")
-            sample = came.get(timeout=10.0)
+            sample = came.get(timeout=30.0)
             topic = TOPICS.get(name, topics.STATE)
             assert (sample.congestion_control == block) == topic.reliable
             assert (sample.priority == first) == (topic.lane == "stop")

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-import cvxpy as cp
 import numpy as np
 
 from smal import Solution, solve
@@ -145,6 +144,8 @@ def check_bounds(solutions: dict[str, Solution], best: float) -> None:
 def optimum(problem: Problem) -> float:
     """Minimum of Eq. 7 by CVXPY and Clarabel."""
     X, Y, length = problem.X.astype(float), problem.Y.astype(float), problem.length
+    import cvxpy as cp  # noqa: PLC0415 - takes long to load, and all processes read this file
+
     W = cp.Variable((X.shape[1], Y.shape[1]))
     s1 = sum(cp.sum(cp.norm(W[start : start + length], 2, axis=0)) for start in range(0, X.shape[1], length))
     penalty = problem.lambda1 * cp.sum(cp.norm(W, 2, axis=1)) + problem.lambda2 * s1
@@ -153,6 +154,8 @@ def optimum(problem: Problem) -> float:
 
 def polar(G: Array, lambda1: float, lambda2: float) -> float:
     """Polar of the penalty of one sequence, exactly: the least s for which G / s is in the dual set."""
+    import cvxpy as cp  # noqa: PLC0415 - takes long to load, and all processes read this file
+
     A, s = cp.Variable(G.shape), cp.Variable()
     constraints = [cp.norm(A, 2, axis=1) <= lambda1 * s, cp.norm(G - A, 2, axis=0) <= lambda2 * s]
     return float(cp.Problem(cp.Minimize(s), constraints).solve(solver=cp.CLARABEL))
