@@ -40,17 +40,10 @@ def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float
     if not quads:  # then `numbers` is None
         return []
     # OpenCV counts from the centre of the first pixel.
-    return [
-        _refined(grey, quad[0].astype(np.float64)) + 0.5
-        for quad, found in zip(quads, numbers.ravel(), strict=True)
-        if found == number
-    ]
-
-
-def _refined(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    found = [quad[0].astype(np.float64) for quad, one in zip(quads, numbers.ravel(), strict=True) if one == number]
     for _ in range(_ROUNDS):
-        corners = _meeting(*_sides(grey, corners))
-    return corners
+        found = [_meeting(*_sides(grey, corners)) for corners in found]
+    return [corners + 0.5 for corners in found]
 
 
 def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -75,11 +68,10 @@ def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDAr
 
 
 def _meeting(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    directions = ends - starts
-    before, direction_before = np.roll(starts, 1, axis=0), np.roll(directions, 1, axis=0)
-    share = _cross(starts - before, directions) / _cross(direction_before, directions)
-    return before + share[:, np.newaxis] * direction_before
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    """Return where each side (4, 2) meets the one before it."""
+    # As complex numbers, of which the cross product is the imaginary part of one times the other's conjugate.
+    start, along = starts @ (1.0, 1j), (ends - starts) @ (1.0, 1j)
+    before, along_before = np.roll(start, 1), np.roll(along, 1)
+    share = ((start - before).conj() * along).imag / (along_before.conj() * along).imag
+    meets = before + share * along_before
+    return np.column_stack([meets.real, meets.imag])

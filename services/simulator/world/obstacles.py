@@ -115,11 +115,9 @@ class _Way:
         for side in (1.0, -1.0):
             steps = np.arange(0.0, _CLOSED * self._radius_m, self._radius_m / 2).tolist()
             # Its end stands in the wall, so that no gap stays beside it.
-            walls = (one for one in steps if not self._free(beside(self._line, along_m, side * one)))
+            there = ((one, beside(self._line, along_m, side * one).at(0.0)) for one in steps)
+            walls = (one for one, xy in there if not self._obstacles.is_free(*xy, 0.0))
             ends_m.append(side * next(walls, _CLOSED * self._radius_m))
         thing = self._things[0]
         wide = _thing("partition", ends_m[0] - ends_m[1], thing.depth_m, thing.height_m)
         return Obstacle(wide, beside(self._line, along_m, sum(ends_m) / 2))
-
-    def _free(self, at: Pose) -> bool:
-        return self._obstacles.is_free(at.x, at.y, 0.0)
