@@ -56,9 +56,10 @@ def operator(node: Node, said: list[str]) -> Operator:
 
 def asked(operator: Operator, request: ResetRequest, done: Callable[[], bool]) -> Callable[[], bool]:
     """Ask for an episode until something holds: again where a busy machine missed the operator, as a person would."""
+    before = operator.mine
 
     def is_done() -> bool:
-        if operator.mine is None and not operator.asking:
+        if operator.mine in (None, before) and not operator.asking:
             operator.begin(request)
         return done()
 
@@ -79,14 +80,7 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
         operator.stop_for_emergency()
         assert node.spin(lambda: bool(operator.commands.stop), 30.0)
 
-    def begins_anew() -> bool:
-        """Press again where another stop was still under way on a busy machine, as a person would."""
-        done = operator.mine not in (None, first)
-        if not done and not operator.asking:
-            operator.begin(RUN)
-        return done
-
-    assert node.spin(begins_anew, 30.0), said
+    assert node.spin(asked(operator, RUN, lambda: operator.mine not in (None, first)), 30.0), said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
     assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, "the first one"
@@ -154,14 +148,25 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
     policy = Node("policy", settings)
     policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
     run_node(policy)
-    assert node.spin(asked(operator, RUN, opening.is_set), 30.0)
-    node.spin(timeout_s=4 * OPERATOR_S)
-    assert there(robot, node)
-    if not stays:
-        time.sleep(2 * OPERATOR_S)  # dead: it answers no pulse
-    opened.set()
+
+    def open_it() -> None:
+        opening.clear()
+        opened.clear()
+        assert node.spin(asked(operator, RUN, opening.is_set), 30.0)
+        node.spin(timeout_s=4 * OPERATOR_S)
+        assert there(robot, node)
+        if not stays:
+            time.sleep(2 * OPERATOR_S)  # dead: it answers no pulse
+        opened.set()
+
+    open_it()
     if stays:
-        assert node.spin(lambda: robot.wheels.driven, 30.0)
+        for _ in range(4):  # which a busy machine may miss now and then; such a robot would miss them each time
+            assert node.spin(lambda: robot.wheels.driven or robot.gate.stop_cause is not None, 30.0)
+            if robot.wheels.driven:
+                return
+            open_it()
+        pytest.fail(str(robot.gate.stop_cause))
     else:
         eventually(lambda: robot.gate.stop_cause == "operator_lost")
         eventually(lambda: status_of(client, "robot"))

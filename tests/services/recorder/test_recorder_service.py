@@ -208,7 +208,7 @@ def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile
 
 @pytest.mark.zenoh
 def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
-    process: subprocess.Popen[str], client: Bus, router_endpoint: str, tmp_path: Path
+    request: pytest.FixtureRequest, process: subprocess.Popen[str], client: Bus, tmp_path: Path
 ) -> None:
     """What was not written yet, and what was sent meanwhile, is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
@@ -221,13 +221,14 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     process.wait(30.0)
     publish(client, killed[50:-1])
     command = [*process.args[:-1], str(tmp_path)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as again:
-        # What was said while nobody recorded, and what was not written yet, is fetched from who said it.
-        eventually(lambda: ready(client, "recorder").detail["messages"] == len(killed) - 1, timeout_s=20.0)
-        publish(client, killed[-1:])
-        eventually((tmp_path / "killed-2.mcap").exists, timeout_s=20.0)
-        again.send_signal(signal.SIGTERM)
-        log = again.stderr.read()
+    again = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    request.addfinalizer(again.kill)
+    # What was said while nobody recorded, and what was not written yet, is fetched from who said it.
+    eventually(lambda: ready(client, "recorder").detail["messages"] == len(killed) - 1, timeout_s=60.0)
+    publish(client, killed[-1:])
+    eventually((tmp_path / "killed-2.mcap").exists)
+    again.send_signal(signal.SIGTERM)
+    _, log = again.communicate(timeout=60.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed-2.mcap", "killed.mcap"]
     assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
