@@ -15,7 +15,7 @@ from hypothesis import settings
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.command import run_smal
-from tests.sharing import Sharing, made_once, turn
+from tests.sharing import FIRST, Sharing, made_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -46,7 +46,7 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what lasts longest, so that no process is left alone with it."""
-    items.sort(key=lambda item: turn(item.nodeid))
+    items.sort(key=lambda item: next((k for k, one in enumerate(FIRST) if item.nodeid.startswith(one)), len(FIRST)))
 
 
 @pytest.hookimpl(optionalhook=True)

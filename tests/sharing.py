@@ -15,11 +15,6 @@ REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/system/")
 FIRST: Final = (*REAL_TIME[:2], "tests/smal/", REAL_TIME[2])
 
 
-def turn(nodeid: str) -> int:
-    """Return when a test's turn is."""
-    return next((k for k, folder in enumerate(FIRST) if nodeid.startswith(folder)), len(FIRST))
-
-
 class Sharing(LoadScopeScheduling):
     """Gives a process that is free the next file, with what its tests share, or the next folder of `REAL_TIME`."""
 

@@ -80,15 +80,13 @@ def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, s
     assert not (tmp_path / "none").exists()
 
 
-def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, smal: Smal) -> None:
+def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(
+    tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No world of that name: the worker says so, and the command ends."""
     nowhere = Plan("quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),))
-    plans_before = plans.PLANS["quick"]
-    plans.PLANS["quick"] = nowhere
-    try:
-        status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick")
-    finally:
-        plans.PLANS["quick"] = plans_before
+    monkeypatch.setitem(plans.PLANS, "quick", nowhere)
+    status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick")
     assert status == 1
     last = said.splitlines()[-1]
     assert last.startswith("smal: teach in nowhere: ")

@@ -16,7 +16,8 @@ from services.simulator.world.route import plan_route
 @pytest.mark.rendering
 def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> None:
     render("yard", tmp_path, views=3, camera=Camera(160, 120))
-    length = shapely.LineString(plan_route(load_world("yard"), _start("yard"))).length
+    world = load_world("yard")
+    length = shapely.LineString(plan_route(world, (world.start.x, world.start.y))).length
     names = sorted(path.name for path in tmp_path.glob("view-*.png"))
     metres = [int(name.removesuffix("m.png").split("-")[2]) for name in names]
     assert [name.split("-")[1] for name in names] == ["00", "01", "02"]
@@ -27,8 +28,3 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> Non
     drawn = cv2.imread(str(tmp_path / "map.png"))
     assert drawn is not None
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 100
-
-
-def _start(name: str) -> tuple[float, float]:
-    start = load_world(name).start
-    return start.x, start.y
