@@ -1,13 +1,13 @@
 """``smal learn --add``: a model learns from its own runs; versions of it are kept, and `smal model back` goes back."""
 
 import shutil
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from services.cli.outputs import writing
+from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import load_model
 from services.recordings.dataset import Teacher
@@ -15,8 +15,7 @@ from smal.files.container import ModelError
 from smal.model import Model
 from smal.teaching.living import Verdict, lived, whole_runs
 
-#: Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
-_KEPT: Final = 10
+_KEPT: Final = 10  # Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
 
 
 def versions(path: Path) -> list[Path]:
@@ -54,18 +53,11 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         raise UsageError(f"--out {error}; with --add it is the model that learns more") from None
     if not isinstance(model, Model):
         raise UsageError(f"--out {path}: a model of the paper's scheme does not learn from runs")
-    teacher = Teacher(model.feature_settings, 2, include_runs=True)
-    for number, file in enumerate(files):
-        bar("reading", number, len(files))
-        teacher.read(file)
-    bar("reading", len(files), len(files))
-    for remark in teacher.teaching.remarks:
-        sys.stderr.write(f"smal: {remark}\n")
-    every = whole_runs(teacher.teaching.demonstrations)
-    for run in every:
-        if run.goal not in model.mapped.goals:
-            sys.stderr.write(f"smal: {run.name} is left out: the model has no goal {run.goal}\n")
-    runs = [run for run in every if run.goal in model.mapped.goals]
+    teaching = Teacher(model.feature_settings, 2, include_runs=True).read_all(files, bar)
+    remark(teaching.remarks)
+    every, goals = whole_runs(teaching.demonstrations), model.mapped.goals
+    remark(f"{run.name} is left out: the model has no goal {run.goal}" for run in every if run.goal not in goals)
+    runs = [run for run in every if run.goal in goals]
     try:
         new, verdict = lived(model, runs, partial(bar, "following"))
     except ValueError as error:
@@ -77,7 +69,7 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
             new.save(path)
         except ModelError as error:
             raise JobError(str(error)) from None
-    sys.stderr.write(f"smal: {_words(verdict)}\n")
+    remark([_words(verdict)])
     return found | {
         "looks": len(new.mapped.looks),
         "gain": round(verdict.gain, 4),

@@ -10,8 +10,7 @@ from typer import Argument, Option
 
 from services.kit.errors import JobError, UsageError
 
-#: Where benchmarks are: beside the packages, in a checkout only.
-CHECKOUT: Final = Path(__file__).parents[2]
+CHECKOUT: Final = Path(__file__).parents[2]  # Where benchmarks are: beside the packages, in a checkout only.
 #: Read by numerical libraries when they are loaded, so they must be set before the benchmark starts.
 THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 

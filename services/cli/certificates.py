@@ -23,14 +23,10 @@ from services.kit.errors import UsageError
 from services.table import roles
 
 CA_KEY_FILE: Final = "ca.key"
-#: An authority must outlive what it signs; a robot is not used for longer.
-CA_DAYS: Final = 3650.0
-#: A certificate that was stolen unnoticed is of no use after a year.
-DAYS: Final = 365.0
-#: Clocks of two machines may differ.
-SKEW: Final = timedelta(minutes=5)
-#: So long before its end a certificate is named by `check`.
-SOON: Final = timedelta(days=30)
+CA_DAYS: Final = 3650.0  # An authority must outlive what it signs; a robot is not used for longer.
+DAYS: Final = 365.0  # A certificate that was stolen unnoticed is of no use after a year.
+SKEW: Final = timedelta(minutes=5)  # Clocks of two machines may differ.
+SOON: Final = timedelta(days=30)  # So long before its end a certificate is named by `check`.
 #: Names by which clients on the router's own machine, and in its compose file, go to it.
 HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")
 ROUTER: Final = "router"

@@ -29,8 +29,7 @@ from services.kit.settings import ServiceSettings
 from services.table import stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
-#: Recordings of a full set of drives, with room for the reports.
-DISK_GB: Final = 2.0
+DISK_GB: Final = 2.0  # Recordings of a full set of drives, with room for the reports.
 RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
 

@@ -1,7 +1,7 @@
 """``smal evaluate``: the paper's experiments in simulation, or laps of a real robot, as a page of results."""
 
-import itertools
 from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,13 +12,14 @@ from typer import Option
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.progress import Bars
-from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each, with_runs
+from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
 from services.kit.errors import UsageError
 
 
 def evaluate(
+    *,
     out: Annotated[Path, Option(help="Folder for the results; where it has some already, it goes on.")],
     quick: Annotated[bool, Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
     world: Annotated[
@@ -28,10 +29,7 @@ def evaluate(
     runs: Annotated[
         int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
     ] = None,
-    victim: options.Victim = "there",
-    obstacles: options.Obstacles = 0,
-    people: options.People = 0,
-    blocked: options.Blocked = False,
+    changes: options.Changes,
     laps: Annotated[
         Path | None,
         Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
@@ -53,12 +51,10 @@ def evaluate(
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
-        names, given = (
-            "quick world runs report-only obstacles people blocked",
-            (quick, world, runs, report_only, obstacles, people, blocked),
-        )
-        for option in itertools.compress(names.split(), given):
-            raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
+        given = {"quick": quick, "world": world, "runs": runs, "report-only": report_only} | asdict(changes)
+        for option, value in given.items():
+            if value not in (None, 0, "there"):
+                raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
         typer.echo(f"results: {_evaluate_laps(laps, out)}")
         return
     if report_only and not out.is_dir():
@@ -71,8 +67,9 @@ def evaluate(
         path = Path(world)
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     if runs is not None:
-        plan = with_runs(plan, runs)
-    planned = units(plan := with_each(plan, victim, obstacles, people, blocked=blocked))
+        plan = with_each(plan, lambda trial: replace(trial, runs=runs) if trial.sets > 1 else trial)
+    plan = with_each(plan, lambda trial: replace(trial, **asdict(changes)))
+    planned = units(plan)
     results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:

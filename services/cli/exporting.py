@@ -1,6 +1,5 @@
 """``smal export``: recordings for other software."""
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, cast
@@ -10,6 +9,7 @@ from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import outputs
+from services.experiments.words import remark
 from services.exporters.drives import FORMATS, Drive, read, write
 from services.importers.drive import Tally
 from services.importers.job import Format, check_format
@@ -52,8 +52,7 @@ def export_recordings(
             with tqdm(desc="exporting", unit="tick", total=total, dynamic_ncols=True, disable=None) as bar:
                 write(form, drives, folder, tally, lambda: cast("None", bar.update()))
     finally:
-        for line in tally.lines():
-            sys.stderr.write(f"smal: {line}\n")
+        remark(tally.lines())
     typer.echo("\n".join(_lines(form, drives, out)))
 
 

@@ -16,6 +16,7 @@ from schemas.codec import printable
 from services.cli import options, outputs
 from services.cli.child import tied
 from services.cli.progress import Bars
+from services.experiments.words import remark
 from services.importers.job import FORMATS, Job, Report, check_format
 from services.importers.ticks import QUANTILE, STILL, TURNING
 from services.kit.errors import JobError, UsageError
@@ -83,8 +84,7 @@ def import_recordings(
         for made in map(Path, report.files):
             files.append(free_path(out, made.stem))
             publish(made, files[-1])
-    for remark in remarks:
-        sys.stderr.write(f"smal: {remark}\n")
+    remark(remarks)
     if json_file is not None:
         content = report.model_dump(mode="json") | {"files": [str(file) for file in files], "remarks": remarks}
         outputs.write_json(json_file, "--json", content)
@@ -116,7 +116,6 @@ def _run(job: Job) -> tuple[list[str], Report]:
 
 
 def _listen(child: subprocess.Popen[str]) -> dict[str, Any]:
-    """Show the progress; return the last that was said."""
     last: dict[str, Any] = {}
     assert child.stdout is not None  # noqa: S101 - by PIPE
     with closing(Bars("frame")) as bars:

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from services.cli import options, outputs
 from services.cli.adding import add_runs
 from services.cli.progress import Bars
 from services.experiments.showing.summary import numbers_of
-from services.experiments.words import described_by
+from services.experiments.words import described_by, remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings
@@ -76,24 +77,20 @@ def learn(
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.check_file(json_file, "--json")
-    bar = _Lines() if progress else Bars()
+    bars = _Lines() if progress else Bars()
     if add:
         if scheme != "filter" or modalities is not None:
             raise UsageError("--add: the model at --out says by which scheme and features it learns; leave them out")
-        try:
+        with closing(bars) as bar:
             found = add_runs(find_recordings(recordings), out, bar)
-        finally:
-            bar.close()
         _say(found, out, began_s, json_file)
         return
     outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
     features = _features(files, scheme, modalities)
-    try:
+    with closing(bars) as bar:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
         model, found = _learn(teaching, scheme, replace(settings, features=features), bar)
-    finally:
-        bar.close()
     try:
         model.save(out)
     except ModelError as error:
@@ -162,17 +159,11 @@ class _Lines:
 def _read(
     files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bar: _Lines | Bars
 ) -> Teaching:
-    teacher = Teacher(features, shortest, include_runs=include_runs)
-    for number, path in enumerate(files):
-        bar("reading", number, len(files))
-        teacher.read(path)
-    bar("reading", len(files), len(files))
+    teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bar)
     bar.close()
-    teaching = teacher.teaching
     if not teaching.demonstrations and len(teaching.remarks) == 1:
         raise JobError(teaching.remarks[0])
-    for remark in teaching.remarks:
-        sys.stderr.write(f"smal: {remark}\n")
+    remark(teaching.remarks)
     if not teaching.demonstrations:
         raise JobError(f"nothing to learn from in {len(files)} recordings, for the reasons above")
     return teaching

@@ -23,8 +23,7 @@ from services.kit.bus import Bus
 from services.kit.inbox import Inbox
 from services.kit.tables import number, table
 
-#: Samples kept while the terminal is slower than the bus.
-QUEUE: Final = 64
+QUEUE: Final = 64  # Samples kept while the terminal is slower than the bus.
 CONNECT_S: Final = 2.0
 #: Headings of the table for people, with the name of the figure and the factor to its unit.
 FIGURES: Final = {

@@ -37,8 +37,6 @@ _CONTEXTS: Final = {"bench": {"allow_extra_args": True, "ignore_unknown_options"
 
 
 class _LazyGroup(TyperGroup):
-    """Loads a command when it is asked for."""
-
     def __init__(self, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*arguments, **more)
         #: By name; what each is need not be known to list them, or to suggest others.

@@ -159,7 +159,6 @@ def _truth(
     known: Source,
     asked: Source,
 ) -> IntervalTruth | None:
-    """Read what is right, if it is told: a table, or names or positions of frames."""
     if (by_radius := truth == "gps" or poses is not None) != (radius is not None):
         raise UsageError("--radius: is missing" if by_radius else "--radius: belongs to --truth gps and to --poses")
     if truth is not None and poses is not None:

@@ -1,6 +1,5 @@
 """``smal model``: what a model has learned."""
 
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -14,18 +13,15 @@ from services.cli.adding import back, versions
 from services.cli.grouping import STYLE
 from services.cli.progress import Bars
 from services.experiments.showing.summary import lines
+from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import load_model
 from services.recordings.dataset import find_recordings
 from smal.files.container import ModelError
 
-_EXAMPLE = "Example: smal model show campus.smal --recordings drives --out shown"
-app = typer.Typer(help=f"Look at what was learned.\n\n{_EXAMPLE}", **STYLE)
-
-
-@app.callback(help=f"Look at what was learned.\n\n{_EXAMPLE}")
-def model_commands() -> None:
-    """Go to one of the commands."""
+app = typer.Typer(
+    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown", **STYLE
+)
 
 
 @app.command("back")
@@ -76,8 +72,7 @@ def show(
         found = None
         if files is not None:
             found = find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
-            for line in (*found.remarks, *(f"missing: {one}" for one in found.missing)):
-                sys.stderr.write(f"smal: {line}\n")
+            remark([*found.remarks, *(f"missing: {one}" for one in found.missing)])
         try:
             page = write_page(out, model, file, found, bars)
         except ValueError as error:

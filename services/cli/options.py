@@ -10,8 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from typer import Option
 
 from schemas.codec import describe
-from schemas.episode import GoalName
-from schemas.episode import Victim as VictimLies
+from schemas.episode import GoalName, Victim
 from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
 from services.cli.stack import flags
@@ -52,14 +51,6 @@ class Camera:
 
 
 USUAL_CAMERA: Final = Camera(1024, 768)
-Victim = Annotated[
-    VictimLies,
-    Option("--victim", help="How the victim lies; moved: a little elsewhere; decoy: something else in its place."),
-]
-_LATER: Final = "Things that stand on and beside the way, and did not when it was taught."
-Obstacles = Annotated[int, Option("--obstacles", min=0, max=50, help=_LATER)]
-People = Annotated[int, Option("--people", min=0, max=50, help="People who walk about the way, to and fro.")]
-Blocked = Annotated[bool, Option("--blocked", help="Close the way.")]
 
 
 def checked(check: Callable[[str], T]) -> Callable[[str], T]:
@@ -156,6 +147,20 @@ class Simulator:
         camera = self.camera or usual
         return flags(**asdict(self) | {"camera": None}, world=world, camera_width=camera.width,
                      camera_height=camera.height)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What is other than it was when the way was taught."""
+
+    victim: Annotated[
+        Victim, Option(help="How the victim lies; moved: a little elsewhere; decoy: something else in its place.")
+    ] = "there"
+    obstacles: Annotated[
+        int, Option(min=0, max=50, help="Things that stand on and beside the way, and did not when it was taught.")
+    ] = 0
+    people: Annotated[int, Option(min=0, max=50, help="People who walk about the way, to and fro.")] = 0
+    blocked: Annotated[bool, Option("--blocked", help="Close the way.")] = False
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """``smal recording``: what is in recordings, whether they are whole, and making them so."""
 
 import json
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +12,7 @@ from typer import Argument, Option
 from services.cli import outputs
 from services.cli.grouping import STYLE
 from services.cli.options import Json
+from services.experiments.words import remark
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
 from services.kit.tables import number, table
@@ -85,7 +85,8 @@ def mend(
     if after is None:
         typer.echo(f"{recordings[0]}: nothing is to be repaired")
         return
-    typer.echo(f"{made}: sealed, {_sum(after)} messages")
+    count = sum(one.messages for episode in after.episodes for one in episode.topics.values())
+    typer.echo(f"{made}: sealed, {count} messages")
     for line in (line for one in before for line in one.damage):
         typer.echo(f"  it was: {line}")
     for line in after.findings:
@@ -100,7 +101,7 @@ def _each(paths: list[Path], read: Callable[[Path], Contents]) -> tuple[list[Con
         try:
             done.append(read(path))
         except RecordingError as error:
-            sys.stderr.write(f"smal: {error}\n")
+            remark([error])
     return done, len(found) - len(done)
 
 
@@ -160,7 +161,3 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
         yield "camera", f"{episode.width}x{episode.height}{view}"
     if episode.modalities:
         yield "features", " ".join(episode.modalities)
-
-
-def _sum(contents: Contents) -> int:
-    return sum(one.messages for episode in contents.episodes for one in episode.topics.values())

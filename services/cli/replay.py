@@ -20,8 +20,7 @@ from services.kit.node import Detail, Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
 from services.robot.service import ROBOT, check_alone
 
-#: How long to wait for somebody who takes the images; what is told before would be lost.
-LISTENERS_S: Final = 2.0
+LISTENERS_S: Final = 2.0  # How long to wait for somebody who takes the images; what is told before would be lost.
 
 
 def replay(
@@ -66,13 +65,10 @@ def replay(
 
 def _by_clock(rate: float) -> Callable[[Tick], bool]:
     """Make what waits until a tick is due, and always goes on."""
-    began_s: list[float] = []
+    began_s = time.monotonic()
 
     def wait(tick: Tick) -> bool:
-        after_s = tick.since_s / rate
-        if not began_s:
-            began_s.append(time.monotonic() - after_s)
-        time.sleep(max(0.0, began_s[0] + after_s - time.monotonic()))
+        time.sleep(max(0.0, began_s + tick.since_s / rate - time.monotonic()))
         return True
 
     return wait

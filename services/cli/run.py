@@ -2,6 +2,7 @@
 
 from collections import Counter
 from contextlib import closing, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +22,8 @@ from smal.evaluation.success import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 
-#: Camera images kept of every run for the report, one in so many frames.
-FRAMES_APART = 20
-#: The services that work with the model.
-CHAIN = ("recognition", "policy")
+FRAMES_APART = 20  # Camera images kept of every run for the report, one in so many frames.
+CHAIN = ("recognition", "policy")  # The services that work with the model.
 
 
 def run(
@@ -36,10 +35,7 @@ def run(
     use: options.Use,
     start: Annotated[Start, Option(help="Begin about the world's start, or anywhere beside the way.")] = "start",
     kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
-    victim: options.Victim = "there",
-    obstacles: options.Obstacles = 0,
-    people: options.People = 0,
-    blocked: options.Blocked = False,
+    changes: options.Changes,
     realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
     json_file: options.JsonFile = None,
@@ -82,13 +78,9 @@ def run(
             max_ticks=max_ticks or most_ticks(loaded.longest),
             start=start,
             kidnap_tick=kidnap,
-            victim=victim,
-            # The paper's scheme says nothing.
-            until_said=isinstance(loaded, Model),
-            obstacles=obstacles,
-            people=people,
-            blocked=blocked,
+            until_said=isinstance(loaded, Model),  # The paper's scheme says nothing.
             goal=use.goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),
+            **asdict(changes),
         )
         for k in range(episodes)
     ]
@@ -130,7 +122,7 @@ def run(
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:
     """Return the results as ``--json`` writes them; the robot says where it is unless a world was asked for."""
     found = sum(record.outcome == "found" for record in records)
-    latencies = [ms for record in records for ms in record.decision_latencies_ms]
+    latencies = [ms for record in records for tick, ms in record.latencies_ms.items() if tick in record.decisions]
     p50, p95 = np.percentile(latencies, [50, 95]).round(3).tolist() if latencies else (None, None)
     return {
         "world": world or records[0].world,

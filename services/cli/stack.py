@@ -25,8 +25,7 @@ from services.table import SERVICES
 STOP_TIMEOUT_S: Final = 5.0
 #: Least time between two starts of a service, doubled with every death up to the longest, seconds.
 FIRST_S, LONGEST_S = 1.0, 30.0
-#: A service that has lived this long is taken for healthy again.
-STEADY_S: Final = 60.0
+STEADY_S: Final = 60.0  # A service that has lived this long is taken for healthy again.
 #: A slow machine takes minutes to build a large world; whoever waits is told for whom, and may end it.
 PATIENCE_S: Final = 600.0
 _TELL_S: Final = 10.0
@@ -52,17 +51,12 @@ def flags(**values: object) -> tuple[str, ...]:
 class StackPlan:
     """What to start."""
 
-    #: Names out of `services.table`, the router first.
-    services: tuple[str, ...]
+    services: tuple[str, ...]  # Names out of `services.table`, the router first.
     robot: str
-    #: Address of the stack's own router.
-    endpoint: str
-    #: Command line flags of single services.
-    flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    #: Folder of certificates; without one whoever reaches the router gets in.
-    secure: Path | None = None
-    #: Folder for one log file a service; None lets them write to this terminal.
-    logs: Path | None = None
+    endpoint: str  # Address of the stack's own router.
+    flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # Command line flags of single services.
+    secure: Path | None = None  # Folder of certificates; without one whoever reaches the router gets in.
+    logs: Path | None = None  # Folder for one log file a service; None lets them write to this terminal.
     #: What ``python -m`` runs in place of a service's own module, for example a robot with another body.
     modules: Mapping[str, str] = field(default_factory=dict)
 
@@ -109,7 +103,9 @@ class Stack:
             with closing(self._reach_router()) as bus:
                 for service in others:
                     self._start(service)
-                self._wait(self.plan.services, lambda service: _ready(bus, service))
+                self._wait(
+                    self.plan.services, lambda service: (told := answers(bus, service)) and told.state == "ready"
+                )
         except BaseException:
             self.stop()
             raise
@@ -146,8 +142,12 @@ class Stack:
             for service in group:
                 self._children[service].process.send_signal(signal.SIGTERM)
             deadline = time.monotonic() + STOP_TIMEOUT_S
-            for service in group:
-                _end(self._children[service].process, deadline)
+            for process in (self._children[service].process for service in group):
+                try:
+                    process.wait(max(0.1, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
         self._children.clear()
 
     def _start(self, service: str, spacing_s: float = FIRST_S) -> None:
@@ -178,7 +178,7 @@ class Stack:
         self._wait(self.plan.services[:1], is_reached)
         return reached[0]
 
-    def _wait(self, services: Sequence[str], is_ready: Callable[[str], bool]) -> None:
+    def _wait(self, services: Sequence[str], is_ready: Callable[[str], bool | None]) -> None:
         """Wait until services are ready, and tell which is not and what it said last."""
         began_s = told_s = time.monotonic()
         while services := [service for service in services if not is_ready(service)]:
@@ -219,28 +219,13 @@ def answers(bus: Bus, service: str) -> Status | None:
         return None
 
 
-def _ready(bus: Bus, service: str) -> bool:
-    status = answers(bus, service)
-    return status is not None and status.state == "ready"
-
-
-def _end(child: subprocess.Popen[bytes], deadline: float) -> None:
-    try:
-        child.wait(max(0.1, deadline - time.monotonic()))
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.wait()
-
-
 @dataclass(frozen=True)
 class Access:
     """A stack that can be used."""
 
     settings: ServiceSettings
-    #: Raises JobError when one of its processes has ended.
-    check: Callable[[], None]
-    #: Folder of its services' logs; None for a stack that was running before.
-    logs: Path | None
+    check: Callable[[], None]  # Raises JobError when one of its processes has ended.
+    logs: Path | None  # Folder of its services' logs; None for a stack that was running before.
 
 
 @contextmanager

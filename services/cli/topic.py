@@ -31,7 +31,10 @@ def list_topics(
     if as_json:
         say(json.dumps([_row(topic) for topic in TOPICS.values()], indent=2))
     elif as_markdown:
-        say(markdown_table())
+        rows = [f"| `{name}` | `{message}` | {rate} | {giver} | {takers} | {meaning} |"
+                for name, message, rate, giver, takers, meaning in map(_cells, TOPICS.values())]  # fmt: skip
+        headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]
+        say("\n".join([*headings, *rows]).replace("``", "`"))
     else:
         headings = ["topic", "message", "Hz", "from", "to", "meaning"]
         for line in table([headings, *map(_cells, TOPICS.values())], left=len(headings)):
@@ -81,14 +84,6 @@ def draw_graph() -> None:
 
 for listening in (echo, hz):
     app.command(listening.__name__)(grouped(listening))
-
-
-def markdown_table() -> str:
-    """Return the table of topics as Markdown, as `schemas/README.md` shows it."""
-    rows = [f"| `{name}` | `{message}` | {rate} | {giver} | {takers} | {meaning} |"
-            for name, message, rate, giver, takers, meaning in map(_cells, TOPICS.values())]  # fmt: skip
-    headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]
-    return "\n".join([*headings, *rows]).replace("``", "`")
 
 
 def _row(topic: Topic) -> dict[str, object]:

@@ -21,8 +21,7 @@ from services.kit.process import configure_logging
 from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
-#: How often dead services are looked for, seconds.
-WATCH_S: Final = 0.5
+WATCH_S: Final = 0.5  # How often dead services are looked for, seconds.
 CAMERA: Final = Camera(640, 480)
 RobotBody = Literal["simulator", "ros2", "none"]
 

@@ -8,8 +8,7 @@ from schemas.base import Atom, Strict
 from schemas.episode import GoalName, Victim
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
-#: What is said of what came late.
-LATE: Final = "that came too late: the connection is slow, or was away; press again"
+LATE: Final = "that came too late: the connection is slow, or was away; press again"  # What is said of what came late.
 
 
 class Seen(Strict):

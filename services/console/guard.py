@@ -14,8 +14,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE: Final = "smal_console"
-#: Where a map may be sent to.
-MAP: Final = "/map"
+MAP: Final = "/map"  # Where a map may be sent to.
 _LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "[::1]"})
 _PORT: Final = re.compile(r":\d{1,5}\Z")
 #: Nothing but what this server sends is run, shown or connected to, and no text becomes markup in the page.

@@ -8,8 +8,7 @@ from schemas.rpc import Nothing, Status
 from services.kit.bus import Bus, RpcError
 from services.kit.health import ailment
 
-#: How long a service may take to answer.
-_ANSWER_S: Final = 1.0
+_ANSWER_S: Final = 1.0  # How long a service may take to answer.
 #: What a service tells of itself that the page needs.
 _TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
 
@@ -21,8 +20,7 @@ class Health:
         self._bus = bus
         self._services = services
         self._asked_s = time.monotonic()
-        #: The last answers; None of who did not answer.
-        self.statuses: dict[str, Status | None] = {}
+        self.statuses: dict[str, Status | None] = {}  # The last answers; None of who did not answer.
 
     def ask(self) -> list[dict[str, object]]:
         """Ask all at once; return one row a service, for the page."""

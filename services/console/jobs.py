@@ -15,12 +15,9 @@ from typing import IO, Final
 from schemas.codec import printable
 from services.kit.node import ServiceError
 
-#: How much it gives way to the services of the stack; see nice(1).
-_NICENESS: Final = 10
+_NICENESS: Final = 10  # How much it gives way to the services of the stack; see nice(1).
 _COMMAND: Final = (sys.executable, "-c", "from services.cli.main import main; main()")
-#: Lines that are kept of what a command says, and of those the remarks that are shown.
-_LINES: Final = 200
-_REMARKS: Final = 20
+_LINES, _REMARKS = 200, 20  # Lines that are kept of what a command says, and of those the remarks that are shown.
 #: How long a command may say nothing, seconds. Learning tells of every hundredth of a stage. A map becomes a world
 #: without a word: one of 40,000 houses that overlap took 13 s of processor time, and one of 64 MB, the most that is
 #: taken, 43 s until it was refused for its 180,000 houses; on 2 cores with a load of 12 that was 70 and 116 s.
@@ -34,23 +31,17 @@ _log = logging.getLogger("console")
 class Job:
     """Something to make."""
 
-    kind: str
-    """What it will be: a model, a world."""
+    kind: str  # What it will be: a model, a world.
     name: str
-    doing: str
-    """What the page says meanwhile."""
-    done: str
-    """What the page says when it is there."""
-    arguments: tuple[str, ...]
-    """Of the ``smal`` command, which is told ``--out`` as well."""
+    doing: str  # What the page says meanwhile.
+    done: str  # What the page says when it is there.
+    arguments: tuple[str, ...]  # Of the ``smal`` command, which is told ``--out`` as well.
     out: Path
+    #: How the command names what it reads; on the page, where a path means nothing, that is ``called`` otherwise.
     hidden: str
-    """How the command names what it reads; on the page, where a path means nothing, that is ``called`` otherwise."""
     called: str = ""
-    renews: bool = False
-    """Whether it is there already."""
-    reads: IO[bytes] | None = None
-    """The open file that the command reads, where it has no name."""
+    renews: bool = False  # Whether it is there already.
+    reads: IO[bytes] | None = None  # The open file that the command reads, where it has no name.
 
 
 class _Work:
@@ -116,7 +107,6 @@ class Jobs:
             work.end("cancelled")
 
     def _follow(self, job: Job, work: _Work) -> None:
-        """Show how far a command is until it has ended, and then how."""
         shown: dict[str, object] = {"kind": job.kind, "name": job.name, "doing": job.doing, "done": job.done}
         said: deque[str] = deque(maxlen=_LINES)
         try:

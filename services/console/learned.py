@@ -27,19 +27,13 @@ class Learned:
     """What the page knows of a model, by which identity messages tell of it, and of each of its keyframes."""
 
     identity: str
-    goal: str
-    """Where the robot goes."""
+    goal: str  # Where the robot goes.
     drives: NDArray[np.int32]
-    along_m: NDArray[np.float64]
-    """The way from the drive's start."""
-    cost_s: NDArray[np.float64]
-    """The time to the goal; infinite where no way leads there."""
-    poses: NDArray[np.float64]
-    """x, y and heading: in the world, where its recording tells; else by the wheels."""
-    images: tuple[memoryview | None, ...]
-    """The taught image as it was recorded; None where its recording is gone."""
-    world: str = ""
-    """Where all of it was taught; empty where the recordings are gone, or several worlds are in them."""
+    along_m: NDArray[np.float64]  # The way from the drive's start.
+    cost_s: NDArray[np.float64]  # The time to the goal; infinite where no way leads there.
+    poses: NDArray[np.float64]  # x, y and heading: in the world, where its recording tells; else by the wheels.
+    images: tuple[memoryview | None, ...]  # The taught image as it was recorded; None where its recording is gone.
+    world: str = ""  # Where all of it was taught; empty where the recordings are gone, or several worlds are in them.
 
     def image(self, keyframe: int) -> bytes | None:
         """Return the taught image of a keyframe as JPEG."""

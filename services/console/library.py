@@ -24,10 +24,8 @@ from smal.files.stored import FORMAT_VERSION
 #: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"
 MODELS: Final = "models"
-#: How often what is known is shown while many recordings are read.
-_SHOW_S: Final = 1.0
-#: Drives of a model that the page lists.
-_MOST_DRIVES: Final = 1000
+_SHOW_S: Final = 1.0  # How often what is known is shown while many recordings are read.
+_MOST_DRIVES: Final = 1000  # Drives of a model that the page lists.
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
 
 
@@ -50,16 +48,11 @@ class LearnedModel:
     name: str
     when_s: float
     size: int
-    #: Of one for the paper's scheme, none: that goes to the nearest.
-    goals: tuple[str, ...] = ()
-    #: Episodes that it was learned from.
-    episodes: frozenset[str] = frozenset()
-    #: Features that it was learned on.
-    fingerprint: str = ""
-    #: Frames of its longest drive.
-    longest: int = 0
-    #: Why it cannot be used; empty where it can.
-    useless: str = ""
+    goals: tuple[str, ...] = ()  # Of one for the paper's scheme, none: that goes to the nearest.
+    episodes: frozenset[str] = frozenset()  # Episodes that it was learned from.
+    fingerprint: str = ""  # Features that it was learned on.
+    longest: int = 0  # Frames of its longest drive.
+    useless: str = ""  # Why it cannot be used; empty where it can.
 
 
 class Library:

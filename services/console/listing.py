@@ -22,16 +22,12 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.stream import RecordingError
 from services.robot.clock import TICK_S
 
-#: Pictures along a drive, and their width; six of them fill a row of the list.
-THUMBNAILS: Final = 6
-_WIDTH: Final = 160
+THUMBNAILS, _WIDTH = 6, 160  # Pictures along a drive, and their width; six of them fill a row of the list.
 #: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them. Wall time would count what
 #: else the machine does.
 READ_S: Final = 120
-#: How much reading gives way to the services of the stack; see nice(1).
-_NICENESS: Final = 10
-#: Where memory runs out, this process ends before the others; see proc(5).
-_ENDED_FIRST: Final = "1000"
+_NICENESS: Final = 10  # How much reading gives way to the services of the stack; see nice(1).
+_ENDED_FIRST: Final = "1000"  # Where memory runs out, this process ends before the others; see proc(5).
 _log = logging.getLogger("console")
 
 
@@ -47,12 +43,10 @@ class Recording:
     goal: str = ""
     world: str = ""
     outcome: str | None = None
-    #: Whether a person took over from the robot that drove by itself, and so taught it.
-    corrected: bool = False
+    corrected: bool = False  # Whether a person took over from the robot that drove by itself, and so taught it.
     frames: int = 0
     seconds: float = 0.0
-    #: Why it teaches nothing; empty where it does.
-    useless: str = ""
+    useless: str = ""  # Why it teaches nothing; empty where it does.
     thumbnails: tuple[bytes, ...] = ()
 
 

@@ -22,8 +22,7 @@ from smal.files.container import ModelError
 from smal.files.stored import Stored
 from smal.model import Model
 
-#: How often services and files are looked at.
-_LOOK_S: Final = 1.0
+_LOOK_S: Final = 1.0  # How often services and files are looked at.
 #: Points of today's way; when there are more every second one is left out. And how far they are apart.
 _POINTS: Final = 400
 _APART_M: Final = 0.1
@@ -113,7 +112,6 @@ class LiveContent:
             self._follow_model(str(told["model"]), None if told["goal"] is None else str(told["goal"]))
 
     def _follow_model(self, file: str, goal: str | None) -> None:
-        """Look at another model that recognition works with now."""
         name = name_below(self._library.root, self._library.root / file)
         try:
             if name is None:

@@ -13,8 +13,7 @@ from typing import Final
 
 from services.robot.clock import now_s
 
-#: Most watchers at a time.
-MOST_WATCHERS: Final = 64
+MOST_WATCHERS: Final = 64  # Most watchers at a time.
 #: Waits for a change; gives what is new since the last time: channels as one JSON object, and the picture or none.
 Newest = Callable[[], Awaitable[tuple[str, bytes]]]
 

@@ -17,14 +17,11 @@ from services.console.web import Web
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 
-#: Most bytes that a browser says at once: the names of a thousand recordings.
-_MOST_BYTES: Final = 1 << 20
+_MOST_BYTES: Final = 1 << 20  # Most bytes that a browser says at once: the names of a thousand recordings.
 #: Bytes of a socket that are read before it is the others' turn: 20 answers to beats, which take 1 ms.
 _AT_ONCE: Final = 1024
-#: How long open sockets may take to close at the end.
-_FAREWELL_S: Final = 1
-#: Opens no key that is encrypted, for which the terminal would be asked.
-_NO_WORD: Final = "-"
+_FAREWELL_S: Final = 1  # How long open sockets may take to close at the end.
+_NO_WORD: Final = "-"  # Opens no key that is encrypted, for which the terminal would be asked.
 _complaints = Throttle()
 
 

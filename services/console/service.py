@@ -28,12 +28,9 @@ from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
 
-#: Reading a model takes as long.
-LOAD_S: Final = 60.0
-#: The services that work with the model.
-_CHAIN: Final = ("recognition", "policy")
-#: Lines of news that the page keeps.
-_LINES: Final = 30
+LOAD_S: Final = 60.0  # Reading a model takes as long.
+_CHAIN: Final = ("recognition", "policy")  # The services that work with the model.
+_LINES: Final = 30  # Lines of news that the page keeps.
 
 
 class ConsoleService:

@@ -25,12 +25,10 @@ from services.console.service import ConsoleService
 from services.console.who_drives import BEAT_S, LEASE_S, Seat
 
 PAGE: Final = Path(__file__).parent / "page"
-#: A watcher is sent something at most so often.
-_APART_S: Final = 0.05
+_APART_S: Final = 0.05  # A watcher is sent something at most so often.
 #: Codes by which a socket is closed: too many watch; somebody else drives; what was said makes no sense.
 FULL, TAKEN, NONSENSE = 4001, 4002, 4003
-#: Digits of the number of a picture, at most.
-_DIGITS: Final = 9
+_DIGITS: Final = 9  # Digits of the number of a picture, at most.
 #: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
 _LARGEST_MAP: Final = 64 << 20
 _UPLOAD_S: Final = 300
@@ -49,8 +47,7 @@ class Web:
         self._service = service
         self._board = board
         self._seat = Seat(board.clock)
-        #: How many maps were begun to be sent.
-        self._maps = 0
+        self._maps = 0  # How many maps were begun to be sent.
 
     def application(self) -> Starlette:
         """Return what answers; without its guard."""

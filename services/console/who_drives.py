@@ -12,15 +12,12 @@ from typing import Final
 
 from services.robot.clock import PULSE_S, now_s
 
-#: How often a browser has to answer: as often as the operator of a robot.
-BEAT_S: Final = PULSE_S
-#: Time after its beat was sent when an answer counts no more, and when what was held is let go.
-LET_GO_S: Final = 0.25
+BEAT_S: Final = PULSE_S  # How often a browser has to answer: as often as the operator of a robot.
+LET_GO_S: Final = 0.25  # Time after its beat was sent when an answer counts no more, and when what was held is let go.
 #: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it. What is
 #: asked for counts as long: later it may be somebody else's turn.
 LEASE_S: Final = 1.0
-#: Beats in flight that are remembered; an answer to an older one is late anyway.
-_KEPT: Final = round(LEASE_S / BEAT_S)
+_KEPT: Final = round(LEASE_S / BEAT_S)  # Beats in flight that are remembered; an answer to an older one is late anyway.
 
 
 class Seat:

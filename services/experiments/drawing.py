@@ -28,8 +28,7 @@ _STYLE: Final[dict[Any, Any]] = {
     "text.parse_math": False, "xtick.color": LINE, "xtick.labelcolor": MUTED, "ytick.color": LINE,
     "ytick.labelcolor": MUTED,
 }  # fmt: skip
-#: Half of a page, inches: as wide as that it is read on a telephone too.
-WIDTH_IN: Final = 5.0
+WIDTH_IN: Final = 5.0  # Half of a page, inches: as wide as that it is read on a telephone too.
 
 
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:

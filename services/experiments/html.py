@@ -5,6 +5,7 @@ import html
 import io
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from services.kit.jpeg import encode_jpeg, shrunk
@@ -15,15 +16,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-#: How wide a camera image is shown, pixels.
-_FRAME_PX: Final = 320
-#: Called with what is being done, how much of it is and how much there is.
-Advance = Callable[[str, int, int], object]
+_FRAME_PX: Final = 320  # How wide a camera image is shown, pixels.
+Advance = Callable[[str, int, int], object]  # Called with what is being done, how much of it is and how much there is.
 
 
 def page(title: str, body: str, width_rem: int = 60) -> str:
     """Return a whole page; the title is escaped, the body is HTML."""
     return _PAGE.format(title=html.escape(title), body=body, width_rem=width_rem)
+
+
+def write_page(folder: Path, title: str, parts: Iterable[str], width_rem: int = 72) -> Path:
+    """Write ``index.html`` of parts, which are HTML, into a folder that is there; return its path."""
+    path = folder / "index.html"
+    path.write_text(page(title, "\n".join(parts), width_rem), encoding="utf-8")
+    return path
 
 
 def tiles(values: Mapping[str, str]) -> str:

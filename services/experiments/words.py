@@ -1,6 +1,7 @@
 """Words that pages and commands share."""
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Sequence
 
 from smal.features import FeatureSettings
 
@@ -19,3 +20,8 @@ def listed(names: Sequence[str], most: int = 10) -> str:
 def described_by(features: FeatureSettings) -> str:
     """Name the modalities."""
     return " ".join(features.modalities)
+
+
+def remark(lines: Iterable[object]) -> None:
+    """Say something on standard error, a line each."""
+    sys.stderr.writelines(f"smal: {line}\n" for line in lines)

@@ -26,8 +26,7 @@ from services.recordings.records import Allowance
 from services.recordings.stream import RecordingError
 from smal.movement import Movement
 
-#: Of velocities: a micrometre and a microradian a second.
-_DIGITS: Final = 6
+_DIGITS: Final = 6  # Of velocities: a micrometre and a microradian a second.
 #: What the modules of this package that write a format are called; each has ``write(drives, folder, tally, advance)``.
 _WRITERS: Final[dict[Format, str]] = {"rosbag2": "rosbag2", "lerobot": "lerobot", "folder": "csv_folder"}
 FORMATS: Final = tuple(_WRITERS)

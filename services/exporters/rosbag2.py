@@ -22,12 +22,10 @@ from services.kit.ros_message import ros_message
 _IMU: Final = "sensor_msgs/msg/Imu"
 _TF: Final = "tf2_msgs/msg/TFMessage"
 _ODOM, _BASE, _CAMERA = "odom", "base_link", "camera_optical_frame"
-#: ROS has seconds since 1970 in 31 bits.
-_LATEST_NS: Final = 2**31 * 1_000_000_000
+_LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
 #: From a robot's axes (ahead, left, up) to a camera's (right, down, ahead).
 _OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
-#: Of each lens, as ROS has it.
-_COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
+_COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # Of each lens, as ROS has it.
 Fields = dict[str, Any]
 
 

@@ -15,14 +15,10 @@ from smal.camera import Camera
 Array = NDArray[np.float64]
 #: Most samples of a drive, or rows of a file: 28 hours at 100 Hz. They are kept in memory, 100 bytes or so each.
 MOST_SAMPLES: Final = 10_000_000
-#: No wheeled robot is faster.
-FASTEST_M_S: Final = 50.0
-FASTEST_RAD_S: Final = 100.0
-#: A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
-LATEST_S: Final = 9e9
-#: Round the earth, whose grids some odometry begins in; and a turn every second for a year.
-_FURTHEST_M: Final = 4e7
-_MOST_TURNED_RAD: Final = 2e8
+FASTEST_M_S, FASTEST_RAD_S = 50.0, 100.0  # No wheeled robot is faster.
+LATEST_S: Final = 9e9  # A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
+_FURTHEST_M: Final = 4e7  # Round the earth, whose grids some odometry begins in.
+_MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
 
 
 class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
@@ -33,8 +29,7 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
     """A frame cannot be used; the text says why."""
 
 
-#: Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
-Image = Callable[[], bytes]
+Image = Callable[[], bytes]  # Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
 Images = Callable[[], Iterator[Image]]
 Rows = Sequence[tuple[float, ...]] | Array
 
@@ -46,8 +41,7 @@ class Drive:
     name: str  # As the source calls it.
     times_s: Array  # (n,) of the frames.
     images: Images  # Gives the n frames in their order, each time anew.
-    #: (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
-    motion: Array
+    motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
     #: (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None where the source does not say.

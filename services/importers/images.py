@@ -14,13 +14,10 @@ from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnIm
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
 
-#: Most bytes of an image file.
-MOST_BYTES: Final = CompressedImage.max_bytes - 2**16
-#: Columns and rows that a recording's image can have, and that features need.
-_MOST: Final = (4096, 3072)
-_LEAST: Final = (32, 24)
-#: No camera of a robot is faster; then the times are those of copying the data set.
-_FASTEST_HZ: Final = 120.0
+MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Most bytes of an image file.
+_MOST: Final = (4096, 3072)  # Columns and rows that a recording's image can have.
+_LEAST: Final = (32, 24)  # Those that features need.
+_FASTEST_HZ: Final = 120.0  # No camera of a robot is faster; then the times are those of copying the data set.
 _UNREAD: Final = "images cannot be read"
 _JPEG: Final = b"\xff\xd8"
 _PNG: Final = b"\x89PNG\r\n\x1a\n"

@@ -14,8 +14,7 @@ from services.kit.root import OutsideError, below, open_below
 
 #: Most bytes of a file that is read as a whole; the episodes of a thousand hours are described in less.
 MOST_BYTES: Final = 256 * 2**20
-#: Most characters of a line; of a row of numbers it has a few hundred.
-LONGEST_LINE: Final = 1_000_000
+LONGEST_LINE: Final = 1_000_000  # Most characters of a line; of a row of numbers it has a few hundred.
 Model = TypeVar("Model", bound=BaseModel)
 
 

@@ -44,8 +44,7 @@ EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODE: Final = "episode_index"
-#: Rows of numbers, and of images, that are read at a time.
-_ROWS, _IMAGES = 4096, 16
+_ROWS, _IMAGES = 4096, 16  # Rows of numbers, and of images, that are read at a time.
 #: Most bytes, and entries, of a Parquet file's own description; that of ten million rows has a hundred thousand.
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 

@@ -24,8 +24,7 @@ from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
 from smal.movement import wrapped
 
-#: Of poses: a micrometre and a microradian.
-_DIGITS: Final = 6
+_DIGITS: Final = 6  # Of poses: a micrometre and a microradian.
 _LEAST_FRAMES: Final = 2
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 

@@ -28,8 +28,7 @@ from services.kit.errors import describe_os_error
 _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
 #: Memory that an import may take, bytes; numbers of the longest drive that is read take a quarter of it.
 MOST_MEMORY: Final = 2 * 2**30
-#: Between two reports of progress, seconds.
-_PERIOD_S: Final = 0.1
+_PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
 def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> Report:

@@ -18,16 +18,13 @@ from schemas.base import ATOMS, MAX_TICK
 from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, ImportFailure, Tally
 from smal.movement import seen_from
 
-#: Time between two ticks, on which the stack runs and learning reckons.
-TICK_S: Final = 0.1
+TICK_S: Final = 0.1  # Time between two ticks, on which the stack runs and learning reckons.
 #: A base stops that has not been told anything for so long: what ROS drivers usually have, and twice what our gate has.
 HOLD_S: Final = 0.5
 #: Further from any frame than this a tick has none: a camera slower than 4 Hz shows too little of the way.
 GAP_S: Final = 0.125
-#: What times may be off by the rounding of numbers.
-_ROUNDING_S: Final = 1e-6
-#: A recording has no pose further from its first.
-_FURTHEST_M: Final = 1e6
+_ROUNDING_S: Final = 1e-6  # What times may be off by the rounding of numbers.
+_FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
 #: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
 #: of full throttle, and 10 % of full lock at that.
 _LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
@@ -36,8 +33,7 @@ _LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
 QUANTILE: Final = 0.95
 #: Below this fraction of both nominal velocities the robot stands; joysticks have a dead zone of about as much.
 STILL: Final = 0.1
-#: From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
-TURNING: Final = 0.5
+TURNING: Final = 0.5  # From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
 
 
 class Ticks(NamedTuple):

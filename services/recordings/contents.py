@@ -59,20 +59,17 @@ class EpisodeContents:
 
     robot: str
     episode: str
+    #: World, seed, purpose, goal and driver, as its events tell.
     said: dict[str, str | int] = field(default_factory=dict)
-    """World, seed, purpose, goal and driver, as its events tell."""
     outcome: str | None = None
-    judge: str | None = None
-    """Who says so."""
-    drove: dict[str, int] = field(default_factory=dict)
-    """Ticks by whose command moved the robot last in them."""
+    judge: str | None = None  # Who says so.
+    drove: dict[str, int] = field(default_factory=dict)  # Ticks by whose command moved the robot last in them.
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
     width: int | None = None
     height: int | None = None
     field_of_view_deg: float | None = None
     modalities: tuple[str, ...] = ()
-    odometry_m: float | None = None
-    """Way by the wheels."""
+    odometry_m: float | None = None  # Way by the wheels.
 
     @property
     def frames(self) -> int:
@@ -91,21 +88,15 @@ class Contents:
     """One recording; sizes are in bytes."""
 
     path: Path
-    state: str
-    """``sealed``, ``not sealed``, or ``being recorded``."""
+    state: str  # ``sealed``, ``not sealed``, or ``being recorded``.
     size: int
-    about: dict[str, str] = field(default_factory=dict)
-    """What the recorder wrote of itself: software, when."""
+    about: dict[str, str] = field(default_factory=dict)  # What the recorder wrote of itself: software, when.
     episodes: list[EpisodeContents] = field(default_factory=list)
-    views: int = 0
-    """Messages that are there for viewers, derived from the rest."""
+    views: int = 0  # Messages that are there for viewers, derived from the rest.
     views_size: int = 0
-    others: int = 0
-    """Messages of topics that are not ours."""
-    damage: list[str] = field(default_factory=list)
-    """What is wrong in the file, a line each."""
-    lacks: list[str] = field(default_factory=list)
-    """What never came into it."""
+    others: int = 0  # Messages of topics that are not ours.
+    damage: list[str] = field(default_factory=list)  # What is wrong in the file, a line each.
+    lacks: list[str] = field(default_factory=list)  # What never came into it.
 
     @property
     def findings(self) -> list[str]:
@@ -159,8 +150,6 @@ def _noting(contents: Contents, records: Iterable[McapRecord]) -> Iterator[McapR
 
 
 class _Reading:
-    """Reads one episode."""
-
     def __init__(self, episode: EpisodeContents, thorough: bool) -> None:
         self.episode = episode
         self._thorough = thorough

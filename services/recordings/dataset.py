@@ -36,14 +36,12 @@ _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8
 class Teaching:
     """What a set of recordings teaches."""
 
+    #: One for each piece without gaps of each usable episode.
     demonstrations: list[Demonstration] = field(default_factory=list)
-    """One for each piece without gaps of each usable episode."""
-    recordings: int = 0
-    """Files that were read."""
-    episodes: int = 0
-    """Episodes that are used."""
+    recordings: int = 0  # Files that were read.
+    episodes: int = 0  # Episodes that are used.
+    #: One line for everything that is left out, damaged or computed anew.
     remarks: list[str] = field(default_factory=list)
-    """One line for everything that is left out, damaged or computed anew."""
 
 
 class Teacher:
@@ -68,6 +66,14 @@ class Teacher:
         self._include_runs = include_runs
         self._seen: dict[tuple[str, str], Path] = {}
         self._allowance = Allowance()
+
+    def read_all(self, paths: Sequence[Path], advance: Callable[[str, int, int], object]) -> Teaching:
+        """Read files, tell before each how many are done and how many there are, and return what all of them teach."""
+        for number, path in enumerate(paths):
+            advance("reading", number, len(paths))
+            self.read(path)
+        advance("reading", len(paths), len(paths))
+        return self.teaching
 
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""

@@ -22,8 +22,7 @@ from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from services.kit.jpeg import decode_jpeg
 
-#: Frame of the camera, for viewers: x to the right in the image, y down, z into it.
-CAMERA_FRAME: Final = "camera"
+CAMERA_FRAME: Final = "camera"  # Frame of the camera, for viewers: x to the right in the image, y down, z into it.
 
 
 @dataclass(frozen=True)

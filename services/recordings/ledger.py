@@ -14,8 +14,7 @@ from schemas.topics import APPLIED, JPEG, OBSERVATION, POSE, STATE
 #: Topics with a message for every tick. At its end an episode has no command applied and perhaps no state any more.
 EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
 TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
-#: In the order in which they happen within a tick.
-_EVENTS: Final = get_args(EventName)
+_EVENTS: Final = get_args(EventName)  # In the order in which they happen within a tick.
 
 #: Most messages of a topic within a tick, ten a second for a quarter of an hour; more are not recorded, for each takes
 #: half a kilobyte here.
@@ -34,8 +33,7 @@ class Spans:
 
     def __init__(self) -> None:
         self._begins = array("q")
-        #: The first number behind each.
-        self._ends = array("q")
+        self._ends = array("q")  # The first number behind each.
         self.count = 0
 
     def add(self, number: int) -> bool:

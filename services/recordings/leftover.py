@@ -27,12 +27,9 @@ class LeftoverError(JobError):
 class Sealed(NamedTuple):
     """What became of a leftover."""
 
-    path: Path | None
-    """The recording; None where no message was in it, and it is removed."""
-    episode: str
-    """Its id; empty where it does not tell."""
-    ended: bool
-    """Whether the end of the episode is in it."""
+    path: Path | None  # The recording; None where no message was in it, and it is removed.
+    episode: str  # Its id; empty where it does not tell.
+    ended: bool  # Whether the end of the episode is in it.
 
 
 def seal_leftover(partial: Path) -> Sealed:

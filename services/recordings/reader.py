@@ -27,12 +27,9 @@ class Recording:
     """What a file holds."""
 
     path: Path
-    episodes: tuple[RecordedEpisode, ...]
-    """In order of appearance."""
-    truncated: bool
-    """Whether the end of the file is missing."""
-    bad: int
-    """Messages that are not what their topic says; they were left out."""
+    episodes: tuple[RecordedEpisode, ...]  # In order of appearance.
+    truncated: bool  # Whether the end of the file is missing.
+    bad: int  # Messages that are not what their topic says; they were left out.
 
     def remarks(self) -> Iterator[str]:
         """Yield one line for everything that is not as it should be."""

@@ -23,20 +23,16 @@ _STOP: Final = ATOMS.index("stop")
 class Piece:
     """Successive frames of one episode without a gap."""
 
-    ticks: NDArray[np.int64]
-    """(f,), each one more than the last."""
-    features: NDArray[np.float32]
-    """(f, m), raw feature vectors."""
-    atoms: NDArray[np.int8]
-    """(f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1."""
-    ahead: NDArray[np.float32]
-    """(f,), fraction of the nominal speed at which the robot went ahead in turning then."""
+    ticks: NDArray[np.int64]  # (f,), each one more than the last.
+    features: NDArray[np.float32]  # (f, m), raw feature vectors.
+    atoms: NDArray[np.int8]  # (f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
+    ahead: NDArray[np.float32]  # (f,), fraction of the nominal speed at which the robot went ahead in turning then.
+    #: As recorded (for ``encoding.decode_image``), one a frame; None if one is missing.
     images: tuple[memoryview, ...] | None
-    """As recorded (for ``encoding.decode_image``), one a frame; None if one is missing."""
+    #: (f, 3), x and y in metres and heading in radians by the wheels; None if one is missing.
     odometry: NDArray[np.float64] | None
-    """(f, 3), x and y in metres and heading in radians by the wheels; None if one is missing."""
+    #: Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found.
     at_goal: bool
-    """Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found."""
 
 
 @dataclass(eq=False)
@@ -52,17 +48,15 @@ class RecordedEpisode:
     driver: Source | None = None
     outcome: Outcome | None = None
     end_tick: int | None = None
+    #: Raw feature vectors that were recorded with the wanted fingerprint.
     features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
-    """Raw feature vectors that were recorded with the wanted fingerprint."""
-    images: dict[int, memoryview] = field(default_factory=dict)
-    """As recorded (for ``encoding.decode_image``)."""
+    images: dict[int, memoryview] = field(default_factory=dict)  # As recorded (for ``encoding.decode_image``).
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
+    #: What the actuator did from this tick to the next.
     applied: dict[int, CommandApplied] = field(default_factory=dict)
-    """What the actuator did from this tick to the next."""
     camera: CameraInfo | None = None
-    poses: dict[int, Pose] = field(default_factory=dict)
-    """True poses, for plots; learning must not use them."""
+    poses: dict[int, Pose] = field(default_factory=dict)  # True poses, for plots; learning must not use them.
 
     @property
     def frames(self) -> int:

@@ -23,12 +23,9 @@ from zstandard import ZstdDecompressor, ZstdError
 from schemas.codec import printable
 from smal.files.regular_file import open_regular
 
-#: First and last bytes of every MCAP file.
-MAGIC: Final = MCAP0_MAGIC
-#: Of every record: what it is, and how many bytes follow.
-HEAD: Final = struct.Struct("<BQ")
-#: What is raised where there is no record.
-UNREADABLE: Final = (McapError, ValueError, struct.error)
+MAGIC: Final = MCAP0_MAGIC  # First and last bytes of every MCAP file.
+HEAD: Final = struct.Struct("<BQ")  # Of every record: what it is, and how many bytes follow.
+UNREADABLE: Final = (McapError, ValueError, struct.error)  # What is raised where there is no record.
 #: Most bytes that a packed chunk may unpack to. Other tools make chunks of a few megabytes, and at least of one
 #: message; the largest is an image of 17 MB.
 LARGEST_CHUNK: Final = 64 * 2**20

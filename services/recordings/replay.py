@@ -30,12 +30,9 @@ REPLAYABLE: Final = {
 class Tick(NamedTuple):
     """What is told at once."""
 
-    number: int
-    """As in the recording."""
-    since_s: float
-    """Time since the first tick."""
-    messages: tuple[Message, ...]
-    """In the order in which the robot told them."""
+    number: int  # As in the recording.
+    since_s: float  # Time since the first tick.
+    messages: tuple[Message, ...]  # In the order in which the robot told them.
 
 
 @dataclass(eq=False)
@@ -44,8 +41,7 @@ class Track:
 
     robot: str
     episode: str
-    bad: int = 0
-    """Messages so far that did not decode; they are left out."""
+    bad: int = 0  # Messages so far that did not decode; they are left out.
     _told: defaultdict[int, list[Stored]] = field(default_factory=lambda: defaultdict(list))
 
     def __len__(self) -> int:

@@ -59,8 +59,7 @@ class Stored(NamedTuple):
     """A message as it stands in a recording; tick and stamp are its record's."""
 
     key: str
-    topic: Topic | None
-    """None where it is none of ours; robot and episode then mean nothing."""
+    topic: Topic | None  # None where it is none of ours; robot and episode then mean nothing.
     robot: str
     episode: str
     tick: int

@@ -24,28 +24,21 @@ from services.recordings.records import (
     record_of,
 )
 
-#: What earlier versions wrote in the place of the head of a chunk that was not complete.
-_KEPT_FREE: Final = 0x80
+_KEPT_FREE: Final = 0x80  # What earlier versions wrote in the place of the head of a chunk that was not complete.
 _KNOWN: Final = frozenset([*map(int, Opcode), _KEPT_FREE])
 #: What stands before the magic at the end: where the summary begins, where its parts are listed, its checksum.
 _FOOTER: Final = struct.Struct("<BQQQI")
-#: And before the summary: the end of the data, with its checksum.
-_DATA_END: Final = struct.Struct("<BQI")
-#: The first of the statistics is how many messages there are.
-_COUNT: Final = struct.Struct("<Q")
-#: How many times the bytes of a file a search for chunks may check.
-_CHECKED: Final = 4
+_DATA_END: Final = struct.Struct("<BQI")  # And before the summary: the end of the data, with its checksum.
+_COUNT: Final = struct.Struct("<Q")  # The first of the statistics is how many messages there are.
+_CHECKED: Final = 4  # How many times the bytes of a file a search for chunks may check.
 
 
 class Summary(NamedTuple):
     """What stands at the end of a sealed recording."""
 
-    data_end: int
-    """Where the record is that ends the data section."""
-    records: tuple[McapRecord, ...] = ()
-    """Schemas and channels once more."""
-    messages: int | None = None
-    """How many there are; None if it does not say."""
+    data_end: int  # Where the record is that ends the data section.
+    records: tuple[McapRecord, ...] = ()  # Schemas and channels once more.
+    messages: int | None = None  # How many there are; None if it does not say.
 
 
 def summary_of(data: memoryview) -> Summary | None:

@@ -52,8 +52,7 @@ _KEPT: Final = 100
 _ARROW: Final = {"shaft_length": 0.35, "shaft_diameter": 0.075, "head_length": 0.15, "head_diameter": 0.15}
 #: The driven way has a point for so much of it, a tick at walking pace; for more of it where there would be too many.
 _STEP_M: Final = 0.1
-#: Most points of a way: more than a screen can tell apart.
-_MOST_POINTS: Final = 10_000
+_MOST_POINTS: Final = 10_000  # Most points of a way: more than a screen can tell apart.
 _LINE_PX: Final = 3.0
 _TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)
 _DRIVEN: Final = Color(r=1.0, g=0.8, b=0.2, a=1.0)

@@ -37,12 +37,9 @@ class EpisodeWriter:
     def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self.ledger = Ledger()
-        #: How many it has taken.
-        self.messages = self._written = 0
-        #: When the episode ended.
-        self.end_tick: int | None = None
-        #: Why it takes no more; None while it does.
-        self.problem: str | None = None
+        self.messages = self._written = 0  # How many it has taken.
+        self.end_tick: int | None = None  # When the episode ended.
+        self.problem: str | None = None  # Why it takes no more; None while it does.
         self._part = part
         self._ids = {name: metadata[name] for name in ("robot", "episode")}
         self._views = Views()

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from smal.place_recognition import Matches
 
-#: Queries that are compared with all references at a time: 20 MB of each number for 10,000 references.
-_BLOCK = 256
+_BLOCK = 256  # Queries that are compared with all references at a time: 20 MB of each number for 10,000 references.
 
 
 @dataclass(frozen=True, eq=False)

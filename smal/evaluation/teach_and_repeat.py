@@ -34,10 +34,8 @@ SPACING_ATOMS: Final = 5.0
 TURNED_RAD: Final = math.radians(15.0)
 #: How far ahead of a goal the robot aims, and how near the last one a goal is a mere turn; both in spacings.
 LOOKAHEAD, TURNING = 1.3, 0.2
-#: Keyframes before and after the current two that are compared.
-SEARCH: Final = 3
-#: Correlation below which a keyframe says nothing.
-RECOGNIZED: Final = 0.1
+SEARCH: Final = 3  # Keyframes before and after the current two that are compared.
+RECOGNIZED: Final = 0.1  # Correlation below which a keyframe says nothing.
 #: Fraction by which one image corrects the heading (theirs for the MiRo; 0.01 leaves three times the error) and the way
 #: along (theirs; with 0.05 fewer searches succeed).
 TURN_GAIN, WAY_GAIN = 0.1, 0.01

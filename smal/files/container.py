@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
 _ALIGNED = 8
-#: Most bytes of a model: the map of 150 km.
-LARGEST = 2**33
+LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
 #: Most bytes of its header, which takes 30 times as much memory once it is understood; a demonstration has 100 in it.
 LARGEST_HEADER = 2**24
 _MOST_AXES = 8

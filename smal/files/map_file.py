@@ -20,12 +20,9 @@ from smal.settings import SETTINGS
 if TYPE_CHECKING:
     from smal.model import VisualMap
 
-#: What names of goals are: letters, digits, and what may stand between them.
-GOAL_NAME = r"\w[\w .-]{0,63}"
-#: What numbers of a map can be.
-_LONGEST = 1e6
-#: Keyframes: 300 km of usual views.
-_MOST_KEYFRAMES = 400_000
+GOAL_NAME = r"\w[\w .-]{0,63}"  # Letters, digits, and what may stand between them.
+_LONGEST = 1e6  # What numbers of a map can be.
+_MOST_KEYFRAMES = 400_000  # Keyframes: 300 km of usual views.
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
     "gamma": lambda one: 0.0 < one <= 1e3,
@@ -61,7 +58,6 @@ def _unsound(one: "VisualMap") -> list[str]:
 
 
 def _fit(one: "VisualMap") -> dict[str, bool]:
-    """Say of each part whether it fits the others."""
     frames, count, joined = len(one.poses), len(one.keyframes), len(one.stitched)
     ends = np.flatnonzero(np.diff(one.drives, prepend=-1, append=-1))
     keys, offsets = one.keyframes, one.stitch_offsets

@@ -17,8 +17,7 @@ from smal.files.regular_file import open_regular
 FORMAT_VERSION = 7
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}
 
-#: What a file says of itself, and its arrays.
-Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]
+Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]  # What a file says of itself, and its arrays.
 
 
 class Stored(ABC):

@@ -12,8 +12,7 @@ from smal.movement import Atom
 from smal.paper.transitions import Transitions
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
-#: Of a weight in Eq. 7.
-_MOST = 1e6
+_MOST = 1e6  # Of a weight in Eq. 7.
 #: What stands in the file as it is: arrays, and in its header numbers and tuples. Streams stand one after the other.
 _ARRAYS = ("mean", "actions", "reward", "policy", "value")
 _NUMBERS = ("sequence_length", "lambda1", "lambda2", "gamma")

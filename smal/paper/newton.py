@@ -24,8 +24,7 @@ from smal.paper.objective import sequence_starts
 
 Array = NDArray[np.float64]
 
-#: Where smoothing starts without a better guess; lengths are near 1.
-FIRST_EPSILON = 0.3
+FIRST_EPSILON = 0.3  # Where smoothing starts without a better guess; lengths are near 1.
 _LAST_EPSILON = 1e-9
 _FASTEST = 0.2
 _GAP_TO_EPSILON = 0.7

@@ -28,8 +28,7 @@ class Solution:
     shape: tuple[int, int]  # (n, q).
     sequence_length: int
     objective: float  # Eq. 7 at W.
-    #: Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
-    duality_gap: float
+    duality_gap: float  # Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
     iterations: int  # Newton steps in all rounds of the working set.
     converged: bool  # Whether the gap is within the tolerance that was asked for.
     residual_norms: Array  # (q,) ||y_i - X w_i||.

@@ -50,8 +50,7 @@ class WorkingSet:
         (n, m), q = rows.shape, len(query)
         #: Bound on the relative error of inner products of frames in float64, and of sums of these.
         self._rounding = rounding(m + q + 2)
-        #: ||y_i||, rounded up.
-        self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)
+        self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)  # ||y_i||, rounded up.
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.einsum("rm,rm->r", rows, rows)
             alike = np.square(rows @ (query / self._norms[:, None]).astype(np.float32).T).sum(axis=1)
@@ -132,8 +131,7 @@ class WorkingSet:
         self._before, self._start = self._set, np.stack([W * self._weight_scale, U, V])
         self.steps += steps
         self._worst = 1.0
-        #: The dual point, a row a query frame (q, m).
-        self._theta: Array = (alpha / query_scale)[:, None] * self._query
+        self._theta: Array = (alpha / query_scale)[:, None] * self._query  # The dual point, a row a query frame (q, m).
         self._theta -= (B / template_scale).T @ self._frames_of_set
 
     def _prove(self, tolerance: float) -> Columns:

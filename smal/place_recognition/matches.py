@@ -8,16 +8,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-#: Called with the number of queries that are done.
-Progress = Callable[[int], None]
+Progress = Callable[[int], None]  # Called with the number of queries that are done.
 
 
 def ignore(_done: int) -> None:
     """Take notice of no progress."""
 
 
-#: Stands for no reference frame in `Matches.reference`.
-NONE = -1
+NONE = -1  # Stands for no reference frame in `Matches.reference`.
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from smal.paper.phase import matched_phase
 from smal.paper.state_matching import solve
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
-#: a in lambda1 = lambda2 = a sqrt(l), as in learning.
-LAMBDA_SCALE: Final = 0.1
+LAMBDA_SCALE: Final = 0.1  # a in lambda1 = lambda2 = a sqrt(l), as in learning.
 
 
 def match_as_in_the_paper(

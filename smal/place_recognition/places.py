@@ -21,10 +21,8 @@ from smal.likelihood import GRID, log_ratio, over
 from smal.place_recognition.hidden_markov import Array, Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
-#: How far queries stand out at references, in steps of z.
-Levels = NDArray[np.uint16]
-#: A query, the probabilities of references (n,), and of none.
-Answer = tuple[int, Array, float]
+Levels = NDArray[np.uint16]  # How far queries stand out at references, in steps of z.
+Answer = tuple[int, Array, float]  # A query, the probabilities of references (n,), and of none.
 
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
@@ -39,12 +37,9 @@ _FINE: Final = 16
 _LEVELS: Final = np.linspace(GRID[0], GRID[-1], _FINE * (GRID.size - 1) + 1)
 _SILENT, _NEVER = _LEVELS.size, _LEVELS.size + 1
 _Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
-#: A step shorter than this share of one in moving is one of standing still.
-_STANDING: Final = 0.4
-#: It learns from stretches of so many queries, at most as many of them.
-_STRETCH, _STRETCHES = 500, 4
-#: Queries whose cosines are computed at a time.
-_BLOCK: Final = 256
+_STANDING: Final = 0.4  # A step shorter than this share of one in moving is one of standing still.
+_STRETCH, _STRETCHES = 500, 4  # It learns from stretches of so many queries, at most as many of them.
+_BLOCK: Final = 256  # Queries whose cosines are computed at a time.
 
 
 class Evidence:

@@ -15,15 +15,13 @@ from scipy.spatial.distance import cdist
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.nearest_sequence import sums_along
 
-#: The paper's velocities, reference frames to one query frame.
-VELOCITIES: Final = (0.8, 0.9, 1.0, 1.1, 1.2)
+VELOCITIES: Final = (0.8, 0.9, 1.0, 1.1, 1.2)  # The paper's velocities, reference frames to one query frame.
 #: Half of the paper's R_window: contrast is enhanced among so many references before and after, and the second best
 #: trajectory ends further away.
 HALF_WINDOW: Final = 5
 #: Number c that makes every sum positive: of k numbers, none is over sqrt(k - 1) deviations off the mean.
 _OFFSET: Final = math.sqrt(2 * HALF_WINDOW + 1)
-#: A standard deviation below this share of the mean difference is the rounding of float32 sums.
-_NOISE: Final = 1e-5
+_NOISE: Final = 1e-5  # A standard deviation below this share of the mean difference is the rounding of float32 sums.
 
 
 def match_seqslam(

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
 
-#: As many frames that look like the references in the mean are counted among the queries.
-PRIOR_FRAMES: Final = 5
+PRIOR_FRAMES: Final = 5  # As many frames that look like the references in the mean are counted among the queries.
 
 
 def centre_traverses(

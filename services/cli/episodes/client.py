@@ -27,12 +27,9 @@ from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 
-#: How often the robot hears that whoever began its episode is there.
-BEAT_S: Final = 0.5
-#: Seconds without any sign of the robot after which an episode is given up.
-SILENCE_S: Final = 60.0
-#: Time for a person to look whether the robot is where it says that it is; it stands meanwhile.
-JUDGED_S: Final = 30.0
+BEAT_S: Final = 0.5  # How often the robot hears that whoever began its episode is there.
+SILENCE_S: Final = 60.0  # Seconds without any sign of the robot after which an episode is given up.
+JUDGED_S: Final = 30.0  # Time for a person to look whether the robot is where it says that it is; it stands meanwhile.
 
 
 @dataclass
@@ -40,30 +37,17 @@ class EpisodeRecord:
     """What was seen of one episode; what is told of single frames is kept by their tick."""
 
     request: ResetRequest
-    #: Name of the world, or of a real robot's body.
-    world: str = ""
-    #: Frames that passed.
-    ticks: int = 0
+    world: str = ""  # Name of the world, or of a real robot's body.
+    ticks: int = 0  # Frames that passed.
     outcome: Outcome = "aborted"
-    #: Whether "not here" was so, where somebody knows.
-    right: bool | None = None
-    #: True poses, (x, y) metres.
-    poses: dict[int, tuple[float, float]] = field(default_factory=dict)
-    #: What the robot said of the goal.
-    said: Said | None = None
-    #: Kind of every decision.
-    decisions: dict[int, str] = field(default_factory=dict)
-    #: Decisions that were taken without a recognized state.
-    unrecognized: set[int] = field(default_factory=set)
+    right: bool | None = None  # Whether "not here" was so, where somebody knows.
+    poses: dict[int, tuple[float, float]] = field(default_factory=dict)  # True poses, (x, y) metres.
+    said: Said | None = None  # What the robot said of the goal.
+    decisions: dict[int, str] = field(default_factory=dict)  # Kind of every decision.
+    unrecognized: set[int] = field(default_factory=set)  # Decisions that were taken without a recognized state.
     #: From a frame's readiness to the acceptance of its command.
     latencies_ms: dict[int, float] = field(default_factory=dict)
-    #: Some camera images of the way.
-    frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-
-    @property
-    def decision_latencies_ms(self) -> list[float]:
-        """Latencies of the frames at which a decision was taken."""
-        return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
+    frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # Some camera images of the way.
 
 
 class EpisodeClient:

@@ -12,9 +12,8 @@ from services.kit.bus import Bus, RpcError
 from services.kit.errors import UsageError
 from services.kit.root import name_below
 
-#: The last file's disk may be slow; after a failure nobody wants to wait for it as long.
-STOP_TIMEOUT_S: Final = 30.0
-STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0
+STOP_TIMEOUT_S: Final = 30.0  # The last file's disk may be slow.
+STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0  # Nobody wants to wait for it as long.
 
 
 def name_for(bus: Bus, service: str, path: Path, option: str) -> str:

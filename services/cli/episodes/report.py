@@ -9,14 +9,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.cli.episodes.client import EpisodeRecord
+from services.experiments import html
 from services.experiments.drawing import look_at
-from services.experiments.html import image, page, png, strip, table, tiles
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored
 
-#: Camera images shown of the example run.
-STRIP: Final = 6
+STRIP: Final = 6  # Camera images shown of the example run.
 OUTCOME_COLOURS: Final = {
     "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666",
     "missed": "#c98f00", "not_here": "#1565c0",
@@ -35,34 +34,26 @@ def write_report(
     latency = {name: "none taken" if ms is None else f"{ms:.0f} ms" for name, ms in latencies_ms}
     routes = "<p>The robot does not tell where it truly is.</p>"
     if any(record.poses for record in records):
-        routes = image(png(draw_routes(world, records)), "routes on the map")
-    rows = [
-        [
-            record.outcome,
-            *map(str, (record.request.seed, record.ticks, len(record.decisions), len(record.unrecognized))),
-        ]
-        for record in records
-    ]
+        routes = html.image(html.png(draw_routes(world, records)), "routes on the map")
+    counts = ((one.request.seed, one.ticks, len(one.decisions), len(one.unrecognized)) for one in records)
+    rows = [[one.outcome, *map(str, count)] for one, count in zip(records, counts, strict=True)]
+    facts = {
+        "victim found": f"{sum(record.outcome == 'found' for record in records)} of {len(records)}",
+        "95 % interval": f"{low:.0%} to {high:.0%}",
+        "scheme": model.scheme,
+        "decision, median": latency["p50"],
+        "decision, 95 %": latency["p95"],
+    }
     parts = [
-        tiles(
-            {
-                "victim found": f"{sum(record.outcome == 'found' for record in records)} of {len(records)}",
-                "95 % interval": f"{low:.0%} to {high:.0%}",
-                "scheme": model.scheme,
-                "decision, median": latency["p50"],
-                "decision, 95 %": latency["p95"],
-            }
-        ),
+        html.tiles(facts),
         "<h2>Where the robot went</h2>",
         routes,
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
-        strip({f"frame {tick}": shown.frames[tick] for tick in some}),
+        html.strip({f"frame {tick}": shown.frames[tick] for tick in some}),
         "<h2>Every run</h2>",
-        table(["outcome", "seed", "frames", "decisions", "state unknown"], rows, left=1),
+        html.table(["outcome", "seed", "frames", "decisions", "state unknown"], rows, left=1),
     ]
-    path = folder / "index.html"
-    path.write_text(page(f"SMAL: {world or records[0].world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
-    return path
+    return html.write_page(folder, f"SMAL: {world or records[0].world}, {len(records)} runs", parts, 60)
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:

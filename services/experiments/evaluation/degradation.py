@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: Share of the image that an occluder covers, at least; at most all of it.
-LEAST_COVERED: Final = 0.5
+LEAST_COVERED: Final = 0.5  # Share of the image that an occluder covers, at least; at most all of it.
 # Sources of chance in an episode; their order is part of every seed.
 _WHETHER, _WHAT, _NOISE = range(3)
 
@@ -21,12 +20,11 @@ _WHETHER, _WHAT, _NOISE = range(3)
 class Degradation:
     """How bad the robot's view is."""
 
+    #: Share of the frames that are occluded: a rectangle of one random colour hides 50 to 100 % of them.
     occlusion: float = 0.0
-    """Share of the frames that are occluded: a rectangle of one random colour hides 50 to 100 % of them."""
-    noise: float = 0.0
-    """Standard deviation of Gaussian noise on every pixel and channel, grey levels."""
+    noise: float = 0.0  # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
+    #: Strength of the camera's shake, for the simulation (`open_simulation`); None for as usual in that world.
     shake: float | None = None
-    """Strength of the camera's shake, for the simulation (`open_simulation`); None for as usual in that world."""
 
     @property
     def meaning(self) -> str:

@@ -50,8 +50,7 @@ _SOUTH_WEST, _NORTH_WEST = Pose(0.0, -44.0, _NORTHWARDS), Pose(0.0, 44.0, _SOUTH
 _NORTH, _SOUTH = Pose(86.0, 53.6, 0.0), Pose(86.0, -53.6, 0.0)
 _TO_NORTH, _TO_SOUTH = Taught(_WEST, _NORTH, "north"), Taught(_WEST, _SOUTH, "south")
 _JOINED = (Taught(_SOUTH_WEST, _NORTH, "north"), Taught(_NORTH_WEST, _SOUTH, "south"))
-#: By way of the far corner of the quarter.
-_DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))
+_DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))  # By way of the far corner of the quarter.
 
 TASKS: Final = {
     "shorter way": Task(

@@ -1,5 +1,6 @@
 """What an evaluation runs, as data: `QUICK` and `FULL`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -29,12 +30,10 @@ CONTROLLERS: Final = {
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
 #: For each drive that teaches the paper's scheme: 60 for twelve, with which it was shown to find its way.
 _RECOVERIES: Final = 5
-#: Light and season other than those of the drives.
-VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
+VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")  # Light and season other than those of the drives.
 #: How the victim can lie other than where it was when the way was taught.
 ELSEWHERE: Final[tuple[Victim, ...]] = ("absent", "moved", "decoy")
-#: Frame at which robots are carried away: a good way from the start, and far from the goal.
-_KIDNAP: Final = 100
+_KIDNAP: Final = 100  # Frame at which robots are carried away: a good way from the start, and far from the goal.
 
 
 @dataclass(frozen=True)
@@ -119,17 +118,13 @@ class WorldPlan:
     """What is done in one world."""
 
     world: str
-    criterion: Criterion
-    """Of right recognition, and of a right belief."""
-    drives: int = 1
-    queries: int = 0
-    """That recognition is learned from, and held-out ones whose frames are to be recognized, every `JUDGED_TICKS`."""
-    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
-    recognized: tuple[str, ...] = ()
-    """l for precision and recall, and degradations of the queries."""
+    criterion: Criterion  # Of right recognition, and of a right belief.
+    drives: int = 1  # That recognition is learned from.
+    queries: int = 0  # Held-out drives whose frames are to be recognized, every `JUDGED_TICKS`.
+    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)  # l for precision and recall.
+    recognized: tuple[str, ...] = ()  # Degradations of the queries.
     trials: tuple[Trial, ...] = ()
-    errands: bool = False
-    """Whether those are done too, which only the world ``terrace`` has."""
+    errands: bool = False  # Whether those are done too, which only the world ``terrace`` has.
 
     @property
     def title(self) -> str:
@@ -227,22 +222,9 @@ QUICK: Final = Plan(
 PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
 
 
-def with_runs(plan: Plan, runs: int) -> Plan:
-    """Return a plan with so many searches after one drive in each cell, at least one for each set of drives."""
-    worlds = (
-        replace(world, trials=tuple(replace(one, runs=runs) if one.sets > 1 else one for one in world.trials))
-        for world in plan.worlds
-    )
-    return replace(plan, worlds=tuple(worlds))
-
-
-def with_each(plan: Plan, victim: Victim, obstacles: int, people: int, *, blocked: bool) -> Plan:
-    """Return a plan in each search of which the victim lies so, and so much is in the way, or closes it."""
-    new = {"victim": victim, "obstacles": obstacles, "people": people, "blocked": blocked}
-    worlds = (
-        replace(world, trials=tuple(dict.fromkeys(replace(one, **new) for one in world.trials)))  # type: ignore[arg-type]
-        for world in plan.worlds
-    )
+def with_each(plan: Plan, change: Callable[[Trial], Trial]) -> Plan:
+    """Return a plan in which each trial is changed; of those that are the same then, one is left."""
+    worlds = (replace(world, trials=tuple(dict.fromkeys(map(change, world.trials)))) for world in plan.worlds)
     return replace(plan, worlds=tuple(worlds))
 
 

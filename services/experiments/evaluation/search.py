@@ -27,8 +27,7 @@ from services.simulator.world.route import route_length_m
 from smal.movement import Atom, placed, seen_from
 from smal.robot import Place, Robot
 
-#: Frames from one kept picture of an example route to the next.
-PICTURE_TICKS: Final = 10
+PICTURE_TICKS: Final = 10  # Frames from one kept picture of an example route to the next.
 
 
 class Driver(Protocol):
@@ -49,21 +48,16 @@ class Driver(Protocol):
 class Search:
     """What happened in one search."""
 
-    outcome: Outcome
-    """See `schemas.episode.Episode`."""
-    poses: NDArray[np.float64]
-    """(ticks + 1, 3): x, y in metres, heading in radians."""
-    atoms: NDArray[np.int8]
-    """(ticks,), what was done from each frame to the next."""
-    shortest_m: float
-    """Way from the start to where the victim counts as found."""
+    outcome: Outcome  # See `schemas.episode.Episode`.
+    poses: NDArray[np.float64]  # (ticks + 1, 3): x, y in metres, heading in radians.
+    atoms: NDArray[np.int8]  # (ticks,), what was done from each frame to the next.
+    shortest_m: float  # Way from the start to where the victim counts as found.
+    #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     places: tuple[Place | None, ...] = ()
-    """Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it."""
+    #: What the robot saw at chosen ticks, (height, width, 3) RGB.
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-    """What the robot saw at chosen ticks, (height, width, 3) RGB."""
     kidnap_tick: int = 0
-    right: bool | None = None
-    """Whether "not here" was so."""
+    right: bool | None = None  # Whether "not here" was so.
 
     @property
     def driven_m(self) -> float:
@@ -121,7 +115,6 @@ def search(
 
 
 def _said(driver: Driver) -> Said | None:
-    """Return what a driver says that can say something."""
     if hasattr(driver, "said"):
         return cast("Said | None", driver.said)
     return "found" if driver.done else None  # type: ignore[attr-defined]

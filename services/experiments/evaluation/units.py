@@ -53,10 +53,9 @@ from smal.teaching.mapping import learn as learn_map
 #: What a unit found out: numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
 Finding = dict[str, Any]
 U = TypeVar("U", bound="Unit")
-#: Of all drives and queries.
-FEATURES: Final = FeatureSettings()
-#: What holds our packages: a checkout, or where they are installed.
-_PACKAGES: Final = Path(__file__).parents[3]
+FEATURES: Final = FeatureSettings()  # Of all drives and queries.
+_PACKAGES: Final = Path(__file__).parents[3]  # What holds our packages: a checkout, or where they are installed.
+_ASKED: Final = ("start", "victim", "obstacles", "people", "blocked")  # What a trial asks of the simulator.
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
@@ -240,19 +239,11 @@ class Searches(Unit):
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))
+        asked: dict[str, Any] = {name: getattr(trial, name) for name in _ASKED}
         found, shown = [], False
         for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
-            request = ResetRequest(
-                seed=seed,
-                purpose="run",
-                start=trial.start,
-                kidnap_tick=trial.kidnap_tick or None,
-                max_ticks=most_ticks,
-                victim=trial.victim,
-                obstacles=trial.obstacles,
-                people=trial.people,
-                blocked=trial.blocked,
-            )
+            kidnap_tick = trial.kidnap_tick or None
+            request = ResetRequest(seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked)
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0
             one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True)
@@ -264,7 +255,6 @@ class Searches(Unit):
         return {"searches": found, "file": shown}
 
     def _driver(self, taught: tuple[Drive, ...], folder: Path) -> Driver:
-        """Return who drives."""
         demonstrations = [one.demonstration for one in taught]
         match self.trial.controller:
             case "smal":
@@ -308,7 +298,6 @@ def units(plan: Plan) -> list[Unit]:
 
 
 def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
-    """Yield the units of a world that the report is about."""
     site = Site.of(world.world, plan.camera)
 
     def teaching(drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:

@@ -22,10 +22,8 @@ from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
-#: Of a lap: what is right is within it, and probabilities are those of being within it.
-WITHIN: Final = 0.1
-#: Above this a robot is lost, and below that sure that it is not.
-LOST, SURE = 0.5, 0.1
+WITHIN: Final = 0.1  # Of a lap: what is right is within it, and probabilities are those of being within it.
+LOST, SURE = 0.5, 0.1  # Above this a robot is lost, and below that sure that it is not.
 #: What is said of frames (f, 3): the taught frame that each shows, how likely that is, and that the robot is lost. Who
 #: says no frame, or no probability, says NaN.
 Answers = NDArray[np.float64]

@@ -15,12 +15,10 @@ from scipy.spatial.distance import cdist
 Frames = NDArray[np.float64]
 #: Frames of one lap that may pass in a frame of another, and what each costs that is skipped, or stood at.
 FASTEST, STEP_COST = 3, 0.05
-#: The first recurrence of views that is so much of the best one is a lap; later ones are several.
-FIRST: Final = 0.5
+FIRST: Final = 0.5  # The first recurrence of views that is so much of the best one is a lap; later ones are several.
 #: A lap, and its first fifth, is at most so unlike another one, and so much more unlike than the median lap.
 UNLIKE, OF_MEDIAN = 0.9, 2.0
-#: Stretches of the drive that are tried as the one that laps are held beside.
-TRIED: Final = 16
+TRIED: Final = 16  # Stretches of the drive that are tried as the one that laps are held beside.
 
 
 class Lap(NamedTuple):
@@ -29,10 +27,8 @@ class Lap(NamedTuple):
     piece: int
     first: int
     last: int
-    shows: NDArray[np.intp]
-    """Frame of the first lap that was returned, (last - first,)."""
-    unlike: float
-    """How unlike they are, as frames are."""
+    shows: NDArray[np.intp]  # Frame of the first lap that was returned, (last - first,).
+    unlike: float  # How unlike they are, as frames are.
 
 
 def find_laps(pieces: Sequence[Frames]) -> list[Lap]:

@@ -42,9 +42,7 @@ def write_page(
         _METHOD,
         html.titled(draw(truth, judged), "Places, and how reliable probabilities are", "Asked laps in their order."),
     ]
-    path = folder / "index.html"
-    path.write_text(html.page("SMAL: laps of a real robot", "\n".join(body)), encoding="utf-8")
-    return path
+    return html.write_page(folder, "SMAL: laps of a real robot", body, 60)
 
 
 def _said(figures: dict[str, float | list[float]], name: str) -> str:

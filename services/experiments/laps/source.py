@@ -1,7 +1,6 @@
 """Laps out of a tub of donkeycar or of recordings, as a user's robot would have them."""
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.experiments.laps.finding import Frames, Lap, find_laps
+from services.experiments.words import remark
 from services.importers.drive import Tally
 from services.importers.job import Job
 from services.importers.run import run
@@ -33,20 +33,18 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
 
     Raises UsageError when there is none of these, and JobError when it cannot be read or has less than three laps.
     """
-    tub, teacher, tally = (source / "manifest.json").is_file(), Teacher(HELD, shortest=2), Tally()
+    tub, tally = (source / "manifest.json").is_file(), Tally()
     with TemporaryDirectory() as folder:
         if tub:
             run(Job(format="donkeycar", path=str(source), folder=folder, robot="car", speed=1, turn_rate=1), tally)
         files = find_recordings([Path(folder) if tub else source])
-        for number, file in enumerate(files):
-            advance("reading", number, len(files))
-            teacher.read(file)
-    remarks = tally.lines() if tub else teacher.teaching.remarks
+        teaching = Teacher(HELD, shortest=2).read_all(files, advance)
+    remarks = tally.lines() if tub else teaching.remarks
     try:
-        laps = laps_of(teacher.teaching.demonstrations, reckoned=tub)
+        laps = laps_of(teaching.demonstrations, reckoned=tub)
     except JobError as error:
         raise JobError("; ".join([f"{source}: {error}", *remarks])) from None
-    sys.stderr.writelines(f"smal: {remark}\n" for remark in remarks)
+    remark(remarks)
     return laps
 
 
@@ -86,7 +84,6 @@ def _frames(drives: Sequence[Demonstration], turns: Sequence[NDArray[np.float64]
 
 
 def _turning(drive: Demonstration, times: float) -> Demonstration:
-    """Reckon its way anew, with turns so many times as large."""
     assert drive.odometry is not None  # noqa: S101 - it was asked for
     steps = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, [0, 2]] * (1.0, times)
     return replace(drive, odometry=dead_reckoning(np.arange(len(drive.atoms)), np.vstack([steps, np.zeros(2)])))

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from smal.features import FeatureSettings
 
 Features = NDArray[np.float16]
-#: Most images; with the usual features they take 2 GB. The oldest go first.
-MOST_IMAGES: Final = 90_000
-#: Features that are written at a time.
-_AT_ONCE: Final = 500
+MOST_IMAGES: Final = 90_000  # Most images; with the usual features they take 2 GB. The oldest go first.
+_AT_ONCE: Final = 500  # Features that are written at a time.
 
 
 def cache_file() -> Path:

@@ -14,15 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: The least size that `extract` takes.
-LEAST_ROWS: Final = 24
-LEAST_COLUMNS: Final = 32
-#: A larger file is no camera's image; it is not read at all.
-MOST_BYTES: Final = 256 * 2**20
-#: How a PNG file begins, and what every whole one ends with.
-_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")
-#: A file, or what stands in one.
-Picture = Path | bytes
+LEAST_ROWS, LEAST_COLUMNS = 24, 32  # The least size that `extract` takes.
+MOST_BYTES: Final = 256 * 2**20  # A larger file is no camera's image; it is not read at all.
+_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")  # How a PNG file begins, and what every whole one ends with.
+Picture = Path | bytes  # A file, or what stands in one.
 _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 

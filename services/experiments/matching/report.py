@@ -20,8 +20,7 @@ from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
 
-#: Matches that are printed where no file takes them all.
-_SHOWN: Final = 12
+_SHOWN: Final = 12  # Matches that are printed where no file takes them all.
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +149,6 @@ def title_of(result: Result) -> str:
 
 
 def _why_not_all(result: Result) -> str:
-    """Explain the frames without a match."""
     reasons = {"unsure": result.unsure, "unreadable": len(result.queries.unreadable)}
     reasons["before the first window"] = result.settings.length - 1
     reasons["like no reference"] = int((~result.matches.matched).sum()) - sum(reasons.values())

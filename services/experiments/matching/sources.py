@@ -7,7 +7,6 @@ folders in the folder do not count.
 
 import os
 import re
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from schemas.topics import JPEG
 from services.experiments.matching.image_reading import Picture, is_named_as_image, quiet_opencv, read_color
+from services.experiments.words import remark
 from services.kit.errors import UsageError
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
@@ -88,7 +88,7 @@ def _folder(path: Path, argument: str) -> Source:
 
 def _recording(path: Path) -> Source:
     recording = read_recording(path, topics=[JPEG])
-    sys.stderr.writelines(f"smal: {remark}\n" for remark in recording.remarks())
+    remark(recording.remarks())
     frames = [(one.episode, tick, one.images[tick]) for one in recording.episodes for tick in sorted(one.images)]
     names = tuple(f"{episode} frame {tick}" for episode, tick, _ in frames)
     return Source(path, names, (), lambda: (_jpeg(payload) for _, _, payload in frames))
@@ -109,16 +109,14 @@ def _video(path: Path, argument: str) -> Source:
     while video.grab():
         times_s.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     if not times_s:
-        raise UsageError(
-            f"{argument} {path}: neither a folder of images, nor a recording, nor a video that OpenCV reads"
-        )
+        neither = "neither a folder of images, nor a recording, nor a video that OpenCV reads"
+        raise UsageError(f"{argument} {path}: {neither}")
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
-        sys.stderr.write(f"smal: {path}: only {len(times_s)} of the {said} frames that it should have can be read\n")
+        remark([f"{path}: only {len(times_s)} of the {said} frames that it should have can be read"])
     return Source(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path))
 
 
 def _bitmaps(path: Path) -> Iterator[bytes]:
-    """Yield each frame of a video as a file."""
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     while (read := video.read())[0]:
         yield cv2.imencode(".bmp", read[1])[1].tobytes()

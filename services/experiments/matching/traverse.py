@@ -1,6 +1,5 @@
 """The features of a traverse: images are decoded and described in parallel, and what was described before is known."""
 
-import sys
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from schemas.codec import printable
 from services.experiments.matching.feature_cache import FeatureCache, Features
 from services.experiments.matching.image_reading import Picture, loaded, quiet_opencv, read_color, read_depth
 from services.experiments.matching.sources import Source
-from services.experiments.words import listed
+from services.experiments.words import listed, remark
 from services.kit.errors import JobError
 from smal.features import FeatureSettings, extract
 from smal.features.extraction import in_parallel
@@ -37,9 +36,8 @@ class Traverse:
     def say_skipped(self) -> None:
         """Name on standard error what of the source was skipped."""
         skipped = {"no images": self.source.others, "unreadable, and kept in the count of frames": self.unreadable}
-        for why, names in skipped.items():
-            if names:
-                sys.stderr.write(f"smal: {self.source.path}: skipped {len(names)}, {why}: {_named(names)}\n")
+        said = {why: f"skipped {len(names)}, {why}: {_named(names)}" for why, names in skipped.items() if names}
+        remark(f"{self.source.path}: {line}" for line in said.values())
 
 
 def describe_frames(source: Source, settings: FeatureSettings, depth: Source | None, title: str) -> Traverse:

@@ -28,10 +28,8 @@ from smal.evaluation.ground_truth import IntervalTruth
 
 COLUMNS: Final = ("query", "reference_first", "reference_last")
 POSE_COLUMNS: Final = ("frame", "x_m", "y_m")
-#: Metres of a degree of latitude, and where EXIF has the position of a camera.
-_DEGREE_M, _GPS = 111_195.0, 0x8825
-#: x and y of frames in metres (n, 2), NaN where they are not known.
-Positions = NDArray[np.float64]
+_DEGREE_M, _GPS = 111_195.0, 0x8825  # Metres of a degree of latitude, and where EXIF has the position of a camera.
+Positions = NDArray[np.float64]  # x and y of frames in metres (n, 2), NaN where they are not known.
 
 
 def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:

@@ -12,13 +12,11 @@ from services.experiments.drawing import BACK, COLOURS, DASHES, LINE, MUTED, TEX
 from services.experiments.drawing import figure as new_figure
 from services.experiments.showing.ways import Believed, Ways
 
-#: As many lines as there are colours are told apart, and named.
-MOST_NAMED: Final = len(COLOURS)
+MOST_NAMED: Final = len(COLOURS)  # As many lines as there are colours are told apart, and named.
 _FORK, _MEETING = "D", "s"
 
 
 def _look(number: int) -> dict[str, Any]:
-    """Return colour and dashes of a line."""
     return {"color": COLOURS[number % len(COLOURS)], "ls": DASHES[number % len(DASHES)]}
 
 

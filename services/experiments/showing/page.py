@@ -16,8 +16,7 @@ from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.teaching.demonstration import Demonstration
 
-#: Frames of a drive that are shown, spread over it.
-_SHOWN: Final = 5
+_SHOWN: Final = 5  # Frames of a drive that are shown, spread over it.
 
 
 def write_page(
@@ -39,14 +38,10 @@ def write_page(
         "<h2>The model</h2>",
         html.table(["of", "is"], facts(model, str(file), file.stat().st_size).items(), left=2),
     ]
-    path = folder / "index.html"
-    title = f"SMAL: what {printable(file.name)} has learned"
-    path.write_text(html.page(title, "\n".join(body), 72), encoding="utf-8")
-    return path
+    return html.write_page(folder, f"SMAL: what {printable(file.name)} has learned", body)
 
 
 def _missing(drives: TaughtDrives | None) -> Iterator[str]:
-    """Say which recordings are not there."""
     if drives is None:
         yield (
             '<p class="note" role="note"><b>Without images.</b> A model keeps features of images, and no image; '

@@ -64,7 +64,6 @@ class Ways:
         return tuple(sorted(found, key=lambda parting: parting.keyframe))
 
     def _is_near(self, one: int, other: int) -> bool:
-        """Whether two keyframes of drives that are joined are one place."""
         apart = float(np.hypot(*(self.key_poses[one, :2] - self.key_poses[other, :2])))
         joined = self.groups[self.of[one]] == self.groups[self.of[other]]
         return bool(joined) and apart < self.map.correlation_length

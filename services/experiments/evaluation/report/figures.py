@@ -25,8 +25,7 @@ _PEERS: Final = {
     "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "teach-and-repeat-told": "#b5651d",
     "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
 }  # fmt: skip
-#: Camera images beside an example route.
-VIEWS: Final = 6
+VIEWS: Final = 6  # Camera images beside an example route.
 
 
 def _panels(

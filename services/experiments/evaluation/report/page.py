@@ -38,10 +38,8 @@ def write_page(plan: Plan, results: Results) -> Path:
         "worlds": {one.world.title: one.as_json() for one in found},
     }
     (results.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    figures = results.folder / "figures"
-    figures.mkdir(exist_ok=True)
-    put = partial(embed, figures)
-    body = [*_introduction(plan, results)]
+    put = partial(embed, results.folder / "figures")
+    body = list(_introduction(plan, results))
     if len(findings) < len(planned):
         body.append(
             f"<p><b>Not all is done:</b> {len(findings):,} of {len(planned):,} units. What is shown is whole, with all "
@@ -55,14 +53,13 @@ def write_page(plan: Plan, results: Results) -> Path:
             here = [one for one in findings if one.site.world == each.world.world and findings[one].get("file")]
             body += search_section(each, [one.file(results.work) for one in here if isinstance(one, Searches)], put)
     body += _method(plan, results)
-    path = results.folder / "index.html"
-    path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")
-    return path
+    return html.write_page(results.folder, f"SMAL: evaluation in simulation ({plan.name})", body)
 
 
 def embed(folder: Path, name: str, figure: Figure, caption: str) -> str:
     """Write a figure as ``NAME.png``, and return it as HTML with its caption, which is HTML too."""
     data = html.png(figure, _DPI)
+    folder.mkdir(exist_ok=True)
     (folder / f"{name}.png").write_bytes(data)
     return f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
 

@@ -24,8 +24,7 @@ SHOWN: Final[dict[Outcome, str]] = {
     "not_here": "“not here”",
 }  # fmt: skip
 
-#: Name, figure and caption (HTML) to HTML.
-Put = Callable[[str, Figure, str], str]
+Put = Callable[[str, Figure, str], str]  # Name, figure and caption (HTML) to HTML.
 
 
 def recognition_section(found: WorldResults, put: Put) -> Iterator[str]:

@@ -14,8 +14,7 @@ from smal.evaluation.precision_recall import Intervals, PrecisionRecall, block_l
 from smal.evaluation.success import wilson_interval
 
 Findings = Mapping[Unit, Finding]
-#: Within which a kidnapped robot should know where it is.
-SOON_S: Final = 3.0
+SOON_S: Final = 3.0  # Within which a kidnapped robot should know where it is.
 
 
 @dataclass(frozen=True, eq=False)
