@@ -178,7 +178,7 @@ class Stack:
         self._wait(self.plan.services[:1], is_reached)
         return reached[0]
 
-    def _wait(self, services: Sequence[str], is_ready: Callable[[str], bool | None]) -> None:
+    def _wait(self, services: Sequence[str], is_ready: Callable[[str], object]) -> None:
         """Wait until services are ready, and tell which is not and what it said last."""
         began_s = told_s = time.monotonic()
         while services := [service for service in services if not is_ready(service)]:

@@ -45,7 +45,10 @@ class _Line(BaseModel):
 
 def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     """Read such a folder; each episode is a drive."""
-    name = _csv_name(inside)
+    names = [name for name in inside.names() if name.lower().endswith(".csv")]
+    if NAME not in names and len(names) != 1:
+        raise ImportFailure(f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files")
+    name = NAME if NAME in names else names[0]
     drives: dict[str, list[Row]] = {}
     arrived: dict[str, bool] = {}
     for line in _lines(inside, name, job.rate_hz, tally):
@@ -56,15 +59,6 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     if not drives:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
     return [drive_of(inside, each, rows, tally, success=arrived.get(each)) for each, rows in drives.items()]
-
-
-def _csv_name(inside: Inside) -> str:
-    names = [name for name in inside.names() if name.lower().endswith(".csv")]
-    if NAME in names:
-        return NAME
-    if len(names) != 1:
-        raise ImportFailure(f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files")
-    return names[0]
 
 
 def _lines(inside: Inside, name: str, rate_hz: float | None, tally: Tally) -> Iterator[_Line]:

@@ -60,7 +60,9 @@ class Drive:
         **more: Any,  # noqa: ANN401
     ) -> Self:
         """Make a drive of rows in any order, of motion and of track; what no robot does is counted instead."""
-        return cls(name, times_s, images, motion_of(motion, tally), track_of(track, tally), **more)
+        furthest = (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD)
+        where = _sound(track, furthest, "poses are nowhere", tally)
+        return cls(name, times_s, images, motion_of(motion, tally), where, **more)
 
 
 @dataclass
@@ -93,11 +95,6 @@ def motion_of(rows: Rows, tally: Tally) -> Array:
     """Return (time, speed, turn rate) in the order of time, (k, 3); what no robot does is counted instead."""
     said = "velocities are no numbers, faster than any robot, or of no time in seconds"
     return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
-
-
-def track_of(rows: Rows, tally: Tally) -> Array:
-    """Return (time, x, y, heading) in the order of time, (m, 4); what is nowhere is counted instead."""
-    return _sound(rows, (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD), "poses are nowhere", tally)
 
 
 def _sound(rows: Rows, most: tuple[float, ...], what: str, tally: Tally) -> Array:

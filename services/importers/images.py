@@ -68,26 +68,20 @@ def drive_of(
 ) -> Drive:
     """Make a drive of its frames; ImportFailure where no camera's frames have such times."""
     times_s = np.array([row.time_s for row in rows])
-    _check_rate(times_s, inside)
-    motion = [(row.time_s, *row.velocity) for row in rows]
-    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-    images = partial(_images, inside, rows, tally)
-    return Drive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
-
-
-def _images(inside: Inside, rows: Sequence[Row], tally: Tally) -> Iterator[Image]:
-    return (partial(_image, inside, row.image, tally) for row in rows)
-
-
-def _check_rate(times_s: Array, inside: Inside) -> None:
-    gaps_s = np.diff(times_s)
-    usual_s = float(np.median(gaps_s)) if gaps_s.size else 1.0
+    usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
         said = f"{1.0 / usual_s:.0f} frames a second" if usual_s > 0.0 else "all frames at once"
         raise ImportFailure(
             f"{inside.path}: its times say {said}, as those of a copied data set do; say how many there were with "
             f"--rate, for example --rate 20"
         )
+    motion = [(row.time_s, *row.velocity) for row in rows]
+    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
+
+    def images() -> Iterator[Image]:
+        return (partial(_image, inside, row.image, tally) for row in rows)
+
+    return Drive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
 
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:

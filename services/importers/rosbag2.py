@@ -107,7 +107,11 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     beside = [topic for topic in found.cameras if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
     camera = found.cameras[beside[0]] if len(beside) == 1 else None
     way = found.tracks[tracks[0]] if len(tracks) == 1 else []
-    times_s, images = np.array(found.images[image]), partial(_images, inside, image)
+
+    def images() -> Iterator[Image]:
+        return (partial(_image, message) for message in received(inside, Tally(), image))
+
+    times_s = np.array(found.images[image])
     return [Drive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)]
 
 
@@ -133,10 +137,6 @@ def _chosen(what: str, flag: str, wish: str | None, topics: list[str], found: _F
 
 def _list(topics: Collection[str]) -> str:
     return printable(", ".join(list(topics)[:10])) or "none"
-
-
-def _images(inside: Inside, topic: str) -> Iterator[Image]:
-    return (partial(_image, message) for message in received(inside, Tally(), topic))
 
 
 def _image(message: Received) -> bytes:

@@ -135,7 +135,13 @@ def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, 
         poses, known = _tracked(drive.track, times_s)
         if not known.any():
             return None
-        _check_steps(drive.name, poses[known], times_s[known], times_s[0])
+        steps_m, passed_s = np.hypot(*np.diff(poses[known, :2], axis=0).T), np.diff(times_s[known])
+        if (jumps := np.flatnonzero(steps_m > FASTEST_M_S * passed_s)).size:
+            at = jumps[0]
+            raise ImportFailure(
+                f"drive {drive.name}: the odometry jumps by {steps_m[at]:.3g} m within {passed_s[at]:.1f} s, "
+                f"{times_s[known][at] - times_s[0]:.1f} s after the first frame; cut there with --from and --to"
+            )
         poses = seen_from(poses, np.broadcast_to(poses[known][0], poses.shape))
     elif moves is not None:
         poses, known = moves.way(times_s), np.ones(times_s.size, dtype=bool)
@@ -152,17 +158,6 @@ def _tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
     after = np.searchsorted(track[:, 0], times_s)
     beside = np.clip([after - 1, after], 0, len(track) - 1)
     return poses, np.abs(track[beside, 0] - times_s).min(axis=0) <= HOLD_S
-
-
-def _check_steps(name: str, poses: Array, times_s: Array, start_s: float) -> None:
-    steps, passed_s = np.hypot(*np.diff(poses[:, :2], axis=0).T), np.diff(times_s)
-    jumps = np.flatnonzero(steps > FASTEST_M_S * passed_s)
-    if jumps.size:
-        at = jumps[0]
-        raise ImportFailure(
-            f"drive {name}: the odometry jumps by {steps[at]:.3g} m within {passed_s[at]:.1f} s, "
-            f"{times_s[at] - start_s:.1f} s after the first frame; cut there with --from and --to"
-        )
 
 
 class Nominal(NamedTuple):

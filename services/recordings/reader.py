@@ -15,8 +15,8 @@ from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, records
-from services.recordings.stream import OBJECTS, RecordingError, messages, open_recording
+from services.recordings.records import MAGIC, Allowance, mapped
+from services.recordings.stream import RecordingError, messages_of
 
 #: What teaching takes, and what is drawn of it.
 USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)
@@ -50,39 +50,24 @@ def read_recording(
     Feature vectors are taken with one ``fingerprint``, or none. RecordingError where the file cannot be read, is no
     MCAP file, holds no episode or no frame, is being recorded, or takes too much memory.
     """
-    data = open_recording(path)
-    allowance = allowance or Allowance()
-    before = allowance.left
-    wanted = {EPISODE.name, *(topic.name for topic in topics)}
     found: dict[tuple[str, str], RecordedEpisode] = {}
     bad = 0
-    try:
-        for stored in messages(records(data, allowance)):
-            if stored.topic is None or stored.topic.name not in wanted:
-                continue
-            allowance.take(OBJECTS)
-            ids = stored.robot, stored.episode
-            episode = found.setdefault(ids, RecordedEpisode(*ids))
-            if stored.topic is JPEG:
-                episode.images.setdefault(stored.tick, stored.payload)
-                continue
-            try:
-                _take(episode, stored.message(), fingerprint)
-            except ValueError:
-                bad += 1
-    except MemoryLimitError as error:
-        # It is left out, and what it took is free again.
-        allowance.left = before
-        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress), or read fewer at once") from None
-    except UNREADABLE as error:
-        raise RecordingError(f"{path}: damaged: {str(error) or type(error).__name__}") from None
+    for stored in messages_of(path, (EPISODE, *topics), allowance):
+        ids = stored.robot, stored.episode
+        episode = found.setdefault(ids, RecordedEpisode(*ids))
+        if stored.topic is JPEG:
+            episode.images.setdefault(stored.tick, stored.payload)
+            continue
+        try:
+            _take(episode, stored.message(), fingerprint)
+        except ValueError:
+            bad += 1
     episodes = tuple(episode for episode in found.values() if episode.purpose is not None)
     if not episodes:
         raise RecordingError(f"{path}: holds no episode")
     if not any(episode.frames for episode in episodes):
         raise RecordingError(f"{path}: holds no camera frame")
-    truncated = len(data) < 2 * len(MAGIC) or data[-len(MAGIC) :] != MAGIC
-    return Recording(path, episodes, truncated, bad)
+    return Recording(path, episodes, mapped(path)[-len(MAGIC) :] != MAGIC, bad)
 
 
 def _take(episode: RecordedEpisode, message: Message, fingerprint: str | None) -> None:
@@ -90,10 +75,12 @@ def _take(episode: RecordedEpisode, message: Message, fingerprint: str | None) -
     tick = message.tick
     match message:
         case Episode():
-            _take_event(episode, message)
-        case Observation():
-            if message.fingerprint == fingerprint and tick not in episode.features:
-                episode.features[tick] = message.features.to_numpy()
+            episode.world, episode.seed, episode.goal = message.world, message.seed, message.goal
+            episode.purpose, episode.driver = message.purpose, message.driver
+            if message.event == "ended":
+                episode.outcome, episode.end_tick = message.outcome, tick
+        case Observation() if message.fingerprint == fingerprint:
+            episode.features.setdefault(tick, message.features.to_numpy())
         case CommandApplied():
             # Several in one tick: the last is what moved the robot on to the next frame.
             last = episode.applied.setdefault(tick, message)
@@ -107,12 +94,3 @@ def _take(episode: RecordedEpisode, message: Message, fingerprint: str | None) -
             episode.odometry.setdefault(tick, message)
         case Imu():
             episode.imu.setdefault(tick, message)
-        case _:
-            pass
-
-
-def _take_event(episode: RecordedEpisode, event: Episode) -> None:
-    episode.world, episode.seed, episode.goal = event.world, event.seed, event.goal
-    episode.purpose, episode.driver = event.purpose, event.driver
-    if event.event == "ended":
-        episode.outcome, episode.end_tick = event.outcome, event.tick

@@ -8,8 +8,7 @@ from typing import cast
 from schemas.observation import Observation
 from schemas.topics import OBSERVATION
 from services.kit.errors import UsageError
-from services.recordings.records import UNREADABLE, mapped, records
-from services.recordings.stream import messages
+from services.recordings.stream import RecordingError, messages_of
 from smal.features import FeatureSettings
 
 
@@ -29,12 +28,12 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
     """Return the features in a recording that this version makes, by each episode's first readable observation."""
     found: dict[tuple[str, str], FeatureSettings | None] = {}
     try:
-        for stored in messages(records(mapped(path))):
+        for stored in messages_of(path, (OBSERVATION,)):
             ids = stored.robot, stored.episode
-            if stored.topic is OBSERVATION and ids not in found:
+            if ids not in found:
                 with suppress(ValueError):
                     found[ids] = _settings(cast("Observation", stored.message()))
-    except (OSError, *UNREADABLE):
+    except RecordingError:
         return ()
     return tuple(dict.fromkeys(features for features in found.values() if features is not None))
 

@@ -41,7 +41,10 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]
     with ExitStack() as held, tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
         for path in left:
-            held.callback(os.close, _locked(path))
+            try:
+                held.callback(os.close, claim(path))  # Recorders keep away from what one of them left behind.
+            except BlockingIOError:
+                raise JobError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
@@ -53,14 +56,6 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     return before, after
 
 
-def _locked(path: Path) -> int:
-    """Keep recorders away from what one of them left behind."""
-    try:
-        return claim(path)
-    except BlockingIOError:
-        raise JobError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
-
-
 def _written(before: Sequence[Contents], out: Path) -> Path:
     (episode,) = before[0].episodes
     metadata = {name: str(value) for name, value in episode.said.items()} | before[0].about
@@ -68,17 +63,12 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     writer = EpisodeWriter(out.with_name(f"{out.name}{PARTIAL_SUFFIX}"), out, metadata)
     try:
         for one in before:
-            _copy(open_recording(one.path, living=True), writer)
+            # `verify` has told of what is not whole; a message that does not decode is left out.
+            for stored in messages(surveyed(open_recording(one.path, living=True), lambda _line: None)):
+                with suppress(ValueError):
+                    writer.write(stored.message(pixels=True))
     finally:
         sealed = writer.seal()
     if sealed != out:
         raise JobError(f"{out.name}: cannot be written: {writer.problem}")
     return sealed
-
-
-def _copy(data: memoryview, writer: EpisodeWriter) -> None:
-    """Write what is whole in a recording; `verify` has told of all else."""
-    for stored in messages(surveyed(data, lambda _line: None)):
-        # A message that does not decode is left out.
-        with suppress(ValueError):
-            writer.write(stored.message(pixels=True))

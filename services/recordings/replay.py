@@ -11,8 +11,7 @@ from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import Topic
 from services.recordings.ledger import place_of
-from services.recordings.records import UNREADABLE, Allowance, records
-from services.recordings.stream import OBJECTS, RecordingError, Stored, messages, open_recording
+from services.recordings.stream import RecordingError, Stored, messages_of
 from services.table import SERVICES
 
 #: What can be replayed, in the order in which a robot publishes it within a tick: of what it gives, whatever is
@@ -62,7 +61,9 @@ class Track:
             since_ns = told[0].stamp_ns - first_ns
             header = {"robot": robot, "episode": episode, "stamp_ns": began_ns + since_ns}
             said = sorted((one for stored in told for one in self._said(stored, wanted)), key=_place)
-            yield Tick(tick, since_ns / 1e9, tuple(_told_anew(message, header) for message in said))
+            run = header | {"purpose": "run"}
+            told_anew = (one.model_copy(update=run if isinstance(one, Episode) else header) for one in said)
+            yield Tick(tick, since_ns / 1e9, tuple(told_anew))
 
     def _said(self, stored: Stored, wanted: Mapping[str, Topic]) -> Iterator[Message]:
         if stored.topic not in wanted.values():
@@ -81,11 +82,6 @@ def _place(message: Message) -> tuple[int, int]:
     return order, place_of(message)
 
 
-def _told_anew(message: Message, header: dict[str, object]) -> Message:
-    more = {"purpose": "run"} if isinstance(message, Episode) else {}
-    return message.model_copy(update=header | more)
-
-
 def end_of(last: Message, started: Episode) -> Episode:
     """Make what tells that an episode is over of which no end was recorded, or that is not told to its end."""
     told = started.model_dump(include={"purpose", "driver", "world", "seed", "goal"})
@@ -95,17 +91,9 @@ def end_of(last: Message, started: Episode) -> Episode:
 def tracks_of(path: Path) -> tuple[Track, ...]:
     """Read what robots told, by episode; RecordingError when it is unreadable, being recorded, empty or too much."""
     tracks: dict[tuple[str, str], Track] = {}
-    allowance = Allowance()
-    data = open_recording(path)
-    try:
-        for stored in messages(records(data, allowance)):
-            if stored.topic is not None and stored.topic.name in REPLAYABLE:
-                allowance.take(OBJECTS)
-                ids = stored.robot, stored.episode
-                tracks.setdefault(ids, Track(*ids)).add(stored)
-    except UNREADABLE as error:
-        why = f"damaged: {str(error) or type(error).__name__}; see smal recording repair"
-        raise RecordingError(f"{path}: {why}") from None
+    for stored in messages_of(path, REPLAYABLE.values()):
+        ids = stored.robot, stored.episode
+        tracks.setdefault(ids, Track(*ids)).add(stored)
     if not tracks:
         raise RecordingError(f"{path}: holds nothing that a robot told")
     return tuple(tracks.values())

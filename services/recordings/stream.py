@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -17,7 +17,7 @@ from schemas.topics import JPEG, Topic, topic_of
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
-from services.recordings.records import MAGIC, mapped
+from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, mapped, records
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
 #: Memory that a message takes which is kept, beside its bytes, which may be few: its object, and the numbers in it.
@@ -93,18 +93,34 @@ class Stored(NamedTuple):
         return CompressedImage.after(header, width=width, height=height, data=jpeg)
 
 
-def messages(records: Iterable[McapRecord]) -> Iterator[Stored]:
+def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
     """Yield the messages among the records of a file, other people's too; raises as what yields the records."""
     channels: dict[int, tuple[str, Topic | None, str, str]] = {}
-    for record in records:
+    for record in every:
         if isinstance(record, Channel):
-            channels[record.id] = _whose(record)
+            robot, episode = record.metadata.get("robot", ""), record.metadata.get("episode", "")
+            named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(EPISODE_ID_PATTERN, episode)
+            channels[record.id] = record.topic, topic_of(record.topic) if named else None, robot, episode
         elif isinstance(record, StoredMessage) and record.channel_id in channels:
             whose = channels[record.channel_id]
             yield Stored(*whose, record.sequence, record.log_time, memoryview(record.data))
 
 
-def _whose(channel: Channel) -> tuple[str, Topic | None, str, str]:
-    robot, episode = channel.metadata.get("robot", ""), channel.metadata.get("episode", "")
-    named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(EPISODE_ID_PATTERN, episode)
-    return channel.topic, topic_of(channel.topic) if named else None, robot, episode
+def messages_of(path: Path, topics: Collection[Topic], allowance: Allowance | None = None) -> Iterator[Stored]:
+    """Yield the messages of some topics in a recording, within an ``allowance``, which is given back where it ends.
+
+    RecordingError as of `open_recording`, and where it is damaged or takes too much memory.
+    """
+    data, allowance = open_recording(path), allowance or Allowance()
+    before = allowance.left
+    try:
+        for stored in messages(records(data, allowance)):
+            if stored.topic in topics:
+                allowance.take(OBJECTS)
+                yield stored
+    except MemoryLimitError as error:
+        allowance.left = before
+        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress), or read fewer at once") from None
+    except UNREADABLE as error:
+        why = f"damaged: {str(error) or type(error).__name__}; see smal recording repair"
+        raise RecordingError(f"{path}: {why}") from None

@@ -61,7 +61,10 @@ class EpisodeWriter:
     def begin(cls, folder: Path, started: Episode) -> Self:
         """Make the file of an episode that begins with this event; raises OSError when the file cannot be made."""
         path = free_path(folder, started.episode)
-        return cls(partial_of(path), path, _description(started))
+        names = ("robot", "episode", "world", "seed", "purpose", "goal", "driver")
+        metadata = {name: str(getattr(started, name)) for name in names}
+        recorded_utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        return cls(partial_of(path), path, metadata | {"software": program_version(), "recorded_utc": recorded_utc})
 
     @property
     def size(self) -> int:
@@ -133,17 +136,3 @@ class EpisodeWriter:
             self._channels[key, form] = channel
         self._bytes += len(payload)
         self._file.add_message(channel, cause.stamp_ns, payload, cause.stamp_ns, cause.tick)
-
-
-def _description(started: Episode) -> dict[str, str]:
-    return {
-        "robot": started.robot,
-        "episode": started.episode,
-        "world": started.world,
-        "seed": str(started.seed),
-        "purpose": started.purpose,
-        "goal": started.goal,
-        "driver": started.driver,
-        "software": program_version(),
-        "recorded_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }

@@ -75,7 +75,11 @@ class Stored(ABC):
             if not isinstance(meta, dict):
                 raise TypeError("it does not say what it is")
             scheme = meta.pop("scheme")
-            kind = _kind(scheme)
+            if not isinstance(scheme, str) or scheme not in _KINDS:
+                raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
+            file_of_kind, class_name = _KINDS[scheme]
+            # Imported only where there is a file of it: the paper's is seldom wanted.
+            kind = getattr(import_module(file_of_kind), class_name)
             if not issubclass(kind, cls):
                 raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
             found: Self = kind.of_content(meta, arrays)
@@ -84,14 +88,6 @@ class Stored(ABC):
         # Known from the file: hashing all of it again would delay the start of a service.
         vars(found)["checksum"] = checksum
         return found
-
-
-def _kind(scheme: object) -> Any:  # noqa: ANN401 - whichever class it is
-    """Return the class of a scheme: the paper's is imported only where there is a file of it."""
-    if not isinstance(scheme, str) or scheme not in _KINDS:
-        raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
-    file, name = _KINDS[scheme]
-    return getattr(import_module(file), name)
 
 
 def features_of(meta: dict[str, Any]) -> FeatureSettings:

@@ -47,7 +47,10 @@ class Model(Stored):
     def __post_init__(self) -> None:
         l, states = self.sequence_length, self.transitions.states  # noqa: E741
         checks = {
-            "templates": self.templates.shape == (self.feature_settings.size, states * l) and _bounded(self.templates),
+            # Centred features are of unit length at most.
+            "templates": self.templates.shape == (self.feature_settings.size, states * l)
+            and self.templates.dtype.kind == "f"
+            and bool((np.abs(self.templates) <= 1.01).all()),
             "mean": self.mean.shape == (self.feature_settings.size,),
             "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
             "reward": self.reward.shape == (states,),
@@ -110,11 +113,6 @@ class Model(Stored):
             **same,
             **streams,
         )
-
-
-def _bounded(frames: NDArray[Any]) -> bool:
-    """Whether these are centred features: of unit length at most."""
-    return frames.dtype.kind == "f" and bool((np.abs(frames) <= 1.01).all())
 
 
 def _within(numbers: NDArray[Any], low: int, high: int) -> bool:

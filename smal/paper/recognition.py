@@ -44,13 +44,5 @@ class Recognizer:
         frames = np.stack(self._frames)
         solution = solve(self._templates, frames.T, *self._parameters)
         match = describe_match(solution, self._templates, frames)
-        return Recognition(
-            "unknown" if match.state is None else "recognized",
-            tick,
-            match.state,
-            match.score,
-            match.total_weight,
-            match.residual,
-            match.agreement,
-            solution.duality_gap,
-        )
+        gap = solution.duality_gap
+        return Recognition("unknown" if match.state is None else "recognized", tick, duality_gap=gap, **vars(match))

@@ -140,7 +140,10 @@ def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) ->
         right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
         if 0 < found.kidnap_tick <= len(found.atoms):
-            said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
+            # The time after which the belief is right for a whole second, or to the end; None where it never is.
+            after, second = right[found.kidnap_tick :], round(1.0 / TICK_S)
+            ticks = (tick for tick in range(after.size) if after[tick : tick + second].all())
+            said["right_after_s"] = next((round(tick * TICK_S, 1) for tick in ticks), None)
     return said
 
 
@@ -152,10 +155,3 @@ def _is_right(
     believed = placed(np.array([place.ahead, place.left, place.turned_rad]), taught[place.frame])
     x, y, turned = seen_from(believed, true)
     return bool(np.hypot(x, y) <= criterion.distance_m and abs(turned) <= math.radians(criterion.angle_deg))
-
-
-def _right_after_s(right: NDArray[np.bool_]) -> float | None:
-    """Return the time after which the belief is right for a whole second, or to the end; None where it never is."""
-    second = round(1.0 / TICK_S)
-    ticks = (tick for tick in range(right.size) if right[tick : tick + second].all())
-    return next((round(tick * TICK_S, 1) for tick in ticks), None)

@@ -20,18 +20,9 @@ def _look(number: int) -> dict[str, Any]:
     return {"color": COLOURS[number % len(COLOURS)], "ls": DASHES[number % len(DASHES)]}
 
 
-def _named(name: str, names: Sequence[str]) -> str | None:
-    return (name if len(name) <= 30 else f"{name[:29]}…") if len(names) <= MOST_NAMED else None
-
-
 def _mark(axes: Axes, at: NDArray[np.float64], marker: str, size: float, label: str, **style: Any) -> None:  # noqa: ANN401
     usual: dict[str, Any] = {"mec": BACK, "ls": "", "zorder": 5}
     axes.plot(*at.T, marker, ms=size, label=label, **usual | style)
-
-
-def _number(axes: Axes, number: int, at: NDArray[np.float64]) -> None:
-    where = (float(at[0]), float(at[1]))
-    axes.annotate(str(number), where, xytext=(7, 5), textcoords="offset points", weight="bold", zorder=9)
 
 
 @styled
@@ -57,7 +48,8 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
             if one.drives[0] in drives:
                 label, marker = ("fork", _FORK) if one.fork else ("ways meet", _MEETING)
                 _mark(axes, places[one.keyframe], marker, 8, label, color=TEXT)
-                _number(axes, number, places[one.keyframe])
+                x, y = places[one.keyframe].tolist()
+                axes.annotate(str(number), (x, y), (7, 5), textcoords="offset points", weight="bold", zorder=9)
     legend(figure, panels, 3)
     return figure
 
@@ -82,7 +74,8 @@ def draw_cost_to_go(ways: Ways, costs: NDArray[np.float64], names: Sequence[str]
     for drive, name in enumerate(names):
         on = ways.of == drive
         if np.isfinite(costs[on]).any():
-            axes.plot(ways.way[on], costs[on], lw=1.6, label=_named(name, names), **_look(drive))
+            label = (name if len(name) <= 30 else f"{name[:29]}…") if len(names) <= MOST_NAMED else None
+            axes.plot(ways.way[on], costs[on], lw=1.6, label=label, **_look(drive))
     axes.set(xlabel=f"along the drive ({ways.unit})", ylabel="to go (s)")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)

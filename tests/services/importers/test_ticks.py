@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS
-from services.importers.drive import Drive, ImportFailure, Tally, motion_of, track_of
+from services.importers.drive import Drive, ImportFailure, Tally, motion_of
 from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, atoms_of, nominal, odometry, ticks
 
 
@@ -97,7 +97,7 @@ def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
 
 
 def tracked(rows: list[tuple[float, float, float, float]], times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    drive = Drive("lap", np.zeros(0), lambda: iter(()), motion_of([], Tally()), track_of(rows, Tally()))
+    drive = Drive.of_rows("lap", np.zeros(0), lambda: iter(()), [], rows, Tally())
     found = odometry(drive, times_s, None)
     assert found is not None
     return found

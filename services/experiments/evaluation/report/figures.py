@@ -67,14 +67,6 @@ def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
     return drawn
 
 
-def _error_bars(
-    axes: Axes, x: Sequence[float], y: Sequence[float], intervals: Sequence[tuple[float, float]], **style: str
-) -> None:
-    low, high = np.array(intervals).T
-    around = np.maximum([y - low, high - y], 0.0)
-    axes.errorbar(x, y, around, lw=2, capsize=4, elinewidth=1.2, **style)  # type: ignore[arg-type]
-
-
 @styled
 def found_by_drives(found: Sequence[Success], title: str) -> Figure:
     """Draw the share of searches that find the victim over the number of taught drives, for everybody."""
@@ -108,8 +100,9 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     drawn, panels = _panels(len(views), 5.6, 4.2, title, sharey=True)
     for axes, (degradation, said) in zip(panels, views.items(), strict=True):
         each = [one for one in paper if one.trial.degradation == degradation]
-        _error_bars(axes, [ticks.index(one.trial.length) for one in each], [one.rate for one in each],
-                    [one.wilson_95 for one in each], color=_PEERS["paper"], marker="s")  # fmt: skip
+        rates, (low, high) = np.array([one.rate for one in each]), np.array([one.wilson_95 for one in each]).T
+        around, at = np.maximum([rates - low, high - rates], 0.0), [ticks.index(one.trial.length) for one in each]
+        axes.errorbar(at, rates, around, lw=2, capsize=4, elinewidth=1.2, color=_PEERS["paper"], marker="s")
         axes.set_xticks(range(len(ticks)), [str(length) for length in ticks])
         axes.set(ylim=(-0.03, 1.05), title=said, xlabel=f"sequence length l (frames), {most} drives")
     panels[0].set_ylabel("searches that found the victim")

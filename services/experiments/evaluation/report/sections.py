@@ -12,9 +12,9 @@ from services.experiments import html
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drives import load_arrays
 from services.experiments.evaluation.errands import TASKS
-from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, WorldPlan
+from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS
 from services.experiments.evaluation.report import figures
-from services.experiments.evaluation.report.summary import SOON_S, Recognized, Success, WorldResults
+from services.experiments.evaluation.report.summary import SOON_S, Success, WorldResults
 from services.experiments.words import counted
 from smal.evaluation.success import wilson_interval
 
@@ -31,21 +31,12 @@ def recognition_section(found: WorldResults, put: Put) -> Iterator[str]:
     """Write it, piece by piece."""
     name = found.world.title
     scene = "the indoor search" if name == "indoor" else "the urban search"
-    yield f"<h3>Recognizing where the robot is</h3>{_criterion(found.world)}"
-    yield put(
-        f"precision-recall-{name}",
-        figures.precision_recall(found.recognized, f"State recognition, {name}"),
-        "Precision over recall as the score's threshold falls, as in the paper's figures of precision-recall curves of "
-        f"{scene} and of its parameter analysis. Closer to the top right is better.",
-    )
-    yield _recognized(found.recognized)
-
-
-def _criterion(world: WorldPlan) -> str:
+    world = found.world
     views = "; ".join(f"<b>{name}</b>: {escape(DEGRADATIONS[name].meaning)}" for name in world.recognized)
-    return (
-        "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
-        f"the robot to be at was taken {escape(world.criterion.meaning)} of the robot's true pose. For Eq. 9 that "
+    yield (
+        "<h3>Recognizing where the robot is</h3><p><b>One criterion for all methods:</b> an answer is right if the "
+        "demonstrated frame that the method takes the robot to be at was taken "
+        f"{escape(world.criterion.meaning)} of the robot's true pose. For Eq. 9 that "
         "is the frame of the best sequence at which W places the robot. The score is the weight of that sequence, for "
         "each frame; for the nearest frames the mean cosine. Recall counts all frames that have a right answer among "
         "the demonstrations. "
@@ -55,19 +46,22 @@ def _criterion(world: WorldPlan) -> str:
         "decided by the surest wrong answer alone, which a third of the draws lack: its interval covers less than "
         f"95 %. Views: {views}.</p>"
     )
-
-
-def _recognized(found: Sequence[Recognized]) -> str:
+    yield put(
+        f"precision-recall-{name}",
+        figures.precision_recall(found.recognized, f"State recognition, {name}"),
+        "Precision over recall as the score's threshold falls, as in the paper's figures of precision-recall curves of "
+        f"{scene} and of its parameter analysis. Closer to the top right is better.",
+    )
     rows = [
         [
             one.recognizer.title, one.degradation, f"{one.curve.auc:.3f}", _interval(one.intervals.auc, ".3f"),
             f"{one.curve.recall_at_100_precision:.3f}", _interval(one.intervals.recall_at_100_precision, ".3f"),
             f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}",
         ]
-        for one in found
+        for one in found.recognized
     ]  # fmt: skip
     head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "frames with a right answer"]
-    return html.table(head, rows, left=2)
+    yield html.table(head, rows, left=2)
 
 
 def search_section(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterator[str]:
@@ -100,7 +94,7 @@ def search_section(found: WorldResults, examples: Sequence[Path], put: Put) -> I
         figures.example_route(found.world.world, load_arrays(examples[0]), f"A search in the world {name}"),
         "The way of a successful search from a start that was not taught (arrow) to the victim (star), and what the "
         "camera saw at the numbered places (the paper's figures of route and observations).",
-    )  # fmt: skip
+    )
 
 
 def _searches(found: Sequence[Success]) -> Iterator[str]:
