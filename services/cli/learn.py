@@ -20,8 +20,7 @@ from services.experiments.showing.summary import numbers_of
 from services.experiments.words import described_by, remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
-from services.recordings.dataset import Teacher, Teaching, find_recordings
-from services.recordings.recorded_features import features_of_recordings
+from services.recordings.dataset import Teacher, Teaching, features_of_recordings, find_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
 from smal.paper.learning import LearningSettings

@@ -25,7 +25,7 @@ from schemas.base import Strict
 from schemas.codec import DecodeError, decode, describe, encode, encoding_of
 from schemas.rpc import Failure, FolderName
 from schemas.topics import TOPICS
-from services.cli.samples import Sample
+from services.cli.listening import Sample
 from services.experiments.showing.summary import lines
 from services.experiments.showing.ways import Ways
 from services.importers import run as importer

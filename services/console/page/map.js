@@ -2,7 +2,8 @@
 
 import { $, cleared, color } from "./element.js";
 
-const HEIGHT = 220, MARGIN = 18, LEAST_M = 4;
+const HEIGHT = 220, MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
+const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
 const canvas = $("#map canvas"), legend = $("#map .victim");
 
 export function drawMap({ model, way, pose, tracked, belief, plan, robot, goal }, age) {
@@ -26,52 +27,40 @@ export function drawMap({ model, way, pose, tracked, belief, plan, robot, goal }
   const room = [width, HEIGHT].map((pixels) => pixels - 2 * MARGIN);
   const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
   const at = ([x, y]) => [width / 2 + (x - middleX) * scale, HEIGHT / 2 - (y - middleY) * scale];
+  /** Pixels that lie so many pixels ahead and to the left of a pose. */
+  const beside = ([x, y, heading], [ahead, left]) => {
+    const [px, py] = at([x, y]), [cos, sin] = [Math.cos(heading), Math.sin(heading)];
+    return [px + cos * ahead - sin * left, py - sin * ahead - cos * left];
+  };
 
-  const line = (points, shade, thickness) => {
-    pen.beginPath();
-    points.forEach((point, k) => pen[k ? "lineTo" : "moveTo"](...at(point)));
-    [pen.strokeStyle, pen.lineWidth, pen.lineJoin] = [color(shade), thickness, "round"];
-    pen.stroke();
+  /** Draw a line through pixels, or what it encloses. */
+  const trace = (pixels, shade, thickness, { closed = false, filled = false } = {}) => {
+    const path = new Path2D();
+    pixels.forEach((pixel, k) => path[k ? "lineTo" : "moveTo"](...pixel));
+    if (closed) path.closePath();
+    Object.assign(pen, { strokeStyle: color(shade), fillStyle: color(shade), lineWidth: thickness, lineJoin: "round" });
+    filled ? pen.fill(path) : pen.stroke(path);
   };
-  const arrow = ([x, y, heading], shade, filled) => {
-    const [px, py] = at([x, y]);
-    pen.save();
-    pen.translate(px, py);
-    pen.rotate(-heading);
-    pen.beginPath();
-    [[10, 0], [-6, 6], [-3, 0], [-6, -6]].forEach((point, k) => pen[k ? "lineTo" : "moveTo"](...point));
-    pen.closePath();
-    [pen.fillStyle, pen.strokeStyle, pen.lineWidth] = [color(shade), color(shade), 2];
-    filled ? pen.fill() : pen.stroke();
-    pen.restore();
-  };
+  const arrow = (pose, shade, filled) =>
+    trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
 
   for (const drive of new Set(taught.length > 0 ? model.drives : [])) {
-    const points = taught.filter((_, k) => model.drives[k] === drive);
-    line(points, "taught", 3);
-    const [gx, gy] = at(points.at(-1));
+    const points = taught.filter((_, k) => model.drives[k] === drive).map(at);
+    trace(points, "taught", 3);
     pen.beginPath();
-    pen.arc(gx, gy, 6, 0, 7);
-    pen.fillStyle = color("taught");
+    pen.arc(...points.at(-1), 6, 0, 7);
     pen.fill();
   }
-  line(today, "way", 2);
+  trace(today.map(at), "way", 2);
   if (victim) {
-    const [vx, vy] = at(victim), half = 6;
-    for (const rise of [-half, half]) {
-      pen.beginPath();
-      pen.moveTo(vx - half, vy - rise);
-      pen.lineTo(vx + half, vy + rise);
-      [pen.strokeStyle, pen.lineWidth] = [color("bad"), 3];
-      pen.stroke();
-    }
+    const [x, y] = at(victim);
+    for (const rise of [-CROSS_PX, CROSS_PX]) trace([[x - CROSS_PX, y - rise], [x + CROSS_PX, y + rise]], "bad", 3);
   }
-  const [x, y, heading] = (pose && age("pose") < 5 ? pose.pose : believed) ?? [];
+  const here = pose && age("pose") < 5 ? pose.pose : believed;
   pen.fillStyle = color("bad");
-  for (const [ahead, left] of x !== undefined && plan && age("plan") < 1 ? plan.obstacles : []) {
-    const [cos, sin] = [Math.cos(heading), Math.sin(heading)];
-    const [px, py] = at([x + cos * ahead - sin * left, y + sin * ahead + cos * left]);
-    pen.fillRect(px - 1, py - 1, 2, 2);
+  for (const metres of here && plan && age("plan") < 1 ? plan.obstacles : []) {
+    const [x, y] = beside(here, metres.map((one) => one * scale));
+    pen.fillRect(x - 1, y - 1, 2, 2);
   }
   if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
   if (pose && age("pose") < 5) arrow(pose.pose, "good", true);

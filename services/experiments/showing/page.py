@@ -1,7 +1,8 @@
 """The page of what a model has learned: one HTML file that needs nothing beside it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -9,11 +10,15 @@ import numpy as np
 
 from schemas.codec import printable
 from services.experiments import html
+from services.experiments.showing import figures
 from services.experiments.showing.drives import TaughtDrives
-from services.experiments.showing.map_page import map_page
-from services.experiments.showing.summary import facts, taught_drives
+from services.experiments.showing.summary import facts, goals_of, taught_drives
+from services.experiments.showing.ways import Believed, Ways, believed
+from services.experiments.words import counted
+from services.recordings.recorded import episode_of
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
+from smal.planning import cost_to_go
 from smal.teaching.demonstration import Demonstration
 
 _SHOWN: Final = 5  # Frames of a drive that are shown, spread over it.
@@ -33,7 +38,7 @@ def write_page(
     found = {} if drives is None else drives.found
     body = [
         *_missing(drives),
-        *(map_page(model, found, advance) if isinstance(model, Model) else ()),
+        *(_map(model, found, advance) if isinstance(model, Model) else ()),
         *_seen(model, found),
         "<h2>The model</h2>",
         html.table(["of", "is"], facts(model, str(file), file.stat().st_size).items(), left=2),
@@ -67,3 +72,68 @@ def _seen(model: Model | PaperModel, found: dict[int, Demonstration]) -> Iterato
         for number, one in enumerate(taught)
     ]
     yield html.table(["name", "leads", "recording", "frames"], rows, left=3)
+
+
+def _map(model: Model, drives: Mapping[int, Demonstration], advance: html.Advance) -> Iterator[str]:
+    ways, names = Ways(model.mapped), [printable(episode_of(parts[0])) for parts in model.mapped.names]
+    total, done, believed_on = sum(len(one.atoms) for one in drives.values()), count(1), {}
+    for number, one in drives.items():
+        believed_on[number] = believed(model, ways, number, one, lambda: advance("recognizing", next(done), total))
+    yield "<h2>The taught ways</h2>"
+    yield from _ways(ways, goals_of(model), names, believed_on)
+    yield "<h2>Cost to go</h2>"
+    yield from _costs(ways, goals_of(model), names)
+    yield "<h2>Where the belief was wide</h2>"
+    yield from _belief(ways, names, believed_on)
+
+
+def _ways(ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: Mapping[int, Believed]) -> Iterator[str]:
+    how = "by odometry" if ways.map.odometry else "by what atoms usually do, since they are without odometry"
+    said = f"{counted(len(names), 'drive')} {how}; {counted(int(ways.shared.sum()), 'keyframe')} shared by drives."
+    yield html.titled(figures.draw_ways(ways, goals, believed_on), "Where they run", said)
+    lines = []
+    for number, one in enumerate(ways.partings, 1):
+        here = int(ways.of[one.keyframe])
+        others = " and ".join(names[drive] for drive in one.drives if drive != here)
+        what = "fork" if one.fork else "the ways meet"
+        lines.append(f"{number}: {what} {ways.way[one.keyframe]:.1f} {ways.unit} along {names[here]}, with {others}")
+    if lines:
+        yield f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+    elif len(names) > 1:
+        yield "<p>Nowhere do shared ways part or meet.</p>"
+
+
+def _costs(ways: Ways, goals: Sequence[str], names: Sequence[str]) -> Iterator[str]:
+    pictures, no_way = [], []
+    for goal in goals:
+        costs, _ = cost_to_go(ways.map, goal)
+        said = f"Time to {escape(goal)} from each place of the drives, going over to another one where that is sooner."
+        drawn = figures.draw_cost_to_go(ways, costs, names)
+        pictures.append(html.titled(drawn, f"Cost to go to {goal}", said))
+        for drive, name in enumerate(names):
+            if not np.isfinite(costs[ways.of == drive]).any():
+                no_way.append(f"<p>{escape(f'No taught way leads from {name} to {goal}.')}</p>")
+    yield f'<div class="pair">{"".join(pictures)}</div>'
+    yield from no_way
+
+
+def _belief(ways: Ways, names: Sequence[str], believed_on: Mapping[int, Believed]) -> Iterator[str]:
+    if not believed_on:
+        yield "<p>Recognition was not run: none of the drives' recordings is there.</p>"
+        return
+    pictures, rows = [], []
+    for drive, one in believed_on.items():
+        widest = int(one.spread.argmax())
+        pictures.append(html.titled(figures.draw_belief(ways, one), names[drive], ""))
+        rows.append([
+            names[drive], f"{np.median(one.here):.0%}", f"{(one.here < 0.5).mean():.0%}",
+            f"{one.spread[widest]:.2f} {ways.unit} at {widest * ways.map.tick_s:.1f} s", f"{one.lost.max():.0%}",
+        ])  # fmt: skip
+    yield (
+        "<p>Recognition follows the drives that it was taught from once more. “Where it was” is the part of the "
+        f"belief within {ways.map.correlation_length:.2f} {ways.unit} of the robot, the way over which views become "
+        "half as alike; the belief is wide where that is less than half.</p>"
+    )
+    yield f'<div class="pair">{"".join(pictures)}</div>'
+    head = ["drive", "where it was, median", "of the time wide", "largest spread", "lost, at most"]
+    yield html.table(head, rows, left=1)

@@ -9,7 +9,7 @@ from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.compressed_image import CompressedImage
 from schemas.topics import TOPICS
-from services.cli.samples import Sample
+from services.cli.listening import Sample
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Listen, Mistake, Smal
