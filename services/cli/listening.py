@@ -87,10 +87,7 @@ class Arrivals:
         self.sizes.append(size)
 
     def figures(self, elapsed_s: float) -> dict[str, Any]:
-        """Return how many came, how regularly, from the first to the last, and how large; None for what is not told.
-
-        The bandwidth is over the whole time of listening, so that those of the keys add up.
-        """
+        """Return how many came, how regularly and how large, and the bandwidth over all the time that was listened."""
         gaps_s, sizes = np.diff(self.times_s), np.array(self.sizes)
         spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
         if gaps_s.size:

@@ -187,10 +187,7 @@ class Running:
                 raise UsageError(f"--{name}: with --connect the running stack has its own; give it to `smal up`")
 
     def world(self, world: str | None) -> tuple[str, str | None]:
-        """Return the world of a stack that is started, and the name that the robot's world must have, if any.
-
-        Raises UsageError when there is no such world, or its file is no map.
-        """
+        """Return the world to start a stack in, and the name that the robot's must have, if any; or UsageError."""
         chosen = world or DEFAULT_WORLD
         return chosen, None if world is None and self.connect is not None else read_world(chosen).name
 

@@ -49,10 +49,7 @@ def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), 
 
 @contextmanager
 def workshop(folder: Path, option: str) -> Iterator[Path]:
-    """Make a folder, and another in it, in which results lie until all of them are whole; then that one is gone.
-
-    At a failure the folder is gone too, where it is new and nothing else is in it. Raises as `make_folder`.
-    """
+    """Make a folder, and one in it for results until all are whole; where that fails, a new folder is gone too."""
     new = not folder.exists()
     make_folder(folder, option)
     try:

@@ -151,10 +151,7 @@ def render(
 
 
 def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
-    """Return where to look from along the planned route, with how far along it that is, metres.
-
-    The first is the start, the others are evenly spread and look along the route; the last one faces the victim.
-    """
+    """Return where to look from along the route, evenly, and how far along, metres; the last faces the victim."""
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     before = min(_BEFORE_VICTIM * world.scale.found_m, route.length / 2)
     along = np.linspace(0.0, route.length - before, views)

@@ -32,10 +32,7 @@ HEADERS: Final = {
 
 
 class Guard:
-    """Lets through to ``app`` what the page itself asks for.
-
-    ``token`` is the word that a browser has to know; without one the page is for this machine's own names alone.
-    """
+    """Lets through what the page itself asks for, of who knows ``token``; without one, of this machine's own names."""
 
     def __init__(self, app: ASGIApp, token: str | None = None) -> None:
         self._app = app

@@ -71,10 +71,7 @@ class Learned:
 
 
 def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> Learned:
-    """Return what the page knows of a model; ``goal`` is None for the only one, ValueError where it has no such goal.
-
-    ``recordings`` are the files of those that it may have been learned from, by episode.
-    """
+    """Return what the page knows of a model, with its recordings by episode; ValueError where it has no such goal."""
     mapped = model.mapped
     goal = chosen_goal(mapped.goals, goal)
     drives = mapped.key_drives

@@ -78,10 +78,7 @@ class Library:
         self._reader.stop()
 
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
-        """Look at what is there; return it for the page.
-
-        ``show`` is given what is known so far, now and then while recordings are read.
-        """
+        """Look at what is there, for the page; ``show`` is given what is known so far while recordings are read."""
         files = set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
         models = self._files([*self.root.glob("*.smal"), *(self.root / MODELS).glob("*.smal")])
         with self._lock:

@@ -29,16 +29,13 @@ _APART_M: Final = 0.1
 
 
 class LiveContent:
-    """Puts on the board what is heard of the robot, how every service is, and what was recorded and learned.
-
-    All but the topic ``action`` is subscribed here. ``learned`` is the model that the robot goes by.
-    """
+    """Puts on the board what is heard (but ``action``), how services are, and what was recorded and learned."""
 
     def __init__(self, node: Node, board: Board, library: Library) -> None:
         self._board = board
         self._library = library
         self.health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
-        self.learned: Learned | None = None
+        self.learned: Learned | None = None  # The model that the robot goes by.
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""

@@ -23,10 +23,7 @@ class FullError(Exception):
 
 
 class Board:
-    """Holds the newest content of each channel, as JSON, and the newest picture; of any thread.
-
-    Whatever tells an age goes by its clock, in seconds.
-    """
+    """Holds the newest content of each channel, as JSON, and picture; of any thread. Ages go by its clock, seconds."""
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
         self.clock = clock

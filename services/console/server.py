@@ -26,10 +26,7 @@ _complaints = Throttle()
 
 
 class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
-    """Takes turns with all others, however much its browser says: what is read is read to its end before they go on.
-
-    It answers no pings of who does not take the answers: they would fill the memory.
-    """
+    """Takes turns with all others, however much its browser says: what is read is read to its end before they go on."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._read = bytearray(_AT_ONCE)
@@ -45,7 +42,7 @@ class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
         if self.writable.is_set():
             super().handle_ping()
         else:
-            self.conn.data_to_send()  # the answer
+            self.conn.data_to_send()  # the answer: of who takes none, they would fill the memory
 
 
 class WebServer:

@@ -107,10 +107,8 @@ class ConsoleService:
     # -- what browsers say, on the node's thread ------------------------------------------------------------------
 
     def hold(self, atom: Atom | None, sent_s: float) -> None:
-        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock.
-
-        They count as there for longer than what they hold does: by a slow link one cannot drive, and can watch.
-        """
+        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock."""
+        # For longer than what they hold counts: by a slow link one cannot drive, and can watch.
         self._there_until_s = sent_s + LEASE_S
         if self._board.clock() >= sent_s + LET_GO_S:
             return

@@ -175,10 +175,7 @@ class Web:
             self._stand_up(browser, self._service.let_go)
 
     async def _listen(self, browser: WebSocket) -> None:
-        """Do what whoever drives says, until they leave or somebody else has the seat.
-
-        Nonsense moves nothing; they are told, and go on: a name that may not be is no reason to lose the robot.
-        """
+        """Do what whoever drives says while they have the seat; of nonsense they are told, which loses no robot."""
         async for text in _said(browser):
             if not self._seat.holds(browser):
                 return

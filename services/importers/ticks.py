@@ -180,10 +180,7 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
 def atoms_of(
     velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
 ) -> tuple[NDArray[np.int8], Array]:
-    """Return what was done in each tick, by its velocities (n, 2), linear and angular: (n,) places in `ATOMS`.
-
-    And (n,) how fast it goes ahead in a turn, -1 to 1 times the nominal speed, else 0.
-    """
+    """Return by velocities (n, 2) each tick's place in `ATOMS`, and how fast it goes ahead in a turn, -1 to 1, (n,)."""
     linear, angular = (velocities / usual).T
     crawls = np.abs(linear) < still
     stands = crawls & (np.abs(angular) < still)

@@ -1,7 +1,4 @@
-"""From recordings to demonstrations: which episodes teach, and what of them.
-
-Only what the robot's camera saw, what its wheels counted and what its actuator did is used, never a true pose.
-"""
+"""From recordings to demonstrations: which episodes teach, and what of them, but never a true pose."""
 
 import os
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -270,10 +267,7 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
 
 
 def _settings(observation: Observation) -> FeatureSettings | None:
-    """Return the settings that made an observation, with equal weights; None where this version makes other features.
-
-    An observation of version 1 names no modalities: it is known where it has the usual ones.
-    """
+    """Return the settings that made an observation, the usual where it names none; None if this version's differ."""
     try:
         features = FeatureSettings.of(observation.modalities or FeatureSettings().modalities)
     except ValueError:

@@ -64,10 +64,7 @@ class RecordedEpisode:
         return len(self.features.keys() | self.images.keys())
 
     def pieces(self) -> list[Piece]:
-        """Cut the episode wherever a frame's features, or what was done after it, are not known.
-
-        An image or a pose by the wheels that most frames have and one lacks was lost: that frame is a gap too.
-        """
+        """Cut the episode wherever features, what was done, or an image or pose that most frames have, are missing."""
         usual = [
             had for had in (self.images, self.odometry) if 2 * len(had.keys() & self.features) > len(self.features)
         ]
@@ -101,10 +98,7 @@ class RecordedEpisode:
         return pose.x_m, pose.y_m, pose.heading_rad
 
     def _is_goal(self, tick: int) -> bool:
-        """Whether this is the frame that shows the goal: the last one of an episode that ended with ``found``.
-
-        ``victim_found`` says merely that it once was in view. A recording with frames after the end has no goal.
-        """
+        """Whether this frame shows the goal: the last one of an episode that ended with ``found`` there."""
         if self.outcome != "found" or tick != self.end_tick:
             return False
         return tick == max(self.features.keys() | self.images.keys())

@@ -72,10 +72,7 @@ def publish(partial: Path, path: Path) -> None:
 
 
 class Sink:
-    """An unbuffered file being recorded, whose content a thread puts on the disk every second.
-
-    Its descriptor is from `claim`, and closed with this. It goes on after so many bytes; the rest is cut off.
-    """
+    """A file being recorded from a size on, of a descriptor by `claim`; a thread puts it on the disk every second."""
 
     def __init__(self, descriptor: int, size: int = 0) -> None:
         self._descriptor = descriptor

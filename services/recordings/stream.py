@@ -67,10 +67,7 @@ class Stored(NamedTuple):
     payload: memoryview
 
     def message(self, *, pixels: bool = False) -> Message:
-        """Return what it says; decode the pixels of an image, which may be damaged, only if that is wanted.
-
-        Raises ValueError when it is not what its channel says; the text says why in one line.
-        """
+        """Return what it says, with pixels if wanted; ValueError says why it is not what its channel says."""
         if self.topic is None:
             raise ValueError(f"{self.key} is no topic of ours")
         payload = bytes(self.payload)
@@ -107,10 +104,7 @@ def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
 
 
 def messages_of(path: Path, topics: Collection[Topic], allowance: Allowance | None = None) -> Iterator[Stored]:
-    """Yield the messages of some topics in a recording, within an ``allowance``, which is given back where it ends.
-
-    RecordingError as of `open_recording`, and where it is damaged or takes too much memory.
-    """
+    """Yield the messages of some topics in a recording, within an ``allowance``; or raise RecordingError."""
     data, allowance = open_recording(path), allowance or Allowance()
     before = allowance.left
     try:

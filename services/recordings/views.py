@@ -96,10 +96,7 @@ class Views:
         yield from ()
 
     def way(self) -> Iterator[tuple[Message, View]]:
-        """Yield the driven way as a whole, and the message with whose time it is written: the first by the wheels.
-
-        A viewer that jumps to any time then has it.
-        """
+        """Yield the driven way as a whole, and the first message by the wheels, so that a viewer has it at any time."""
         if self._began is not None and len(self._way) > 1:
             points = np.array([(x_m, y_m, 0.0) for x_m, y_m in self._way])
             for view in _line(self._began, "odom", "driven", [points], _DRIVEN):

@@ -1,7 +1,4 @@
-"""What is right: one criterion for every method of place recognition.
-
-Methods differ in what they answer, never in what they are asked or how it is judged.
-"""
+"""What is right: one criterion for every method of place recognition, whatever it answers."""
 
 import math
 from dataclasses import dataclass

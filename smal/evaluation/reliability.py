@@ -13,10 +13,7 @@ _BINS: Final = 10
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Answers by their scores, which are probabilities, in tenths; arrays (k,) of those tenths that have any.
-
-    The mean score, the share that is right, and the number of answers.
-    """
+    """Answers by their scores, probabilities, in tenths that have any (k,): mean score, share that is right, number."""
 
     said: NDArray[np.float64]
     right: NDArray[np.float64]

@@ -106,10 +106,7 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
 
 
 def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
-    """Read what a file that `write` wrote says of itself, without its arrays, and without a check that it is whole.
-
-    ModelError where it cannot be read, is of another kind or version, or does not say what it should.
-    """
+    """Read what a file of `write` says of itself, without its arrays, unchecked; ModelError where it says nothing."""
     with _explained(name):
         meta = json.loads(file.read(_header_size(file, name, version)))["meta"]
         if not isinstance(meta, dict):

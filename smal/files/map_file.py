@@ -1,7 +1,4 @@
-"""A visual map as a file: what is stored, and what is checked before a robot goes by it.
-
-`container` lays out the bytes, `stored` adds the version and the scheme; the arrays are the fields of `VisualMap`.
-"""
+"""A visual map as a file: its arrays are the fields of `VisualMap`, and are checked before a robot goes by it."""
 
 import re
 from collections.abc import Callable
@@ -37,10 +34,7 @@ _WHOLE = ("drives", "keyframes", "views", "stitched", "looks")
 
 
 def check_map(one: "VisualMap") -> None:
-    """Check a map, of a file or not: what passes must not fail, or give a belief that is no number, while driving.
-
-    ValueError names the parts that do not fit together.
-    """
+    """Check that a map cannot fail, or give a belief that is no number, while driving; ValueError names wrong parts."""
     wrong = _unsound(one) or [name for name, fits in _fit(one).items() if not fits]
     if wrong:
         raise ValueError(f"the parts of the visual map do not fit together: {', '.join(wrong)}")

@@ -7,10 +7,7 @@ from pathlib import Path
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
-    """Open a regular file, as `os.open` does; return its descriptor.
-
-    OSError where it cannot be opened, or is a folder, FIFO, socket or device; no FIFO is waited for.
-    """
+    """Open a regular file, as `os.open` does, and return its descriptor; OSError for others. No FIFO is waited for."""
     descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, mode)
     kind = os.fstat(descriptor).st_mode
     if stat.S_ISREG(kind):

@@ -31,10 +31,7 @@ def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np
 
 
 def learn_action_space(demonstrations: Sequence[NDArray[np.int8]], sequence_length: int) -> ActionSpace:
-    """Collect the distinct actions of demonstrations, int8 (f,) each, numbered in the order of their atoms.
-
-    Raises ValueError for a value that is no atom, or no whole sequence.
-    """
+    """Collect the distinct actions of demonstrations, int8 (f,) each; ValueError for no atom or no whole sequence."""
     for atoms in demonstrations:
         if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):
             raise ValueError(f"atoms must be {int(min(Atom))} to {int(max(Atom))}, got {sorted(set(atoms.tolist()))}")

@@ -100,10 +100,7 @@ class BlockProblem:
 
 
 class Iterate(NamedTuple):
-    """W, the dual point Theta = Y diag(alpha) - X B, and the subgradients U of rows and V of columns of blocks.
-
-    All float64 (p, q) but alpha (q,).
-    """
+    """W, the dual point Theta = Y diag(alpha) - X B, subgradients U of rows, V of columns: (p, q), but alpha (q,)."""
 
     W: Array
     alpha: Array

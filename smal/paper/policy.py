@@ -51,10 +51,7 @@ def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.
 
 
 def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> Policy:
-    """Howard's policy iteration: solve for the value of a policy, improve it, until nothing improves.
-
-    The reward is R (states,); gamma, the discount factor, is at least 0 and below 1, or ValueError is raised.
-    """
+    """Howard's policy iteration, for R (states,) and 0 <= gamma < 1 (else ValueError): improve until nothing does."""
     check_discount(gamma)
     pairs = transitions.expert_pairs()
     identity = sparse.eye_array(transitions.states, format="csc")

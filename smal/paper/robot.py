@@ -36,10 +36,7 @@ class Robot:
     def step(
         self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
     ) -> Atom:
-        """Take one image, (height, width, 3) RGB; return the atom to make until the next one.
-
-        The paper knows neither odometry nor time: they are taken, since `smal.Robot` takes them, and do not count.
-        """
+        """Take one image, (height, width, 3) RGB; return the atom until the next. Odometry and time do not count."""
         del odometry, elapsed_s
         raw = extract(image, self._model.feature_settings)
         # The first decision is due with the first whole window, the others follow at equal distances.

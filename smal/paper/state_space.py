@@ -19,10 +19,7 @@ class MemoryBoundError(MemoryError):
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """What Algorithm 1 returns: X (m, n), of which state j is the columns j l and following, and the paper's s-streams.
-
-    The s-stream of a demonstration is the state of each of its sequences, int32 (f // l,).
-    """
+    """What Algorithm 1 returns: X (m, n), state j in l columns from j l on, and s-streams of states, (f // l,)."""
 
     templates: NDArray[np.float32]
     streams: tuple[NDArray[np.int32], ...]

@@ -74,10 +74,7 @@ class WorkingSet:
         return 1.0 - self.lower_bound / self.objective
 
     def grow_until_proved(self) -> None:
-        """Grow the working set until the gap of the full problem is within the tolerance.
-
-        Rounding may keep it from getting there; then it ends early.
-        """
+        """Grow the working set until the gap of the full problem is within the tolerance, or rounding ends it early."""
         finest = 0.3 * self._tolerance
         tolerance = max(_LOOSE, finest)
         for _ in range(_MAX_ROUNDS):
@@ -159,10 +156,7 @@ class WorkingSet:
         return bound_by_lengths(radii.max(axis=1, initial=0.0), np.linalg.norm(radii, axis=1), *self._lambdas)
 
     def _examine(self, blocks: Columns, values: Array, rounds: int, enough: float) -> tuple[Array, Columns]:
-        """Bound the polars of some sequences by X^T Theta of their frames (r, q), and say which frames are lacking.
-
-        Those are frames of the sequences with the worst violations, whose bound is above `enough`.
-        """
+        """Bound polars by X^T Theta of frames (r, q); say which frames lack, of the worst bounds above `enough`."""
         (lambda1, lambda2), frames = self._lambdas, self._frames(blocks)
         guess = values / (lambda1 + lambda2)
         if lambda1 > 0.0:

@@ -20,10 +20,7 @@ Features = NDArray[np.float32] | NDArray[np.float16]
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What can be chosen of a method: features, frames l of a window, and of `smal` what `match_places` says.
-
-    For loops the queries are the references.
-    """
+    """What can be chosen of a method, of `smal` as `match_places` says; for loops the queries are the references."""
 
     features: FeatureSettings
     length: int = 1

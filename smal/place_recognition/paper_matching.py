@@ -1,7 +1,4 @@
-"""The paper's matching as it stands, on two traverses: Eq. 7 with sequences cut at fixed phases, and Eq. 9.
-
-With l = 1 it is the paper's baseline.
-"""
+"""The paper's matching as it stands, on two traverses: Eq. 7 at fixed phases, and Eq. 9; with l = 1 its baseline."""
 
 import math
 from typing import Final

@@ -163,10 +163,7 @@ def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
 
 
 def _followed(chain: Chain, levels: Levels, frames: NDArray[np.intp], lag: int, progress: Progress) -> Iterator[Answer]:
-    """Yield the probabilities of each query (q, n) by those up to `lag` frames (q,) after it.
-
-    Whenever there are twice as many queries as before, what they say is learned again.
-    """
+    """Yield the probabilities of each query (q, n) by those up to `lag` frames after it, learning again meanwhile."""
     recent = deque[tuple[int, Array, Array]]()
 
     def oldest() -> Answer:

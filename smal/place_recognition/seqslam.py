@@ -68,10 +68,7 @@ def trajectories(length: int) -> list[list[int]]:
 
 
 def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Enhance the local contrast of differences (q, n): deviations from the mean of the references around each.
-
-    Windows are cut off at the ends of the traverse. Where all differences of one are the same there is no contrast: 0.
-    """
+    """Enhance local contrast (q, n): deviations from the mean of references around each, 0 where all are the same."""
 
     def around(values: NDArray[np.float64]) -> NDArray[np.float64]:
         summed: NDArray[np.float64] = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
@@ -87,10 +84,7 @@ def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _most_unique(costs: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the reference of least cost for each query (c,), and how unique it is.
-
-    `costs` (c, n) are positive, and infinite where no trajectory ends; they are written over.
-    """
+    """Return the reference of least cost (c, n) > 0 for each query (c,), and how unique it is; spoils the costs."""
     queries = np.arange(len(costs))
     best = costs.argmin(axis=1)
     first = costs[queries, best].astype(np.float64)

@@ -18,10 +18,7 @@ PRIOR_FRAMES: Final = 5  # As many frames that look like the references in the m
 def centre_traverses(
     references: NDArray[Any], queries: NDArray[Any], settings: FeatureSettings, *, causal: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Centre two traverses, raw features (n, m) and (q, m); see `Centering.apply`.
-
-    If it is to be causal, each query is centred by the mean of those up to it.
-    """
+    """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean of those up to it."""
     known = Centering.fit(references, settings)
     total, asked = PRIOR_FRAMES * known.mean.astype(np.float64), np.empty(queries.shape, np.float32)
     if not causal:

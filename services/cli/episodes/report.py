@@ -57,10 +57,7 @@ def write_report(
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
-    """Return the map of a world with the way of every episode, at least one, coloured by how it ended.
-
-    Without a world's name or path it is that of the episodes, if it is known here; else the ways are drawn alone.
-    """
+    """Draw the way of each episode, coloured by how it ended, on the map of their world if that is known here."""
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
     # What a robot tells may be the name of a world of ours, but never a path to be read.

@@ -31,10 +31,7 @@ Via = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive that teaches: what `smal learn` would make of it, with images, as JPEG.
-
-    And the truth, which learning must not use: poses (f, 3), x, y in metres and heading in radians of every frame.
-    """
+    """A drive that teaches, with images as JPEG, and its true poses (f, 3), metres and radians, which teach nothing."""
 
     demonstration: Demonstration
     poses: NDArray[np.float64]
@@ -43,10 +40,7 @@ class Drive:
 def views_of_expert(
     simulation: Simulation, seed: int, via: Via = (), purpose: Purpose = "drive"
 ) -> Iterator[tuple[SimulatedView, Atom | None]]:
-    """Have the expert drive to the victim, by way of some places; yield each view and what is done at it.
-
-    The last view is that of the victim, with `Atom.STOP`; one at which the drive has failed has None.
-    """
+    """Have the expert drive by way of places; yield each view and its atom: STOP at the victim, None at a failure."""
     most_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=most_ticks)
     episode, expert = LockstepEpisode(simulation, request), _expert(simulation, via)
@@ -73,10 +67,7 @@ def _expert(simulation: Simulation, via: Via) -> RouteDriver:
 def drive(
     simulation: Simulation, features: FeatureSettings, seed: int, via: Via = (), purpose: Purpose = "drive"
 ) -> dict[str, NDArray[Any]]:
-    """Have the expert drive once; return the arrays of which `drive_of` makes a drive.
-
-    ValueError when it did not reach the victim: `smal learn` leaves out such a drive. A recovery need not.
-    """
+    """Have the expert drive; return the arrays for `drive_of`. ValueError when a drive did not reach the victim."""
     rows, reached = [], False
     for view, atom in views_of_expert(simulation, seed, via, purpose):
         reached = atom is not None

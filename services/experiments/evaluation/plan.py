@@ -144,10 +144,7 @@ class WorldPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """An evaluation; `omitted` is what it leaves out of the full one, for the report.
-
-    A search times out after ``patience`` times the frames of the longest drive that was taught.
-    """
+    """An evaluation; `omitted` is what it leaves out. Searches may take `patience` times the longest taught drive."""
 
     name: str
     worlds: tuple[WorldPlan, ...]
@@ -229,9 +226,6 @@ def with_each(plan: Plan, change: Callable[[Trial], Trial]) -> Plan:
 
 
 def in_world(world: str, aside_m: float) -> Plan:
-    """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition.
-
-    A belief is right within twice the distance at which searches begin beside the way.
-    """
-    criterion = Criterion(2.0 * aside_m, 25.0)
+    """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition."""
+    criterion = Criterion(2.0 * aside_m, 25.0)  # Twice as far as searches begin beside the way.
     return Plan(f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),))

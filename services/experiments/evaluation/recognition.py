@@ -73,10 +73,7 @@ class DemonstratedFrames:
         self._begin, self._last = np.concatenate(ends)[made] - model.sequence_length + 1, lasts[made]
 
     def frame(self, state: int, phase: float) -> int:
-        """Return the frame, counted over all demonstrations in order, that a frame of a state's template was.
-
-        Phases (`smal.paper.phase`) beyond the template are the frames that came after it, up to the end of its drive.
-        """
+        """Return which frame of all demonstrations a phase of a state is; beyond its template, one that came after."""
         return int(min(self._begin[state] + round(phase), self._last[state]))
 
 
@@ -93,10 +90,7 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
 
 
 class NearestImitation:
-    """Does what was done at the demonstrated frame whose window is most alike: no states, no reward, no plan.
-
-    The window is of the last frames, or as many as there are in the episode so far.
-    """
+    """Does what was done at the demonstrated frame whose window of last frames is most alike: no states, no plan."""
 
     def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
         self._features, self._frames = features, frames

@@ -52,10 +52,7 @@ class Results:
         self.findings[unit] = finding
 
     def complete(self, units: Sequence[Unit], workers: int, done: Callable[[], object]) -> None:
-        """Do all units that are not done, in processes; call `done` in this one after each.
-
-        JobError where a unit failed, or a worker ended; what was done until then is kept.
-        """
+        """Do in processes what is not done, and call `done` after each; JobError where one failed: the rest is kept."""
         what = ""
         try:
             with _pool(workers) as pool:

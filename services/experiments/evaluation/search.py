@@ -121,10 +121,7 @@ def _said(driver: Driver) -> Said | None:
 
 
 def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
-    """Return what a search says, for JSON; right is a belief as near to the truth as the criterion says.
-
-    `taught` are the true poses of all taught frames, (n, 3).
-    """
+    """Return what a search says, for JSON, by the true poses of all taught frames, (n, 3), and what counts as right."""
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
     said: dict[str, Any] = {
         "outcome": found.outcome,

@@ -32,10 +32,7 @@ _Method = Callable[[Demonstration], Answers]
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Answers (q, 3) to all asked frames, how far they are off as a share of a lap (q,), and what that comes to.
-
-    Of figures, shares of frames have 95 % intervals by laps beside them.
-    """
+    """Answers (q, 3) to all asked frames, how far off they are, in laps (q,), and figures with 95 % intervals."""
 
     answers: Answers
     off: NDArray[np.float64]

@@ -53,10 +53,7 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was chosen, and what came out: matches numbered as the sources are; `unsure` ones were left out.
-
-    Scores may be probabilities.
-    """
+    """What was chosen, and what came out: matches numbered as the sources are; `unsure` ones were left out."""
 
     chosen: dict[str, object]
     settings: MatchSettings
@@ -66,14 +63,11 @@ class Result:
     unsure: int
     quality: Quality | None
     seconds: dict[str, float]
-    probable: bool
+    probable: bool  # Whether scores are probabilities.
 
 
 def in_sources(matches: Matches, references: Traverse, queries: Traverse) -> Matches:
-    """Turn rows of the features into numbers of frames.
-
-    Windows run over the frames that could be read; a query that could not has no match.
-    """
+    """Turn rows of the features, of frames that could be read, into numbers of frames."""
     count = len(queries.source.frames)
     found = Matches.none(count)
     where = queries.numbers[matches.matched]

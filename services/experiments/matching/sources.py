@@ -29,10 +29,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 @dataclass(frozen=True)
 class Source:
-    """Names of frames, a frame's number is its place; names of files that are no images; and a picture of each frame.
-
-    `pictures` begins anew with each call.
-    """
+    """Names of frames, in order, and of files that are no images; a picture of each frame, anew with each call."""
 
     path: Path
     frames: tuple[str, ...]
@@ -48,20 +45,14 @@ class Source:
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
-    """Return what file names are sorted by: numbers in them by their value, letters whatever their case.
-
-    Names that differ only in case or in leading zeros follow in the order of their characters.
-    """
+    """Return what names are sorted by: numbers by their value, letters whatever their case, then all characters."""
     # split with a group alternates text and digits, so that keys compare text with text and number with number.
     parts = re.split(r"([0-9]+)", name.casefold())
     return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
 
 
 def open_source(path: Path, argument: str) -> Source:
-    """Find the frames of what the argument of the command line names.
-
-    Raises UsageError when there is none, and RecordingError of a recording that cannot be read.
-    """
+    """Find the frames that an argument names; UsageError when there is none, RecordingError of a bad recording."""
     if not path.is_file():
         return _folder(path, argument)
     return _recording(path) if path.suffix == ".mcap" else _video(path, argument)

@@ -84,10 +84,7 @@ def read_positions(path: Path, frames: int) -> Positions:
 
 
 def gps_positions(references: Source, queries: Source) -> tuple[Positions, Positions]:
-    """Return where cameras say in EXIF that images were taken, of both on one plane that touches the ground there.
-
-    Raises UsageError when none of a traverse says so.
-    """
+    """Return where EXIF says that images were taken, metres on one plane; UsageError where none says it."""
     degrees = []
     for source in (references, queries):
         degrees.append(np.array([_latitude_longitude(loaded(one)) for one in source.pictures()]))

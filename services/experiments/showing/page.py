@@ -31,10 +31,7 @@ def write_page(
     drives: TaughtDrives | None,
     advance: html.Advance = lambda _what, _done, _total: None,
 ) -> Path:
-    """Write ``index.html`` of a model's file into a folder, with what recordings hold of it; return its path.
-
-    ValueError names the episode of a damaged image.
-    """
+    """Write the page of a model's file, with what recordings hold of it; ValueError names a damaged image's episode."""
     found = {} if drives is None else drives.found
     body = [
         *_missing(drives),

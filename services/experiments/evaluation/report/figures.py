@@ -111,10 +111,7 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
 
 @styled
 def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> Figure:
-    """Draw the way of a search on the map, and what the camera saw along it.
-
-    The route has ``poses``, and by ticks what was seen.
-    """
+    """Draw the way of a search, its ``poses``, on the map, and what the camera saw along it, by ticks."""
     poses, ticks = route["poses"], sorted(int(name) for name in route if name.isdigit())
     chosen = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
     drawn = Figure(figsize=(15.0, 8.1))

@@ -36,10 +36,7 @@ Put = Callable[[str, Figure, str], str]  # Name, figure and caption (HTML) to HT
 
 
 def write_page(plan: Plan, results: Results) -> Path:
-    """Write ``index.html``, ``results.json`` and the figures into the folder of the results; return the page.
-
-    Where not all units of the plan are done, the page says so, and shows those that are.
-    """
+    """Write ``index.html``, ``results.json`` and the figures of all units that are done; return the page."""
     planned, findings = units(plan), results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
     numbers = {
