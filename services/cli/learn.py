@@ -1,7 +1,5 @@
 """``smal learn``: recordings in, a model out."""
 
-import json
-import sys
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -76,20 +74,19 @@ def learn(
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.check_file(json_file, "--json")
-    bars = _Lines() if progress else Bars()
     if add:
         if scheme != "filter" or modalities is not None:
             raise UsageError("--add: the model at --out says by which scheme and features it learns; leave them out")
-        with closing(bars) as bar:
-            found = add_runs(find_recordings(recordings), out, bar)
+        with closing(Bars(as_json=progress)) as bars:
+            found = add_runs(find_recordings(recordings), out, bars)
         _say(found, out, began_s, json_file)
         return
     outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
     features = _features(files, scheme, modalities)
-    with closing(bars) as bar:
-        teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
-        model, found = _learn(teaching, scheme, replace(settings, features=features), bar)
+    with closing(Bars(as_json=progress)) as bars:
+        teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bars)
+        model, found = _learn(teaching, scheme, replace(settings, features=features), bars)
     try:
         model.save(out)
     except ModelError as error:
@@ -138,28 +135,9 @@ def _features(files: list[Path], scheme: Scheme, modalities: FeatureSettings | N
     return features
 
 
-class _Lines:
-    """Says how far it is, a line for each percent."""
-
-    def __init__(self) -> None:
-        self._said: tuple[str, int] | None = None
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        now = (stage, 100 * done // max(total, 1))
-        if now != self._said:
-            self._said = now
-            typer.echo(json.dumps({"stage": stage, "done": done, "total": total}))
-            sys.stdout.flush()
-
-    def close(self) -> None:
-        """Have nothing to end."""
-
-
-def _read(
-    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bar: _Lines | Bars
-) -> Teaching:
-    teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bar)
-    bar.close()
+def _read(files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars) -> Teaching:
+    teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bars)
+    bars.close()
     if not teaching.demonstrations and len(teaching.remarks) == 1:
         raise JobError(teaching.remarks[0])
     remark(teaching.remarks)
@@ -169,12 +147,12 @@ def _read(
 
 
 def _learn(
-    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bar: _Lines | Bars
+    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bars: Bars
 ) -> tuple[AnyModel, dict[str, Any]]:
     drives = teaching.demonstrations
     try:
         if scheme == "filter":
-            mapped = learn_map(drives, settings.features, progress=partial(bar, "views"))
+            mapped = learn_map(drives, settings.features, progress=partial(bars, "views"))
             taught = mapped.mapped
             return mapped, {
                 "drives": len(taught.goals),
@@ -182,7 +160,7 @@ def _learn(
                 "keyframes": len(taught.keyframes),
                 "goals": ", ".join(sorted(set(taught.goals))),
             }
-        model = learn_paper(drives, settings, bar)
+        model = learn_paper(drives, settings, bars)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     except MemoryBoundError as error:

@@ -1,19 +1,27 @@
-"""How far a command is, on a terminal."""
+"""How far a command is."""
 
+import json
+import sys
 from typing import Any
 
 from tqdm import tqdm
 
 
 class Bars:
-    """A progress bar for each stage of some work; none in a log file or a pipe."""
+    """A progress bar for each stage of some work, none in a log file or a pipe; or lines of JSON for a program."""
 
-    def __init__(self, unit: str = "it") -> None:
-        self._unit, self._stage = unit, ""
+    def __init__(self, unit: str = "it", *, as_json: bool = False) -> None:
+        self._unit, self._stage, self._as_json, self._percent = unit, "", as_json, -1
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show how much of a stage is done."""
+        """Show how much of a stage is done; as JSON each percent once."""
+        if self._as_json:
+            before, self._stage, self._percent = (self._stage, self._percent), stage, 100 * done // max(total, 1)
+            if before != (self._stage, self._percent):
+                sys.stdout.write(json.dumps({"stage": stage, "done": done, "total": total}) + "\n")
+                sys.stdout.flush()
+            return
         if self._bar is None or stage != self._stage:
             self.close()
             self._stage, self._bar = stage, tqdm(desc=stage, unit=self._unit, dynamic_ncols=True, disable=None)

@@ -50,8 +50,7 @@ def replay(
     # Until this is over no robot of this id starts either: they ask as we do.
     check_alone(reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`")
     with interrupted_by_signals(), Node(ROBOT, reach.settings) as node:
-        # From now on it answers as ready.
-        node.spin(timeout_s=0.0)
+        node.spin(timeout_s=0.0)  # From now on it answers as ready.
         if JPEG.name in wanted:
             _await_listeners(node)
         session = secrets.token_hex(6)

@@ -50,8 +50,7 @@ def init(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT, host: Hos
     certificates.issue(folder, hosts, days)
     settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
     (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
-    # A folder in a checkout must not be committed.
-    (folder / ".gitignore").write_text("*\n")
+    (folder / ".gitignore").write_text("*\n")  # A folder in a checkout must not be committed.
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")
 
 

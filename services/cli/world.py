@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE)
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
-# A view looks to where the route is this much later: around a corner as the robot would turn.
-_AHEAD_M: Final = 1.0
+_AHEAD_M: Final = 1.0  # A view looks to where the route is this much later: around a corner as the robot would turn.
 # The last view stands this far before the victim, in distances from which a robot has found it.
 _BEFORE_VICTIM: Final = 0.9
 _MOST_VIEWS: Final = 200

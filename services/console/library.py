@@ -15,7 +15,7 @@ from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Reader, Recording
 from services.kit.node import ServiceError
-from services.kit.root import OutsideError, below, name_below, open_below
+from services.kit.root import OutsideError, below, open_below
 from services.recordings.recorded import episode_of
 from smal.files import container
 from smal.files.container import ModelError
@@ -67,10 +67,6 @@ class Library:
         self._models: dict[_File, LearnedModel] = {}
         self._reader = Reader()
         self._closed = Event()
-
-    def record_in(self, folder: Path) -> None:
-        """Take note of where the recorder records."""
-        self.folder = name_below(self.root, folder)
 
     def close(self) -> None:
         """Have ``look`` end soon."""

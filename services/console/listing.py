@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Final, cast
+from typing import Any, Final, cast
 
 from schemas.codec import printable
 from schemas.topics import APPLIED, JPEG
@@ -28,6 +28,7 @@ THUMBNAILS, _WIDTH = 6, 160  # Pictures along a drive, and their width; six of t
 READ_S: Final = 120
 _NICENESS: Final = 10  # How much reading gives way to the services of the stack; see nice(1).
 _ENDED_FIRST: Final = "1000"  # Where memory runs out, this process ends before the others; see proc(5).
+_SAME: Final = ("episode", "purpose", "goal", "world", "outcome", "frames")  # Of a recorded episode, and as listed.
 _log = logging.getLogger("console")
 
 
@@ -118,18 +119,14 @@ def read(path: Path, listed: Recording) -> Recording:
     useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
     by_hand = any(one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values())
     ticks = sorted(episode.images)
+    same: dict[str, Any] = {name: getattr(episode, name) for name in _SAME}
     return replace(
         listed,
-        episode=episode.episode,
-        purpose=episode.purpose,
-        goal=episode.goal,
-        world=episode.world,
-        outcome=episode.outcome,
         corrected=episode.purpose == "run" and by_hand,
-        frames=episode.frames,
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
         thumbnails=tuple(_thumbnails(episode, ticks)),
+        **same,
     )
 
 

@@ -99,7 +99,7 @@ class LiveContent:
         self._put("health", services=self.health.ask())
         folder = self.health.detail("recorder", "folder")
         if folder is not None:
-            self._library.record_in(Path(str(folder)))
+            self._library.folder = name_below(self._library.root, Path(str(folder)))
 
     def _look_at_files(self) -> None:
         self._board.put("library", self._library.look(lambda shown: self._board.put("library", shown)))

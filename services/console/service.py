@@ -24,7 +24,7 @@ from services.console.live_content import LiveContent
 from services.console.newest_content import Board
 from services.console.who_drives import LEASE_S, LET_GO_S
 from services.kit.model_service import most_ticks
-from services.kit.node import Detail, Node, ServiceError
+from services.kit.node import Node, ServiceError
 from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
 
@@ -55,7 +55,7 @@ class ConsoleService:
         self._wake = node.soon(self._work)
         node.subscribe(topics.ACTION, self._on_action)
         node.every(POLL_S, self._work)
-        node.detail = self._detail
+        node.detail = lambda: {"watchers": board.watchers, "root": str(root)}
         board.put("robot", asdict(self._operator.report))
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
@@ -177,18 +177,11 @@ class ConsoleService:
     # -- what is asked for ----------------------------------------------------------------------------------------
 
     def _drive(self, ask: Drive) -> None:
+        seed = secrets.randbelow(2**31)
         request = ResetRequest(
-            name=ask.name,
-            world=ask.world,
-            variation=ask.variation,
-            seed=secrets.randbelow(2**31),
-            purpose="drive",
-            goal=ask.goal,
-            driver="teleop",
-            mode="realtime",
-            max_ticks=None,
+            name=ask.name, seed=seed, purpose="drive", goal=ask.goal, driver="teleop", max_ticks=None
         )
-        self._begin(request, self._record)
+        self._begin(ask, request, self._record)
 
     def _run(self, ask: Run) -> None:
         model = self.library.model(ask.model)
@@ -198,12 +191,9 @@ class ConsoleService:
         if goal is not None and goal not in model.goals:
             raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
         request = ResetRequest(
-            world=ask.world,
-            variation=ask.variation,
             seed=ask.seed,
             purpose="run",
             driver="policy",
-            mode="realtime",
             start=ask.start,
             goal=goal or self.library.leads_to(model),
             max_ticks=most_ticks(model.longest),
@@ -215,16 +205,17 @@ class ConsoleService:
             self._load(model, goal)
             self._record()  # a person may correct it by hand, which teaches
 
-        self._begin(request, prepare)
+        self._begin(ask, request, prepare)
 
-    def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
+    def _begin(self, ask: Drive | Run, request: ResetRequest, prepare: Callable[[], None]) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
-        self._operator.begin(request, prepare, lambda: self.attended, self._show_goal)
 
-    def _show_goal(self, begun: ResetReply) -> None:
-        """Show where the victim lies, which only a simulator knows."""
-        goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
-        self._board.put("goal", {"episode": begun.episode, "at": goal})
+        def show_goal(begun: ResetReply) -> None:  # Where the victim lies only a simulator knows.
+            goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
+            self._board.put("goal", {"episode": begun.episode, "at": goal})
+
+        there = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
+        self._operator.begin(request.model_copy(update=there), prepare, lambda: self.attended, show_goal)
 
     def _record(self) -> None:
         """Have the recorder record, unless it does; on a thread that asks."""
@@ -288,6 +279,3 @@ class ConsoleService:
         began = operator.request is not None and operator.request.driver == "policy"
         if action.says and began and action.episode == operator.mine and not operator.asking:
             operator.end_mine(action.says)
-
-    def _detail(self) -> Detail:
-        return {"watchers": self._board.watchers, "root": str(self.library.root)}

@@ -58,10 +58,8 @@ def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[t
             yield "/tf_static", _TF, stamp_ns, _transforms(stamp_ns, (_BASE, _CAMERA), {}, _OPTICAL)
         for sample in moment.imu.samples if moment.imu else ():
             at_ns = began_ns + round(sample.after_s * 1e9)
-            turning, push = (
-                dict(zip("xyz", vector, strict=True))
-                for vector in (sample.angular_velocity_rad_s, sample.acceleration_m_s2)
-            )
+            vectors = (sample.angular_velocity_rad_s, sample.acceleration_m_s2)
+            turning, push = (dict(zip("xyz", vector, strict=True)) for vector in vectors)
             # The orientation was not measured.
             absent = {"orientation": {"w": 1.0}, "orientation_covariance": np.array([-1.0, *[0.0] * 8])}
             felt = {"header": _header(at_ns, _BASE), "angular_velocity": turning, "linear_acceleration": push}
@@ -109,10 +107,8 @@ def _twist(linear: float, angular: float) -> Fields:
 
 
 def _transforms(stamp_ns: int, frames: tuple[str, str], place: Fields, turn: Fields) -> Fields:
-    transform = {"translation": place, "rotation": turn}
-    return {
-        "transforms": [{"header": _header(stamp_ns, frames[0]), "child_frame_id": frames[1], "transform": transform}]
-    }
+    transform = {"transform": {"translation": place, "rotation": turn}}
+    return {"transforms": [transform | {"header": _header(stamp_ns, frames[0]), "child_frame_id": frames[1]}]}
 
 
 def _header(stamp_ns: int, frame: str) -> Fields:
@@ -124,17 +120,9 @@ def _header(stamp_ns: int, frame: str) -> Fields:
 
 def _latched() -> Any:  # noqa: ANN401 - of a package without types
     """Return the quality of service of what is said once, and told to whoever comes later."""
-    from rosbags.interfaces import (  # noqa: PLC0415 - of the extra `formats`
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags import interfaces as ros  # noqa: PLC0415 - of the extra `formats`
 
-    for_ever = QosTime(*divmod(2**63 - 1, 1_000_000_000))
-    return Qos(
-        QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, for_ever, for_ever,
-        QosLiveliness.AUTOMATIC, for_ever, avoid_ros_namespace_conventions=False,
-    )  # fmt: skip
+    for_ever = ros.QosTime(*divmod(2**63 - 1, 1_000_000_000))
+    usual = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE
+    kept = ros.QosDurability.TRANSIENT_LOCAL, for_ever, for_ever, ros.QosLiveliness.AUTOMATIC, for_ever
+    return ros.Qos(*usual, *kept, avoid_ros_namespace_conventions=False)

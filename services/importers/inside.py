@@ -59,8 +59,7 @@ class Inside:
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
         """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
         with self.open(name) as file:
-            # As much room is made as is asked for.
-            size = os.fstat(file.fileno()).st_size
+            size = os.fstat(file.fileno()).st_size  # As much room is made as is asked for.
             if size > most:
                 raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
             return file.read(size)

@@ -50,8 +50,7 @@ def seal_leftover(partial: Path) -> Sealed:
     try:
         if not found.chunks:
             return Sealed(None, found.episode, ended=False)
-        # Without an index every reader reads it from its beginning.
-        end: Any = RecordBuilder()
+        end: Any = RecordBuilder()  # Without an index every reader reads it from its beginning.
         DataEnd(0).write(end)
         Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(end)
         sink.write(end.end() + MAGIC)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from smal.place_recognition import Matches
 
 _BLOCK = 256  # Queries that are compared with all references at a time: 20 MB of each number for 10,000 references.
+Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +59,11 @@ class IntervalTruth:
 
 
 def judge_by_poses(
-    matches: Matches,
-    references: NDArray[np.float64],
-    queries: NDArray[np.float64],
-    distance_m: float,
-    angle_deg: float,
+    matches: Matches, references: Poses, queries: Poses, distance_m: float, angle_deg: float
 ) -> Judgement:
     """Judge answers: right is a reference within a distance and an angle of the query; poses (n, 3), (q, 3)."""
 
-    def near(some: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def near(some: Poses, others: Poses) -> NDArray[np.bool_]:
         apart = some - others
         turn_rad = np.abs(np.remainder(apart[..., 2] + math.pi, 2 * math.pi) - math.pi)
         close: NDArray[np.bool_] = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m

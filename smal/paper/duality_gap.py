@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Stands in for the length of a zero row or column; its inverse does not overflow.
-_TINY = 1e-150
+_TINY = 1e-150  # Stands in for the length of a zero row or column; its inverse does not overflow.
 
 
 def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Matrix = NDArray[Any]
 
-def l21_norm(matrix: NDArray[Any]) -> float:
+
+def l21_norm(matrix: Matrix) -> float:
     """Sum of the l2 norms of the rows (Eq. 1)."""
     return float(np.linalg.norm(np.asarray(matrix, dtype=np.float64), axis=1).sum())
 
@@ -36,12 +38,7 @@ def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] 
 
 
 def objective(
-    templates: NDArray[Any],
-    query: NDArray[Any],
-    weights: NDArray[Any],
-    sequence_length: int,
-    lambda1: float,
-    lambda2: float,
+    templates: Matrix, query: Matrix, weights: Matrix, sequence_length: int, lambda1: float, lambda2: float
 ) -> float:
     """Evaluate Eq. 7: ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}.
 

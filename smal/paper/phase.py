@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from smal.paper.state_matching import Solution
 
-# Share of the largest weight of a block below which a weight is rounding.
-_NO_WEIGHT = 1e-9
+_NO_WEIGHT = 1e-9  # Share of the largest weight of a block below which a weight is rounding.
 
 
 def phase(weights_block: NDArray[Any]) -> float:

@@ -11,8 +11,7 @@ from smal.paper.transitions import NO_ACTION, Transitions
 
 Array = NDArray[np.float64]
 
-# Actions whose values differ by less, relative to the largest value, are tied.
-_TIE = 1e-9
+_TIE = 1e-9  # Actions whose values differ by less, relative to the largest value, are tied.
 _MAX_ITERATIONS = 100_000
 
 

@@ -9,11 +9,11 @@ answer, as Eq. 14 to 17 prove the limit of Algorithm 2, whose steps are Eq. 10 t
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.paper.objective import Matrix
 from smal.paper.working_set import WorkingSet
 
 Array = NDArray[np.float64]
@@ -59,12 +59,7 @@ class Solution:
 
 
 def solve(
-    templates: NDArray[Any],
-    query: NDArray[Any],
-    sequence_length: int,
-    lambda1: float,
-    lambda2: float,
-    tolerance: float = 1e-4,
+    templates: Matrix, query: Matrix, sequence_length: int, lambda1: float, lambda2: float, tolerance: float = 1e-4
 ) -> Solution:
     """Match a query sequence against template sequences: minimize Eq. 7.
 
@@ -107,7 +102,7 @@ def solve(
     )  # fmt: skip
 
 
-def _check(X: NDArray[Any], Y: NDArray[Any], length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
+def _check(X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
     """Refuse input for which Eq. 7 or its duality gap means nothing."""
     if X.ndim != 2 or not np.issubdtype(X.dtype, np.floating):
         raise ValueError(f"templates must be a floating point matrix (m, n), got {X.dtype} {X.shape}")

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-# The action of a goal state: there is nothing left to do.
-NO_ACTION = -1
+NO_ACTION = -1  # The action of a goal state: there is nothing left to do.
 
 
 @dataclass(frozen=True, eq=False)

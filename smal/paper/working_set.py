@@ -20,17 +20,13 @@ from smal.paper.objective import l21_norm, s1_norm
 Array = NDArray[np.float64]
 Columns = NDArray[np.intp]
 
-# Sequences to start with.
-_FIRST = 4
+_FIRST = 4  # Sequences to start with.
 _MAX_ROUNDS = 200
 # Alternating projections to bound polars: while sequences are being sorted out, and to prove.
 _QUICK, _THOROUGH = 8, 100
-# A row is worth a weight if the dual point holds it so far.
-_TIGHT = 0.7
-# Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
-_LOOSE = 1e-2
-# The objective and its quotient with the bound take fewer operations, beside the terms of their sums.
-_OPERATIONS = 32
+_TIGHT = 0.7  # A row is worth a weight if the dual point holds it so far.
+_LOOSE = 1e-2  # Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
+_OPERATIONS = 32  # The objective and its quotient with the bound take fewer operations, beside the terms of their sums.
 
 
 class WorkingSet:

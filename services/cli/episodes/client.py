@@ -115,8 +115,7 @@ class EpisodeClient:
                 raise JobError(f"the stack runs {reply.world}, not {world}; start it with --world {world}")
             on_begin(reply)
         except JobError:
-            # Nobody will drive it.
-            self._end()
+            self._end()  # Nobody will drive it.
             raise
         while not self.node.spin(until=lambda: self._ended or record.said is not None or done(), timeout_s=0.5):
             on_tick(record.ticks)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
-from services.experiments.drawing import look_at
+from services.experiments.drawing import legend, look_at
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored
@@ -77,8 +77,5 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
         draw_map(there, axes)
         seen.append(np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)]))
         look_at(axes, np.concatenate(seen), there.place.bounds)
-    # Beside the map, where it hides nothing.
-    handles, labels = axes.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    figure.legend(by_label.values(), by_label.keys(), loc="outside lower center", ncols=6)
+    legend(figure, [axes], 6)
     return figure

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAST_COVERED: Final = 0.5  # Share of the image that an occluder covers, at least; at most all of it.
-# Sources of chance in an episode; their order is part of every seed.
-_WHETHER, _WHAT, _NOISE = range(3)
+_WHETHER, _WHAT, _NOISE = range(3)  # Sources of chance in an episode; their order is part of every seed.
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,7 @@ def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
     for axes, (name, one, reliability), colour in zip(panels, shown, COLOURS, strict=False):
         axes.plot(truth, ".", color=MUTED, ms=2, label="truth")
         axes.set(title=name, xlabel="asked frame", ylabel="taught frame")
-        # Lost is 2, wrong 1, right 0.
-        kind = np.where(one.answers[:, 2] > LOST, 2, one.off > WITHIN)
+        kind = np.where(one.answers[:, 2] > LOST, 2, one.off > WITHIN)  # Lost is 2, wrong 1, right 0.
         for number, (label, mark) in enumerate((("right", "."), ("wrong", "x"), ("lost", "+"))):
             at = np.flatnonzero(kind == number)
             axes.plot(at, one.answers[at, 0], mark, color=COLOURS[2 - number], ms=4, label=label)

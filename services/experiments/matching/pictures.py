@@ -42,8 +42,7 @@ def draw_matches(
     if reliability is not None:
         draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():
-        # Beside the matches, where it hides none.
-        figure.legend(loc="outside lower center", ncols=4)
+        figure.legend(loc="outside lower center", ncols=4)  # Beside the matches, where it hides none.
     return figure
 
 

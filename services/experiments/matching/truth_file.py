@@ -117,8 +117,7 @@ def _truth(intervals: list[tuple[int, int, int]], judged: NDArray[np.bool_], nam
 def _read_table(path: Path, option: str, columns: Sequence[str], take: Callable[[dict[Any, Any]], None]) -> None:
     """Give the rows of a CSV file that has these columns; UsageError names the line in which ValueError is raised."""
     try:
-        # Spreadsheets begin UTF-8 with a byte order mark.
-        text = path.read_bytes().decode("utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")  # Spreadsheets begin UTF-8 with a byte order mark.
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

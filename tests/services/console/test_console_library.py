@@ -121,7 +121,7 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     (root / "drives" / "line\nfeed.mcap").write_bytes(outside.read_bytes())
     library = Library(root.resolve())
     assert library.look()["recordings"] == []
-    library.record_in(tmp_path / "outside")
+    library.folder = None
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 

@@ -54,8 +54,7 @@ def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
     floor = max(0.0, math.floor(10.0 * least - 2.0) / 10.0)
     for axes, (degradation, said) in zip(panels, views.items(), strict=True):
         for one in (each for each in found if each.degradation == degradation):
-            # Steps, as the area counts them.
-            recall = np.concatenate([[0.0], one.curve.recall])
+            recall = np.concatenate([[0.0], one.curve.recall])  # Steps, as the area counts them.
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
             label, length = f"{one.recognizer.title}  (area {one.curve.auc:.3f})", one.recognizer.length
             shade = mpl.colormaps["viridis_r"](0.12 + 0.83 * sorted(lengths).index(length) / len(lengths))
