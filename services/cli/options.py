@@ -224,16 +224,13 @@ def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goa
 
 
 def feature_flags(modalities: FeatureSettings | None, model: FeatureSettings | None = None) -> tuple[str, ...]:
-    """Return the flags of a features service that may have a model from the start.
-
-    Raises UsageError when the model was learned on others, or names a network whose file the user has not given: what a
-    model says makes nothing run.
-    """
+    """Return the flags of a features service; UsageError: the model was learned on others, or on a file not given."""
     features = modalities or model or FeatureSettings()
     if model is not None and model.fingerprint != features.fingerprint:
         learned_on = ",".join(model.modalities)
         raise UsageError(f"--modalities {','.join(features.modalities)}: the model was learned on {learned_on}")
     try:
+        # Of a network it has the file, which only the user gives: what a model says makes nothing run.
         return "--modalities", features.text
     except ValueError as error:
         raise UsageError(f"the model was learned on {','.join(features.modalities)}: {error} (--modalities)") from None

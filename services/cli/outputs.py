@@ -26,11 +26,7 @@ def make_folder(path: Path, option: str) -> None:
 
 
 def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:
-    """Check, before the work begins, that a file of results can be written, if one is wanted.
-
-    It must not replace one of the files that the command reads, nor lie among those of the folders that it reads.
-    Raises UsageError when it cannot be.
-    """
+    """Check before the work that a file of results can be written, apart from all that is read; else UsageError."""
     if path is None:
         return
     if path.is_dir():

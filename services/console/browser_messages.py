@@ -76,11 +76,7 @@ class Drive(Begin):
 
 
 class Run(Begin):
-    """Have the robot search by itself with a model, which recognition and policy load first.
-
-    A model of the paper's scheme has no goal to choose. ``start`` and ``seed`` say where it begins, ``victim`` how that
-    lies, in simulation.
-    """
+    """Have the robot search with a model, which is loaded first; one of the paper's scheme has no goal to choose."""
 
     do: Literal["run"]
     model: FileName

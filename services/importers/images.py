@@ -95,15 +95,11 @@ def _image(inside: Inside, name: str, tally: Tally) -> bytes:
 
 
 def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    """Yield for each time, ascending, the frame of a video that is nearest, decoded one after the other.
-
-    Only MP4 is read, and only from this file: a playlist that calls itself MP4 could name others.
-
-    Raises ImportFailure when it is none.
-    """
+    """Yield for each time, ascending, the nearest frame of an MP4 that is decoded in order; else ImportFailure."""
     import av  # noqa: PLC0415 - of the extra `formats`
 
     try:
+        # Of this file alone: a playlist that calls itself MP4 could name others.
         with closing(av.open(file, mode="r", format="mp4")) as container:
             if not container.streams.video:
                 raise ImportFailure(f"{called}: has no video")

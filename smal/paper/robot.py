@@ -13,13 +13,9 @@ from smal.paper.recognition import Recognizer
 
 
 class Robot:
-    """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of the policy's action.
+    """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of its action; decides each stride, or l."""
 
-    The stride, frames from one decision to the next, is the paper's l if not given. `decision` is the last one that was
-    due.
-    """
-
-    decision: Decision
+    decision: Decision  # The last one that was due.
 
     def __init__(self, model: Model, stride: int | None = None) -> None:
         self._model, self._stride = model, stride or model.sequence_length

@@ -5,11 +5,7 @@ from numpy.typing import NDArray
 
 
 def first_frame(frames: int, sequence_length: int) -> int:
-    """Frame at which the first sequence of a demonstration begins.
-
-    Sequences are aligned to the end, so that the last frame (the victim in view) is in the last sequence; up
-    to l - 1 frames at the start stay outside.
-    """
+    """First frame of the first sequence: they are aligned to the end, so that one has the last frame, the victim."""
     return frames % sequence_length
 
 

@@ -35,19 +35,15 @@ Match = Callable[[Features, Features, MatchSettings, Progress], Matches]
 
 @dataclass(frozen=True)
 class Method:
-    """One way to recognize places: what it means, in one line, and what it looks at unless told otherwise.
-
-    A window has so many frames (`length`) unless told otherwise. It may not work with other features or another length
-    than its own. Scores may be probabilities of being right; then it may be told a tolerance and a lag.
-    """
+    """One way to recognize places: its meaning, and what it looks at, in windows of `length` frames, by itself."""
 
     meaning: str
     features: FeatureSettings
     way: Match
     length: int = 1
-    any_features: bool = True
+    any_features: bool = True  # Whether it works with others than its own, and with windows of other lengths.
     any_length: bool = True
-    probable: bool = False
+    probable: bool = False  # Whether scores are probabilities of being right; then it takes a tolerance and a lag.
 
     def match(self, references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
         """Match raw features (n, m) and (q, m); of fewer than `length` of either it finds no match."""

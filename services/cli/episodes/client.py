@@ -169,11 +169,7 @@ class EpisodeClient:
             self.node.spin(until=lambda: self._ended, timeout_s=JUDGED_S)
 
     def _arm(self) -> None:
-        """Arm a robot that nobody has armed since it was started, once: whoever begins a run wants it to move.
-
-        One that stands for another reason, or was started again meanwhile, is armed by a person; and so is one that
-        moves only while a person is there.
-        """
+        """Arm once a robot that nobody has armed since its start; to what stops it otherwise, a person has to see."""
         if self._armed:
             return
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail

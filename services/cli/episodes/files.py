@@ -30,12 +30,7 @@ def name_for(bus: Bus, service: str, path: Path, option: str) -> str:
 
 @contextmanager
 def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
-    """Record every episode into a folder; give the list of the finished recordings, which is filled at the end.
-
-    A stack that goes on running is told to stop recording after a failure as well.
-
-    Raises UsageError when the recorder does not write there; `option` names the folder then.
-    """
+    """Record every episode into a folder; give the list of recordings, filled at the end. UsageError names `option`."""
     request = RecordRequest(folder=name_for(bus, "recorder", folder, option))
     bus.call("recorder", "start", request, Nothing)
     files: list[str] = []

@@ -169,11 +169,7 @@ def _conditions(runs: int) -> tuple[Trial, ...]:
 
 
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
-    """Return searches of all controllers after each number of drives, of the best two under every condition too.
-
-    The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
-    that imitate have `others` runs.
-    """
+    """Return searches of all controllers after each number of drives, of the best two under every condition too."""
     each = (
         Trial(name, drives, runs if name in _BEST else others)
         for drives in counts

@@ -1,8 +1,4 @@
-"""Recognizing where the robot is, as in the paper's experiments: by Eq. 9, and by the nearest frames.
-
-Queries are frames of drives that were not learned from, clean or degraded. Every method says at which demonstrated
-frame the robot is, and how sure it is; that is right if the frame was taken near the true pose.
-"""
+"""Recognizing where the robot is, as in the paper's experiments: by Eq. 9, and by the nearest frames."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

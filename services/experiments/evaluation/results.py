@@ -1,8 +1,4 @@
-"""Results of an evaluation: a file for each unit, named by what determines it, that is there only when it is whole.
-
-So an evaluation goes on where it was interrupted, plans share what they have in common, and what another version of the
-code has found out is never taken for this one's.
-"""
+"""Results of an evaluation: a file for each unit, named by what determines it, that is there only when it is whole."""
 
 import json
 import multiprocessing

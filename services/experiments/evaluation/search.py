@@ -31,11 +31,7 @@ PICTURE_TICKS: Final = 10  # Frames from one kept picture of an example route to
 
 
 class Driver(Protocol):
-    """Who drives: `smal.Robot`, the paper's `Robot`, or a peer.
-
-    One that has ``where`` says where it is, unless it is ``lost``; one that has ``said`` says what ends its run, one
-    that has ``done`` alone says that it has found its goal.
-    """
+    """Who drives, and may say where it is (`where`, `lost`), and what ends its run (`said`) or that it is `done`."""
 
     def reset(self) -> None:
         """Forget everything of the last episode."""

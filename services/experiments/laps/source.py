@@ -49,11 +49,7 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
 
 
 def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[tuple[Demonstration, Lap]]:
-    """Find the laps in pieces of drives with the features `HELD`.
-
-    Of a way that was reckoned from a tub, the median lap is made to turn once round: a tub does not say how far a car
-    turns.
-    """
+    """Find laps in pieces of drives with the features `HELD`; of a tub, the median lap is made to turn once round."""
     drives = [one for one in drives if one.images is not None]
     turns = [_turns(one) for one in drives]
     laps = find_laps(_frames(drives, turns)) if drives else []

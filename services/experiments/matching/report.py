@@ -125,11 +125,7 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
 
 
 def as_g2o(result: Result) -> str:
-    """Return loops as edges of a pose graph whose vertices are the frames.
-
-    An edge says that two frames are at one place: no shift, with the score as its information, and none of the heading,
-    which is not known.
-    """
+    """Return loops as edges of a pose graph of frames: no shift, the score as information, none of the heading."""
     found = result.matches
     return "".join(
         f"EDGE_SE2 {found.reference[query]} {query} 0 0 0 {found.score[query]:.6g} 0 0 {found.score[query]:.6g} 0 0\n"

@@ -15,11 +15,7 @@ from smal.teaching.demonstration import Demonstration, drives_to_goals
 
 @dataclass(frozen=True, eq=False)
 class TaughtDrives:
-    """What recordings hold of what a model was taught.
-
-    The drive of each number that was found, with images; a line for each of the others, and what reading the recordings
-    said.
-    """
+    """What recordings hold of what a model was taught: drives by number, a line for each that is missing, remarks."""
 
     found: dict[int, Demonstration]
     missing: tuple[str, ...]
