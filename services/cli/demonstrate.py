@@ -23,9 +23,7 @@ def demonstrate(
     *,
     world: options.World = None,
     episodes: Annotated[int, Option(min=0, help="Full drives from the start to the victim.")] = 1,
-    recoveries: Annotated[
-        int, Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
-    ] = 0,
+    recoveries: Annotated[int, Option(min=0, help="Paper: short drives from beside the route back to it.")] = 0,
     seed: options.Seed = 1,
     goal: options.GoalOfDrives = "victim",
     out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),

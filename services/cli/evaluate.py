@@ -22,18 +22,10 @@ def evaluate(
     *,
     out: Annotated[Path, Option(help="Folder for the results; where it has some already, it goes on.")],
     quick: Annotated[bool, Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
-    world: Annotated[
-        str | None,
-        Option(help="In this world instead, for example an imported map: SMAL and teach and repeat, one drive."),
-    ] = None,
-    runs: Annotated[
-        int | None, Option(min=TAUGHT, max=1000, help=f"Searches after one drive in each cell, by {TAUGHT} drives.")
-    ] = None,
+    world: Annotated[str | None, Option(help="In this one instead: SMAL and teach and repeat, one drive.")] = None,
+    runs: Annotated[int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")] = None,
     changes: options.Changes,
-    laps: Annotated[
-        Path | None,
-        Option(metavar="SOURCE", help="Of a real robot instead: several laps, in a tub of donkeycar or recordings."),
-    ] = None,
+    laps: Annotated[Path | None, Option(metavar="SOURCE", help="Of a real robot: laps in a tub or recordings.")] = None,
     workers: Annotated[int, Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
     report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
 ) -> None:

@@ -20,14 +20,8 @@ def export_recordings(
     format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
     recordings: Annotated[list[Path], Argument(help="Recordings, or folders of them.")],
     out: Annotated[Path, Option(help="Folder to be made.")],
-    speed: Annotated[
-        float | None,
-        Option(min=0, max=50, metavar="M_S", help="Of forward, metres a second. [default: by the odometry]"),
-    ] = None,
-    turn_rate: Annotated[
-        float | None,
-        Option(min=0, max=100, metavar="RAD_S", help="Of left, radians a second. [default: by the odometry]"),
-    ] = None,
+    speed: Annotated[float | None, Option(min=0, max=50, metavar="M_S", help="Forward. [default: odometry]")] = None,
+    turn_rate: Annotated[float | None, Option(min=0, max=100, metavar="RAD_S", help="Left. [default: same]")] = None,
 ) -> None:
     """Write recordings as other software reads them.
 

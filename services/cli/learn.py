@@ -35,15 +35,11 @@ def learn(
     lambda1: Annotated[float | None, Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
     lambda2: Annotated[float | None, Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
     scheme: Annotated[Scheme, Option(help="filter: a map of views; paper: the paper's states and policy.")] = "filter",
-    tau: Annotated[
-        float | None, Option(min=0, max=1e6, help="Paper: threshold for a new state, a query frame. [default: 0.5]")
-    ] = None,
+    tau: Annotated[float | None, Option(min=0, max=1e6, help="Paper: of Eq. 8, a query frame. [default: 0.5]")] = None,
     gamma: Annotated[float | None, Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: options.Modalities = None,
     include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
-    add: Annotated[
-        bool, Option("--add", help="The recordings are runs by the model at --out: give its places further looks.")
-    ] = False,
+    add: Annotated[bool, Option("--add", help="Have the model at --out learn more from runs of its own.")] = False,
     memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Paper: stop rather than take more.")] = None,
     json_file: options.JsonFile = None,
     progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,

@@ -32,10 +32,7 @@ FIGURES: Final = {
     "kB/s": ("bytes_per_s", 1e-3), "mean kB": ("mean_bytes", 1e-3), "max kB": ("max_bytes", 1e-3),
 }  # fmt: skip
 Keys = Annotated[
-    str | None,
-    Argument(
-        help="Key expression, or a topic's name such as camera/jpeg. [default: all of the robot]", metavar="[KEYEXPR]"
-    ),
+    str | None, Argument(metavar="[KEYEXPR]", help="Key expression, or a topic. [default: all of the robot]")
 ]
 Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
 

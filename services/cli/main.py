@@ -75,9 +75,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def smal(
-    version: Annotated[
-        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
+    version: Annotated[bool, Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """Teach a robot to find a victim by driving it there; match places.
 

@@ -51,13 +51,9 @@ def match(
     reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
     query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERIES.")] = None,
     truth: Annotated[str | None, Option(metavar="CSV|names|gps", help="What is right; see above.")] = None,
-    poses: Annotated[
-        tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files; see above.")
-    ] = None,
+    poses: Annotated[tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files.")] = None,
     radius: Annotated[float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")] = None,
-    loops: Annotated[
-        Path | None, Option(metavar="FILE", help="Match REFERENCES with itself; write edges of g2o.")
-    ] = None,
+    loops: Annotated[Path | None, Option(metavar="FILE", help="Match REFERENCES with itself, as edges of g2o.")] = None,
     json_file: options.JsonFile = None,
     plot: Annotated[Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")] = None,
     page: Annotated[Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")] = None,

@@ -39,10 +39,7 @@ def go_back(
 def show(
     file: Annotated[Path, Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
     out: Annotated[Path | None, Option(help="Write a page with pictures to this folder.")] = None,
-    recordings: Annotated[
-        list[Path] | None,
-        Option(help="What it was learned from, recordings (MCAP) or folders of them; may be given again."),
-    ] = None,
+    recordings: Annotated[list[Path] | None, Option(help="What it was learned from; may be given again.")] = None,
 ) -> None:
     """Say what a model is; with --out show it on a page.
 

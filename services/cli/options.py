@@ -71,12 +71,8 @@ def _variation(name: str) -> str:
 
 
 _goal = checked(TypeAdapter(GoalName).validate_python)
-Robot = Annotated[
-    str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id, part of every key.")
-]
-Secure = Annotated[
-    Path | None, Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`.")
-]
+Robot = Annotated[str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")]
+Secure = Annotated[Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")]
 Json = Annotated[bool, Option("--json", help="Print JSON.")]
 JsonFile = Annotated[Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")]
 World = Annotated[
@@ -91,9 +87,7 @@ CameraSize = Annotated[
     ),
 ]
 Goal = Annotated[str | None, Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")]
-GoalOfDrives = Annotated[
-    str, Option(parser=_goal, metavar="NAME", help="Where the drives lead, by the name for `smal run --goal`.")
-]
+GoalOfDrives = Annotated[str, Option(parser=_goal, metavar="NAME", help="Where drives lead; see `smal run --goal`.")]
 Modalities = Annotated[
     FeatureSettings | None,
     Option(
@@ -111,9 +105,7 @@ class Reach:
     """How a running stack is reached."""
 
     robot: Robot = DEFAULT_ROBOT
-    router: Annotated[
-        str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router's address. [default: {_ROUTERS}]")
-    ] = None
+    router: Annotated[str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router. [default: {_ROUTERS}]")] = None
     secure: Secure = None
 
     @property
@@ -128,19 +120,14 @@ class Simulator:
     """How a simulator is started; None leaves a setting at its default."""
 
     camera: CameraSize = None
-    shake: Annotated[
-        float | None, Option(min=0, max=10, help="Shake of the camera. [default: 1 indoors, 0 outdoors]")
-    ] = None
+    shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")] = None
     base: Annotated[BaseKind | None, Option(help="Driven wheels (physics), or exact arcs. [default: physics]")] = None
     variation: Annotated[
         str | None,
         Option(parser=checked(_variation), metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
     ] = None
 
-    depth: Annotated[
-        bool | None,
-        Option(help="With a depth camera, by which it runs into nothing and goes round it. [default: depth]"),
-    ] = None
+    depth: Annotated[bool | None, Option(help="With a depth camera, to go round things. [default: depth]")] = None
 
     def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
         """Return the flags of the service."""
@@ -156,9 +143,7 @@ class Changes:
     victim: Annotated[
         Victim, Option(help="How the victim lies; moved: a little elsewhere; decoy: something else in its place.")
     ] = "there"
-    obstacles: Annotated[
-        int, Option(min=0, max=50, help="Things that stand on and beside the way, and did not when it was taught.")
-    ] = 0
+    obstacles: Annotated[int, Option(min=0, max=50, help="Things on and beside the way that were not there.")] = 0
     people: Annotated[int, Option(min=0, max=50, help="People who walk about the way, to and fro.")] = 0
     blocked: Annotated[bool, Option("--blocked", help="Close the way.")] = False
 
@@ -197,9 +182,7 @@ class Use:
     """How a model is used."""
 
     scheme: Annotated[Scheme | None, Option(help="Refuse a model that was learned for another scheme.")] = None
-    stride: Annotated[
-        int | None, Option(min=1, help="Paper: frames from one decision to the next. [default: the model's l]")
-    ] = None
+    stride: Annotated[int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")] = None
     goal: Goal = None
 
 

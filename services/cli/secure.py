@@ -21,10 +21,7 @@ from services.table import roles
 ZENOHD_SEES: Final = Certificate(*(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem")))
 ZENOHD_FILE: Final = "zenohd.json5"
 Folder = Annotated[Path, Argument(help="Folder of the certificates.", metavar="DIR")]
-Hosts = Annotated[
-    list[str] | None,
-    Option("--host", help="Name or address by which other machines go to the router; may be repeated."),
-]
+Hosts = Annotated[list[str] | None, Option("--host", help="Name or address of the router; may be repeated.")]
 Days = Annotated[float, Option(min=0, max=3650, help="How long the certificates are valid.")]
 
 app = typer.Typer(

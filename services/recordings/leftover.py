@@ -1,13 +1,14 @@
 """What a recorder left that was killed, or whose disk was full, is sealed in its place, without an index."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata
+from mcap.records import Channel, DataEnd, Footer, Message, Metadata
 
 from schemas.topics import EPISODE, topic_of
 from services.kit.errors import JobError
@@ -68,26 +69,19 @@ class _Look:
     def __init__(self, data: memoryview) -> None:
         self._data = data
         self._events: set[int] = set()
-        self.chunks = 0
-        self.size = len(MAGIC)
-        self.episode = ""
-        self.ended = False
+        self.chunks, self.size, self.episode, self.ended = 0, len(MAGIC), "", False
         if MAGIC.startswith(bytes(data[: self.size + 1])):
             return
-        try:
+        whole = False
+        with suppress(*UNREADABLE):
             whole = data[: self.size] == MAGIC and self._take_all()
-        except UNREADABLE:
-            whole = False
         if not self.episode:
             raise LeftoverError("it is not the recording of an episode")
-        if not whole and not self._is_cut():
+        # What is not whole may be a chunk at the end, or zeros; what is damaged before hides what is whole.
+        head = next(heads(data, self.size), None)
+        is_last = head is None or head.end > len(data) or head.opcode in (0, Opcode.CHUNK)
+        if not whole and not (is_last and ChunkSearch(data).next(self.size + 1, len(data)) == len(data)):
             raise LeftoverError(f"it is damaged at byte {self.size}; see smal recording repair")
-
-    def _is_cut(self) -> bool:
-        """Whether what is not whole is a chunk at the end, or zeros; what is damaged before hides what is whole."""
-        head = next(heads(self._data, self.size), None)
-        is_last = head is None or head.end > len(self._data) or head.opcode in (0, Opcode.CHUNK)
-        return is_last and ChunkSearch(self._data).next(self.size + 1, len(self._data)) == len(self._data)
 
     def _take_all(self) -> bool:
         """Return whether the end of the records was reached."""
@@ -102,19 +96,16 @@ class _Look:
                     # It is the first thing that is written when an episode is over.
                     self.ended |= record.name == GAPS_METADATA
                 case Opcode.CHUNK:
-                    self._take_chunk(chunk_of(body), checked=head.end > len(self._data) - _UNSURE)
+                    chunk = chunk_of(body)
+                    if chunk.compression:
+                        raise McapError("a chunk that is none of a recorder's")
+                    for one in inside(chunk, Bounds(len(self._data)), checked=head.end > len(self._data) - _UNSURE):
+                        if isinstance(one, Channel) and topic_of(one.topic) is EPISODE:
+                            self._events.add(one.id)
+                        elif isinstance(one, Message) and one.channel_id in self._events:
+                            self.ended |= b'"event":"ended"' in bytes(one.data)
+                    self.chunks += 1
                 case other:
                     return other == Opcode.DATA_END
             self.size = head.end
         return self.size == len(self._data)
-
-    def _take_chunk(self, chunk: Chunk, *, checked: bool) -> None:
-        """Look into a chunk; raises one of ``UNREADABLE`` where it is not whole."""
-        if chunk.compression:
-            raise McapError("a chunk that is none of a recorder's")
-        for record in inside(chunk, Bounds(len(self._data)), checked=checked):
-            if isinstance(record, Channel) and topic_of(record.topic) is EPISODE:
-                self._events.add(record.id)
-            elif isinstance(record, Message) and record.channel_id in self._events:
-                self.ended |= b'"event":"ended"' in bytes(record.data)
-        self.chunks += 1

@@ -43,7 +43,13 @@ def views_of_expert(
     """Have the expert drive by way of places; yield each view and its atom: STOP at the victim, None at a failure."""
     most_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=most_ticks)
-    episode, expert = LockstepEpisode(simulation, request), _expert(simulation, via)
+    episode = LockstepEpisode(simulation, request)
+    here, world, route = (simulation.pose.x, simulation.pose.y), simulation.world, []
+    for place in via:
+        route += plan_route(replace(world, victim=Spot(*place, 0.0)), here).tolist()[:-1]
+        here = place
+    route += plan_route(world, here).tolist()
+    expert = RouteDriver(route, simulation.speed_m_s, simulation.found_m)
     while True:
         view = episode.view
         if episode.outcome is not None or expert.arrived(view.pose.x, view.pose.y):
@@ -53,15 +59,6 @@ def views_of_expert(
         key = expert.key(view.pose.x, view.pose.y, view.pose.heading)
         yield view, Atom[key.upper()]
         episode.step(key)
-
-
-def _expert(simulation: Simulation, via: Via) -> RouteDriver:
-    here, world, route = (simulation.pose.x, simulation.pose.y), simulation.world, []
-    for place in via:
-        route += plan_route(replace(world, victim=Spot(*place, 0.0)), here).tolist()[:-1]
-        here = place
-    route += plan_route(world, here).tolist()
-    return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
 
 
 def drive(

@@ -116,21 +116,16 @@ def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> 
     drawn = Figure(figsize=(15.0, 8.1))
     drawn.suptitle(title)
     grid = drawn.add_gridspec(2, len(chosen), height_ratios=[3.2, 1.0])
-    _draw_way(drawn.add_subplot(grid[0, :]), world, poses, chosen)
+    above, there = drawn.add_subplot(grid[0, :]), load_world(world)
+    draw_map(there, above)
+    above.plot(*poses[:, :2].T, color=COLOURS[2], lw=2.4, zorder=4)
+    look_at(above, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)
     for column, tick in enumerate(chosen):
+        above.annotate(str(column + 1), poses[tick, :2], fontsize=9, ha="center", va="center", zorder=6,
+                       bbox={"boxstyle": "circle,pad=0.2", "fc": "white", "ec": COLOURS[2], "lw": 1.2})  # fmt: skip
         axes = drawn.add_subplot(grid[1, column])
         axes.imshow(decode_jpeg(route[str(tick)].tobytes()))
         axes.set(xticks=[], yticks=[])
         axes.set_title(f"{column + 1}: after {tick * TICK_S:.0f} s")
         axes.grid(visible=False)
     return drawn
-
-
-def _draw_way(axes: Axes, world: str, poses: NDArray[np.float64], chosen: Sequence[int]) -> None:
-    there = load_world(world)
-    draw_map(there, axes)
-    axes.plot(*poses[:, :2].T, color=COLOURS[2], lw=2.4, zorder=4)
-    for number, tick in enumerate(chosen, 1):
-        axes.annotate(str(number), (poses[tick, 0], poses[tick, 1]), fontsize=9, ha="center", va="center", zorder=6,
-                      bbox={"boxstyle": "circle,pad=0.2", "fc": "white", "ec": COLOURS[2], "lw": 1.2})  # fmt: skip
-    look_at(axes, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)

@@ -154,7 +154,16 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
         )
     yield from _searches(successes)
     if found.errands:
-        yield from _errands(found)
+        rows = []
+        for task, one in found.errands.items():
+            right, runs = one["outcomes"].count("found"), len(one["outcomes"])
+            rows.append([
+                task, TASKS[task].meaning, f"{right} of {runs}", _interval(wilson_interval(right, runs), ".0%"),
+                f"{sum(one['driven_m']) / runs:.0f}", ", ".join(f"{way:.0f}" for way in one["taught_m"]),
+            ])  # fmt: skip
+        yield "<h3>Errands</h3>"
+        yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
+        yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
     yield "<h3>An example</h3>"
     if not examples:
         yield "<p>No search of SMAL found the victim: no example.</p>"
@@ -186,19 +195,6 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
         rows, left=3,
     )  # fmt: skip
     yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.values()) + ".</p>"
-
-
-def _errands(found: WorldResults) -> Iterator[str]:
-    rows = []
-    for name, one in found.errands.items():
-        right, runs = one["outcomes"].count("found"), len(one["outcomes"])
-        rows.append([
-            name, TASKS[name].meaning, f"{right} of {runs}", _interval(wilson_interval(right, runs), ".0%"),
-            f"{sum(one['driven_m']) / runs:.0f}", ", ".join(f"{way:.0f}" for way in one["taught_m"]),
-        ])  # fmt: skip
-    yield "<h3>Errands</h3>"
-    yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
-    yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
 
 
 def _interval(ends: tuple[float, float], form: str) -> str:
