@@ -40,13 +40,10 @@ def demonstrate(
     """
     chosen, name = stack.world(world)
     stack.refuse(simulator, modalities)
-    kinds: tuple[tuple[Purpose, int, int], ...] = (
-        ("drive", episodes, DRIVE_TICKS),
-        ("recovery", recoveries, RECOVERY_TICKS),
-    )
+    kinds: dict[Purpose, tuple[int, int]] = {"drive": (episodes, DRIVE_TICKS), "recovery": (recoveries, RECOVERY_TICKS)}
     requests = [
         ResetRequest(seed=seed + k, purpose=purpose, goal=goal, driver="expert", max_ticks=ticks)
-        for purpose, count, ticks in kinds
+        for purpose, (count, ticks) in kinds.items()
         for k in range(count)
     ]
     if not requests:

@@ -121,9 +121,7 @@ def check_port(settings: ServiceSettings) -> str:
         return f"{endpoint} is free, {how_secure(credentials, host)}"
     except OSError as error:
         raise JobError(f"{endpoint}: {error}; give another with --router or SMAL_ROUTER") from None
-    elsewhere = (
-        f"if it should not be there, stop it (ss -ltnp 'sport = :{port}' names it), or set SMAL_ROUTER to another port"
-    )
+    elsewhere = f"stop it if it should not be there (ss -ltnp 'sport = :{port}'), or set SMAL_ROUTER to another port"
     try:
         with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
             running = [service for service in stack_services() if answers(bus, service) is not None]

@@ -124,9 +124,8 @@ def _features(files: list[Path], scheme: Scheme, modalities: FeatureSettings | N
     features = modalities or features_of_recordings(files)
     if scheme == "filter" and "depth" in features.needs:
         if modalities is not None:
-            raise UsageError(
-                f"--modalities {modalities.text}: a map of views has no depth; leave depth out, or give --scheme paper"
-            )
+            no_depth = "a map of views has no depth; leave depth out, or give --scheme paper"
+            raise UsageError(f"--modalities {modalities.text}: {no_depth}")
         features = features.of_images() or FeatureSettings()
     return features
 

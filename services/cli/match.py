@@ -3,6 +3,7 @@
 import time
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -162,9 +163,7 @@ def _truth(
     if known is asked and (by_radius or truth == "names"):
         raise UsageError("--loops: every frame is near itself and named so; --truth takes a file")
     if radius is not None and poses is not None:
-        here, there = (
-            read_positions(one, len(source.frames)) for one, source in zip(poses, (known, asked), strict=True)
-        )
+        here, there = read_positions(poses[0], len(known.frames)), read_positions(poses[1], len(asked.frames))
         return truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
     if radius is not None:
         return truth_by_positions(*gps_positions(known, asked), radius, f"--truth gps, within {radius:g} m")
@@ -217,9 +216,8 @@ def _match(method: Method, references: Traverse, queries: Traverse, settings: Ma
     sizes = len(queries.features), len(references.features)
     with closing(Bars("frame")) as bars:
         try:
-            return method.match(
-                references.features, queries.features, settings, lambda done: bars("matching", done, sizes[0])
-            )
+            advance = partial(bars, "matching", total=sizes[0])
+            return method.match(references.features, queries.features, settings, advance)
         except ValueError as error:
             raise JobError(f"cannot match these traverses: {error}") from None
         except MemoryError:

@@ -65,12 +65,7 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
     return parse
 
 
-def _variation(name: str) -> str:
-    variation_named(name)
-    return name
-
-
-_goal = checked(TypeAdapter(GoalName).validate_python)
+_goal, _variation = checked(TypeAdapter(GoalName).validate_python), checked(lambda name: variation_named(name).name)
 Robot = Annotated[str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")]
 Secure = Annotated[Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")]
 Json = Annotated[bool, Option("--json", help="Print JSON.")]
@@ -124,7 +119,7 @@ class Simulator:
     base: Annotated[BaseKind | None, Option(help="Driven wheels (physics), or exact arcs. [default: physics]")] = None
     variation: Annotated[
         str | None,
-        Option(parser=checked(_variation), metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
+        Option(parser=_variation, metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
     ] = None
 
     depth: Annotated[bool | None, Option(help="With a depth camera, to go round things. [default: depth]")] = None
@@ -152,9 +147,7 @@ class Changes:
 class Running:
     """Which stack a command works with: one that runs, or one of its own."""
 
-    connect: Annotated[str | None, Option(help=f"Use the stack that runs at this router (`smal up`: {_ROUTERS}).")] = (
-        None
-    )
+    connect: Annotated[str | None, Option(help=f"Use the stack at this router (`smal up`: {_ROUTERS}).")] = None
     secure: Secure = None
     robot: Robot = DEFAULT_ROBOT
 

@@ -16,7 +16,7 @@ from schemas.topics import JPEG, Topic
 from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import UsageError
-from services.kit.node import Detail, Node
+from services.kit.node import Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
 from services.robot.service import ROBOT, check_alone
 
@@ -87,7 +87,7 @@ class Player:
         self._node, self._track, self._wanted = node, track, wanted
         self._started: Episode | None = None
         self._last: Message | None = None
-        node.detail = self._detail
+        node.detail = lambda: {"replayed": track.episode, "episode": episode, "tick": getattr(self._last, "tick", None)}
 
     def run(self, wait: Callable[[Tick], bool]) -> None:
         """Tell each tick when `wait` has returned, or up to where it says that this is the end."""
@@ -108,10 +108,6 @@ class Player:
         self._last = message
         if isinstance(message, Episode):
             self._started = None if message.event == "ended" else message
-
-    def _detail(self) -> Detail:
-        tick = None if self._last is None else self._last.tick
-        return {"replayed": self._track.episode, "episode": self.episode, "tick": tick}
 
 
 def _await_listeners(node: Node) -> None:

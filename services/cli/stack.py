@@ -103,9 +103,7 @@ class Stack:
             with closing(self._reach_router()) as bus:
                 for service in others:
                     self._start(service)
-                self._wait(
-                    self.plan.services, lambda service: (told := answers(bus, service)) and told.state == "ready"
-                )
+                self._wait(self.plan.services, lambda name: (told := answers(bus, name)) and told.state == "ready")
         except BaseException:
             self.stop()
             raise

@@ -58,9 +58,8 @@ class Learned:
             return {}
         first = state.places[0]
         x, y, heading = placed(np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe])
-        near = (self.drives == self.drives[first.keyframe]) & (
-            np.abs(self.along_m - self.along_m[first.keyframe]) <= _NEAR_M
-        )
+        beside = np.abs(self.along_m - self.along_m[first.keyframe]) <= _NEAR_M
+        near = beside & (self.drives == self.drives[first.keyframe])
         cost_s = float(self.cost_s[first.keyframe])
         return {
             "keyframe": first.keyframe,

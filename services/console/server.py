@@ -76,9 +76,7 @@ class WebServer:
             self._socket.close()
             raise ServiceError(f"{settings.console_cert} and its key are of no use: {error}") from None
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(
-            target=self._server.run, kwargs={"sockets": [self._socket]}, name="web", daemon=True
-        )
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), name="web", daemon=True)
         self._thread.start()
 
     def close(self) -> None:

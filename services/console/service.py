@@ -177,10 +177,8 @@ class ConsoleService:
     # -- what is asked for ----------------------------------------------------------------------------------------
 
     def _drive(self, ask: Drive) -> None:
-        seed = secrets.randbelow(2**31)
-        request = ResetRequest(
-            name=ask.name, seed=seed, purpose="drive", goal=ask.goal, driver="teleop", max_ticks=None
-        )
+        seed, goal = secrets.randbelow(2**31), ask.goal
+        request = ResetRequest(name=ask.name, seed=seed, purpose="drive", goal=goal, driver="teleop", max_ticks=None)
         self._begin(ask, request, self._record)
 
     def _run(self, ask: Run) -> None:

@@ -41,9 +41,8 @@ def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: 
 
 
 def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
-    every: list[Drive] = importlib.import_module(f"services.importers.{_READERS[job.format]}").read(
-        Inside(Path(job.path)), job, tally
-    )
+    reader = importlib.import_module(f"services.importers.{_READERS[job.format]}")
+    every: list[Drive] = reader.read(Inside(Path(job.path)), job, tally)
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"

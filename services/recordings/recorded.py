@@ -65,9 +65,8 @@ class RecordedEpisode:
 
     def pieces(self) -> list[Piece]:
         """Cut the episode wherever features, what was done, or an image or pose that most frames have, are missing."""
-        usual = [
-            had for had in (self.images, self.odometry) if 2 * len(had.keys() & self.features) > len(self.features)
-        ]
+        most = len(self.features) / 2
+        usual = [had for had in (self.images, self.odometry) if len(had.keys() & self.features) > most]
         known = sorted(
             tick
             for tick in self.features

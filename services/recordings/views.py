@@ -271,9 +271,8 @@ def _scene(message: Message, frame: str, name: str, entity: SceneEntity) -> Scen
 
 
 def _cloud(message: Message, frame: str, points: Array) -> PointCloud:
-    fields = [
-        PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32) for k, name in enumerate("xyz")
-    ]
+    kind = PackedElementField.FLOAT32
+    fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate("xyz")]
     return PointCloud(
         timestamp=timestamp(message.stamp_ns),
         frame_id=frame,

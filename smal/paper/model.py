@@ -98,9 +98,8 @@ class Model(Stored):
         _check_numbers(meta)
         frames, length = np.array(meta["frames"]), meta["sequence_length"]
         parts = dict.fromkeys(_STREAMS, frames // length) | {"atoms": frames}
-        streams: dict[str, Any] = {
-            name: tuple(np.split(arrays[name], np.cumsum(parts[name])[:-1])) for name in _STREAMS
-        }
+        ends = {name: np.cumsum(parts[name])[:-1] for name in _STREAMS}
+        streams: dict[str, Any] = {name: tuple(np.split(arrays[name], ends[name])) for name in _STREAMS}
         if [len(atoms) for atoms in streams["atoms"]] != meta["frames"]:
             raise ValueError("its demonstrations are not as long as it says")
         named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}

@@ -43,9 +43,8 @@ def _best_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int6
 def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.csr_array:
     """P of a policy given as one pair per state (-1: dead end, an empty row), sparse (states, states)."""
     chosen = np.flatnonzero(pairs >= 0)
-    choose = sparse.csr_array(
-        (np.ones(chosen.size), (chosen, pairs[chosen])), shape=(transitions.states, transitions.pairs)
-    )
+    shape = transitions.states, transitions.pairs
+    choose = sparse.csr_array((np.ones(chosen.size), (chosen, pairs[chosen])), shape=shape)
     return sparse.csr_array(choose @ transitions.matrix)
 
 

@@ -162,10 +162,8 @@ class EpisodeClient:
         """Give the operator time to say that the goal is found, where nobody else can."""
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("judge") == "operator" and robot.get("operator"):
-            tqdm.write(
-                f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)",
-                file=sys.stderr,
-            )
+            said = f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)"
+            tqdm.write(said, file=sys.stderr)
             self.node.spin(until=lambda: self._ended, timeout_s=JUDGED_S)
 
     def _arm(self) -> None:

@@ -58,9 +58,8 @@ class Ways:
                 same = [each for each in found if each.fork == fork and self._is_near(each.keyframe, keyframe)]
                 found = [each for each in found if each not in same]
                 drives = {one, other}.union(*(each.drives for each in same))
-                found.append(
-                    Parting(fork, min(keyframe, *(each.keyframe for each in same), keyframe), (*sorted(drives),))
-                )
+                first = min([keyframe, *(each.keyframe for each in same)])
+                found.append(Parting(fork, first, (*sorted(drives),)))
         return tuple(sorted(found, key=lambda parting: parting.keyframe))
 
     def _is_near(self, one: int, other: int) -> bool:

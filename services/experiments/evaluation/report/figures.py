@@ -121,7 +121,7 @@ def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> 
     above.plot(*poses[:, :2].T, color=COLOURS[2], lw=2.4, zorder=4)
     look_at(above, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)
     for column, tick in enumerate(chosen):
-        above.annotate(str(column + 1), poses[tick, :2], fontsize=9, ha="center", va="center", zorder=6,
+        above.annotate(str(column + 1), poses[tick, :2].tolist(), fontsize=9, ha="center", va="center", zorder=6,
                        bbox={"boxstyle": "circle,pad=0.2", "fc": "white", "ec": COLOURS[2], "lw": 1.2})  # fmt: skip
         axes = drawn.add_subplot(grid[1, column])
         axes.imshow(decode_jpeg(route[str(tick)].tobytes()))
