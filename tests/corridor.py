@@ -17,7 +17,7 @@ from smal.model import Model
 from smal.movement import Atom
 from smal.paper import learning
 from smal.paper.model import Model as PaperModel
-from smal.teaching.mapping import fit
+from smal.teaching.mapping import demonstrations_of, fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3
@@ -73,7 +73,7 @@ def model(odometry: bool = True) -> Model:
 @cache
 def paper_model() -> PaperModel:
     """Learn the same drive by the paper's scheme."""
-    return learning.fit([drive()], learning.LearningSettings(FEATURES, LENGTH))
+    return learning.learn(demonstrations_of([drive()], FEATURES), learning.LearningSettings(FEATURES, LENGTH))
 
 
 def drive() -> tuple[list[NDArray[np.uint8]], list[Atom], NDArray[np.float64]]:

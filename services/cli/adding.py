@@ -6,10 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from services.cli import options
 from services.cli.outputs import writing
 from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
-from services.kit.model_service import load_model
+from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher
 from smal.files.container import ModelError
 from smal.model import Model
@@ -47,10 +48,7 @@ def back(path: Path) -> Path:
 
 def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]) -> dict[str, Any]:
     """Have the model at a path learn from runs; return what is said of that."""
-    try:
-        model = load_model(path)
-    except ModelError as error:
-        raise UsageError(f"--out {error}; with --add it is the model that learns more") from None
+    model = options.loaded(path, "--out ", "; with --add it is the model that learns more")
     if not isinstance(model, Model):
         raise UsageError(f"--out {path}: a model of the paper's scheme does not learn from runs")
     teaching = Teacher(model.feature_settings, 2, include_runs=True).read_all(files, bar)
@@ -65,10 +63,7 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     found: dict[str, Any] = {"runs": len(runs), "judged_by": len(runs[1::2])}
     if new is not model:
         found["before"] = str(keep(path))
-        try:
-            new.save(path)
-        except ModelError as error:
-            raise JobError(str(error)) from None
+        save(new, path)
     remark([_words(verdict)])
     return found | {
         "looks": len(new.mapped.looks),
@@ -77,6 +72,14 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         "false_goals": verdict.false_goals,
         "taken": verdict.better,
     }
+
+
+def save(model: AnyModel, path: Path) -> None:
+    """Write a model; JobError when it is too large."""
+    try:
+        model.save(path)
+    except ModelError as error:
+        raise JobError(str(error)) from None
 
 
 def _words(verdict: Verdict) -> str:

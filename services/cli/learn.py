@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from schemas.rpc import Scheme
 from services.cli import options, outputs
-from services.cli.adding import add_runs
+from services.cli.adding import add_runs, save
 from services.cli.progress import Bars
 from services.experiments.showing.summary import numbers_of
 from services.experiments.words import described_by, remark
@@ -20,7 +20,6 @@ from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, features_of_recordings, find_recordings
 from smal.features import FeatureSettings
-from smal.files.container import ModelError
 from smal.paper.learning import LearningSettings
 from smal.paper.learning import learn as learn_paper
 from smal.paper.reward import RewardError
@@ -83,10 +82,7 @@ def learn(
     with closing(Bars(as_json=progress)) as bars:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bars)
         model, found = _learn(teaching, scheme, replace(settings, features=features), bars)
-    try:
-        model.save(out)
-    except ModelError as error:
-        raise JobError(str(error)) from None
+    save(model, out)
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
     chosen = {"modalities": features.modalities}
     recorded = f"{teaching.recordings} ({teaching.episodes} episodes used)"

@@ -8,16 +8,14 @@ import typer
 from tqdm import tqdm
 from typer import Argument, Option
 
-from services.cli import outputs
+from services.cli import options, outputs
 from services.cli.adding import back, versions
 from services.cli.grouping import STYLE
 from services.cli.progress import Bars
 from services.experiments.showing.summary import lines
 from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
-from services.kit.model_service import load_model
 from services.recordings.dataset import find_recordings
-from smal.files.container import ModelError
 
 app = typer.Typer(
     help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown", **STYLE
@@ -49,10 +47,7 @@ def show(
 
     Example: smal model show campus.smal --recordings drives --out shown
     """
-    try:
-        model = load_model(file)
-    except ModelError as error:
-        raise UsageError(str(error)) from None
+    model = options.loaded(file)
     if out is None:
         if recordings:
             raise UsageError("--recordings: what they show is for the page: give --out too")

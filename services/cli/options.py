@@ -187,14 +187,18 @@ def read_world(world: str) -> LoadedWorld:
         raise UsageError(f"--world {world}: {error}") from None
 
 
-def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goal: str | None = None) -> AnyModel:
-    """Read the model of ``--model``; UsageError when it is none, or not for this scheme, stride or goal."""
+def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
+    """Read a model; UsageError, with what a user is told before and after, when it is none."""
     try:
-        model = load_model(path)
+        return load_model(path)
     except ModelError as error:
-        raise UsageError(f"--model {error}") from None
-    refusal = refused(model, scheme, stride, goal)
-    if refusal is not None:
+        raise UsageError(f"{option}{error}{hint}") from None
+
+
+def read_model(path: Path, use: Use) -> AnyModel:
+    """Read the model of ``--model``; UsageError when it is none, or not for this use."""
+    model = loaded(path, "--model ")
+    if (refusal := refused(model, use.scheme, use.stride, use.goal)) is not None:
         raise UsageError(f"--model {path}: {refusal}")
     return model
 

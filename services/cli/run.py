@@ -54,7 +54,7 @@ def run(
 
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
     """
-    loaded = options.read_model(model, use.scheme, use.stride, use.goal)
+    loaded = options.read_model(model, use)
     chosen, name = stack.world(world)
     asked = None if name is None else chosen
     stack.refuse(simulator, modalities)

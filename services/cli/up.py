@@ -140,5 +140,4 @@ def _chain_flags(model: Path | None, use: options.Use) -> tuple[tuple[str, ...],
             if value is not None:
                 raise UsageError(f"--{name} {value}: needs --model")
         return (), None
-    features = options.read_model(model, use.scheme, use.stride, use.goal).feature_settings
-    return flags(model=model.resolve(), **asdict(use)), features
+    return flags(model=model.resolve(), **asdict(use)), options.read_model(model, use).feature_settings

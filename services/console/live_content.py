@@ -1,6 +1,8 @@
 """What the services tell and what lies in the folders, put on the board for those who watch."""
 
 import math
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -8,12 +10,14 @@ from schemas import topics
 from schemas.action import Action
 from schemas.compressed_image import CompressedImage
 from schemas.pose import Pose
+from schemas.rpc import Nothing, Status
 from schemas.state import State
 from schemas.tracked_pose import TrackedPose
-from services.console.health import Health
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
 from services.console.newest_content import Board
+from services.kit.bus import Bus, RpcError
+from services.kit.health import ailment
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below
@@ -26,6 +30,40 @@ _LOOK_S: Final = 1.0  # How often services and files are looked at.
 #: Points of today's way; when there are more every second one is left out. And how far they are apart.
 _POINTS: Final = 400
 _APART_M: Final = 0.1
+_ANSWER_S: Final = 1.0  # How long a service may take to answer.
+#: What a service tells of itself that the page needs.
+_TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
+
+
+class Health:
+    """Asks services how they are."""
+
+    def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
+        self._bus = bus
+        self._services = services
+        self._asked_s = time.monotonic()
+        self.statuses: dict[str, Status | None] = {}  # The last answers; None of who did not answer.
+
+    def ask(self) -> list[dict[str, object]]:
+        """Ask all at once; return one row a service, for the page."""
+        before = self.statuses
+        # Threads for this once: a service that hangs holds up its own thread alone, and for no longer than its time.
+        with ThreadPoolExecutor(len(self._services), "health") as pool:
+            self.statuses = dict(zip(self._services, pool.map(self._status, self._services), strict=True))
+        now = time.monotonic()
+        elapsed_s, self._asked_s = max(now - self._asked_s, 1e-3), now
+        return [_row(name, before.get(name), status, elapsed_s) for name, status in self.statuses.items()]
+
+    def detail(self, service: str, key: str) -> object:
+        """Return what a service told of itself; None where it did not."""
+        status = self.statuses.get(service)
+        return None if status is None else status.detail.get(key)
+
+    def _status(self, service: str) -> Status | None:
+        try:
+            return self._bus.call(service, "status", Nothing(), Status, _ANSWER_S)
+        except RpcError:
+            return None
 
 
 class LiveContent:
@@ -45,8 +83,6 @@ class LiveContent:
         node.subscribe(topics.TRACKED, self._on_tracked)
         node.apart(_LOOK_S, self._look_at_services)
         node.apart(_LOOK_S, self._look_at_files)
-
-    # -- what is heard --------------------------------------------------------------------------------------------
 
     def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
@@ -93,8 +129,6 @@ class LiveContent:
     def _put(self, channel: str, **content: object) -> None:
         self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
 
-    # -- now and then, on threads of their own --------------------------------------------------------------------
-
     def _look_at_services(self) -> None:
         self._put("health", services=self.health.ask())
         folder = self.health.detail("recorder", "folder")
@@ -125,3 +159,20 @@ class LiveContent:
 
 def _rounded(*pose: float) -> list[float]:
     return [round(value, 3) for value in pose]
+
+
+def _row(name: str, before: Status | None, status: Status | None, elapsed_s: float) -> dict[str, object]:
+    if status is None:
+        return {"name": name, "ailment": "does not answer"}
+    earlier = before.published if before is not None and before.pid == status.pid else {}
+    rates = {topic: (count - earlier.get(topic, count)) / elapsed_s for topic, count in status.published.items()}
+    return {
+        "name": name,
+        "ailment": ailment(status),
+        "idle": round(status.idle_s, 1),
+        "rates": {topic: round(rate, 1) for topic, rate in rates.items() if rate > 0},
+        "dropped": sum(status.dropped.values()),
+        "bad": sum(status.bad.values()),
+        "failed": status.failed,
+        "told": {key: status.detail[key] for key in _TOLD if status.detail.get(key) not in (None, "", False)},
+    }

@@ -65,8 +65,6 @@ class Web:
     def _do(self, what: Callable[..., None], *arguments: object) -> asyncio.Future[None]:
         return asyncio.wrap_future(self._service.do(what, *arguments))
 
-    # -- pictures and maps ----------------------------------------------------------------------------------------
-
     async def _thumbnail(self, request: Request) -> Response:
         """Answer with a small picture of a recording; its name is looked for in the list, and opens nothing."""
         recording = self._service.library.recording(request.query_params.get("of", ""))
@@ -118,8 +116,6 @@ class Web:
             await asyncio.to_thread(file.write, chunk)
         await asyncio.to_thread(file.flush)
 
-    # -- watching -------------------------------------------------------------------------------------------------
-
     async def _watch(self, browser: WebSocket) -> None:
         """Send the newest, and more when that was seen: at most one message is on its way, however slow that is."""
         await browser.accept()
@@ -151,8 +147,6 @@ class Web:
                 await _until_one_ends(browser, listen(), tell())
         except FullError:
             await browser.close(FULL, "too many watch")
-
-    # -- driving --------------------------------------------------------------------------------------------------
 
     async def _drive(self, browser: WebSocket) -> None:
         """Give a browser the seat for as long as it answers beats."""

@@ -102,8 +102,6 @@ class Views:
             for view in _line(self._began, "odom", "driven", [points], _DRIVEN):
                 yield self._began, view
 
-    # -- where the robot is ---------------------------------------------------------------------------------------
-
     @of.register
     def _odometry(self, odometry: Odometry) -> Iterator[View]:
         here = np.array([odometry.x_m, odometry.y_m, odometry.heading_rad])
@@ -150,8 +148,6 @@ class Views:
         camera.rotation.CopyFrom(Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5))
         yield View("camera", camera)
 
-    # -- where it believes to be ----------------------------------------------------------------------------------
-
     @of.register
     def _map(self, taught: TaughtMap) -> Iterator[View]:
         self._keyframes = taught.keyframes.to_numpy().astype(np.float64)
@@ -180,8 +176,6 @@ class Views:
         # All places, each as high as it is likely.
         points = np.column_stack([poses[:, :2], [place.weight for place in known]])
         yield View("places", _cloud(state, "map", points))
-
-    # -- what happens ---------------------------------------------------------------------------------------------
 
     @of.register
     def _action(self, action: Action) -> Iterator[View]:

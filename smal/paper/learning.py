@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from smal.features import Centering, FeatureSettings
 from smal.paper.action_space import learn_action_space
@@ -13,7 +13,6 @@ from smal.paper.reward import learn_reward
 from smal.paper.state_space import learn_state_space
 from smal.paper.transitions import learn_transitions
 from smal.teaching.demonstration import Demonstration, check_features
-from smal.teaching.mapping import demonstrations_of
 
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
@@ -105,9 +104,3 @@ def learn(
         value=policy.value,
         gamma=settings.gamma,
     )
-
-
-def fit(drives: Sequence[tuple[Any, ...]], settings: LearningSettings | None = None) -> Model:
-    """Learn from images and what was done at each of them; see `smal.teaching.mapping.fit`."""
-    settings = LearningSettings() if settings is None else settings
-    return learn(demonstrations_of(drives, settings.features), settings)
