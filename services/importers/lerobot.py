@@ -34,12 +34,10 @@ _NAMES: Final[dict[tuple[str, ...], float]] = {
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
 #: Slower than this it does not go sideways, but is measured badly: `atoms` has the same for ahead.
 _LEAST_SIDEWAYS: Final = 0.02
-#: Files of version 2.
-_LINES: Final = "meta/episodes.jsonl"
+_LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"
-#: Files of version 3.0.
-INFO: Final = "meta/info.json"
+INFO: Final = "meta/info.json"  # Files of version 3.0.
 EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
