@@ -12,17 +12,11 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.progress import Bars
+from services.experiments.matching import truth_file
 from services.experiments.matching.page import judging_page
 from services.experiments.matching.report import Quality, Result, as_g2o, as_json, as_text, in_sources, title_of
 from services.experiments.matching.sources import Source, open_source
 from services.experiments.matching.traverse import Traverse, describe_frames
-from services.experiments.matching.truth_file import (
-    gps_positions,
-    read_positions,
-    read_truth,
-    truth_by_names,
-    truth_by_positions,
-)
 from services.experiments.words import counted
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth
@@ -163,13 +157,18 @@ def _truth(
     if known is asked and (by_radius or truth == "names"):
         raise UsageError("--loops: every frame is near itself and named so; --truth takes a file")
     if radius is not None and poses is not None:
-        here, there = read_positions(poses[0], len(known.frames)), read_positions(poses[1], len(asked.frames))
-        return truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
+        here, there = (
+            truth_file.read_positions(poses[0], len(known.frames)),
+            truth_file.read_positions(poses[1], len(asked.frames)),
+        )
+        return truth_file.truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
     if radius is not None:
-        return truth_by_positions(*gps_positions(known, asked), radius, f"--truth gps, within {radius:g} m")
+        return truth_file.truth_by_positions(
+            *truth_file.gps_positions(known, asked), radius, f"--truth gps, within {radius:g} m"
+        )
     if truth == "names":
-        return truth_by_names(known.frames, asked.frames, tolerance)
-    return None if truth is None else read_truth(Path(truth), len(asked.frames), len(known.frames))
+        return truth_file.truth_by_names(known.frames, asked.frames, tolerance)
+    return None if truth is None else truth_file.read_truth(Path(truth), len(asked.frames), len(known.frames))
 
 
 def _method_of(

@@ -51,12 +51,7 @@ class Teacher:
     """
 
     def __init__(
-        self,
-        features: FeatureSettings,
-        shortest: int,
-        *,
-        include_runs: bool = False,
-        episodes: Collection[str] | None = None,
+        self, features: FeatureSettings, shortest: int, *, include_runs: bool = False, episodes: Collection[str] = ()
     ) -> None:
         self.teaching = Teaching()
         self._episodes = episodes
@@ -89,7 +84,7 @@ class Teacher:
         self.teaching.recordings += 1
         self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
-            if self._episodes is None or episode.episode in self._episodes:
+            if not self._episodes or episode.episode in self._episodes:
                 whole = {tick: one for tick, one in episode.features.items() if one.shape == (held.size,)}
                 episode.features = {tick: select(one, held, self._features) for tick, one in whole.items()}
                 self._take(path, episode)

@@ -10,19 +10,8 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, McapRecord, Message
 
-from services.recordings.records import (
-    LARGEST_CHUNK,
-    MAGIC,
-    UNREADABLE,
-    Allowance,
-    Bounds,
-    Head,
-    MemoryLimitError,
-    chunk_of,
-    heads,
-    inside,
-    record_of,
-)
+from services.recordings import records
+from services.recordings.records import MAGIC, UNREADABLE, Allowance, Bounds, Head, MemoryLimitError, heads
 
 _KEPT_FREE: Final = 0x80  # What earlier versions wrote in the place of the head of a chunk that was not complete.
 _KNOWN: Final = frozenset([*map(int, Opcode), _KEPT_FREE])
@@ -58,7 +47,7 @@ def summary_of(data: memoryview) -> Summary | None:
     try:
         for kind, at, behind in heads(data[:end], begin):
             if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kept.append(cast("McapRecord", record_of(kind, data[at:behind])))
+                kept.append(cast("McapRecord", records.record_of(kind, data[at:behind])))
             elif kind == Opcode.STATISTICS:
                 (messages,) = _COUNT.unpack_from(data, at)
     except UNREADABLE:
@@ -98,7 +87,11 @@ def _whole(data: memoryview, data_end: int, tell: Callable[[str], None]) -> Iter
             opcode, begin, end = _head(data, at)
             body = data[begin:end]
             is_chunk = opcode == Opcode.CHUNK
-            found = [*inside(chunk_of(body), bounds, checked=True)] if is_chunk else [record_of(opcode, body)]
+            found = (
+                [*records.inside(records.chunk_of(body), bounds, checked=True)]
+                if is_chunk
+                else [records.record_of(opcode, body)]
+            )
         except MemoryLimitError:
             raise
         except UNREADABLE as error:
@@ -144,10 +137,10 @@ class ChunkSearch:
         while self._left > 0 and (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
             try:
                 _, begin, behind = _head(self._data, at)
-                chunk = chunk_of(self._data[begin:behind])
+                chunk = records.chunk_of(self._data[begin:behind])
                 if chunk.uncompressed_crc:
                     self._left -= behind - at
-                    list(inside(chunk, Bounds(len(self._data), Allowance(LARGEST_CHUNK)), checked=True))
+                    list(records.inside(chunk, Bounds(len(self._data), Allowance(records.LARGEST_CHUNK)), checked=True))
                     return at
             except UNREADABLE:
                 pass

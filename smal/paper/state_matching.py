@@ -63,23 +63,12 @@ def solve(
 ) -> Solution:
     """Match a query sequence against template sequences: minimize Eq. 7.
 
-    Parameters
-    ----------
-    templates : float array (m, n)
-        X, taken in float32. Sequence j is the columns j * sequence_length and following; the last one may be shorter.
-        Float32 in Fortran order (a template contiguous) is not copied.
-    query : float array (m, q)
-        Y, usually with q = sequence_length, which is l, at least 1.
-    lambda1, lambda2 : float
-        Weights of ||W||_{2,1} and ||W||_{S1}; not negative, not both zero.
-    tolerance : float
-        Relative duality gap of the full problem at which to stop. Where a query frame is a combination of templates,
-        its residual vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
-
-    Raises
-    ------
-    ValueError
-        Shapes that do not fit, NaN or infinity, or parameters out of range.
+    X (m, n) is taken in float32, and not copied if it is so in Fortran order; sequence j is the l columns from j l
+    on, of which the last may have fewer. Y (m, q) usually has q = l. The lambdas weigh ||W||_{2,1} and ||W||_{S1},
+    are not negative, and not both zero. It ends at a relative duality gap of the full problem, `tolerance`: where a
+    query frame is a combination of templates its residual vanishes, and below about 1e-5 rounding may keep the gap
+    from getting there, as `converged` tells. ValueError for shapes that do not fit, NaN or infinity, or parameters
+    out of range.
     """
     _check(templates, query, sequence_length, lambda1, lambda2, tolerance)
     rows = np.ascontiguousarray(templates.T, dtype=np.float32)

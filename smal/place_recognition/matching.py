@@ -43,25 +43,14 @@ def match(
 ) -> Matches:
     """Find for each query the reference that was taken at the same place.
 
-    Parameters
-    ----------
-    references, queries : iterable of uint8 arrays (height, width, 3), or float array (n, m), (q, m)
-        RGB images in order, at least 24 rows and 32 columns, or raw features of any kind. Without queries the
-        references are matched with those long before them (loops).
-    method : str
-        One of `smal.place_recognition.methods.METHODS`. Only `smal` has loops, a tolerance and a lag.
-    features : FeatureSettings, optional
-        What images are described by, or the modalities of features that are given. If None, the method's, and given
-        features are all one.
-    tolerance, lag : int, optional
-        References so many frames away are right as well (if None, those that look alike); and how many later queries
-        answer a query (if None, all).
+    Both are RGB images in order, uint8 (height, width, 3), at least 24 rows and 32 columns, or raw features of any
+    kind, float (n, m) and (q, m). Without queries the references are matched with those long before them (loops).
 
-    Returns
-    -------
-    Matches
-        The reference of each query, its score, of `smal` the probability that it is right, and that none shows it.
-        ValueError where there is no such method, it has not got what is chosen, or images or features are others.
+    The method is one of `smal.place_recognition.methods.METHODS`. Only `smal` has loops; a tolerance, references so
+    many frames away being right as well (if None, those that look alike); and a lag, how many later queries answer
+    a query (if None, all). Features describe images (if None, the method's), or are the modalities of those that
+    are given (if None, all are one). ValueError where there is no such method, it has not got what is chosen, or
+    inputs are others.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")

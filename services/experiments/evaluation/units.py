@@ -14,6 +14,7 @@ import numpy as np
 
 from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
+from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
 from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
 from services.experiments.evaluation.errands import TASKS, run_errand
@@ -28,13 +29,6 @@ from services.experiments.evaluation.plan import (
     Recognizer,
     Trial,
     WorldPlan,
-)
-from services.experiments.evaluation.recognition import (
-    NearestImitation,
-    judged,
-    query_drive,
-    recognize_nearest,
-    recognize_states,
 )
 from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
 from services.kit.jpeg import encode_jpeg
@@ -186,7 +180,7 @@ class Query(Unit):
         # Shake moves the camera and not the robot: the way is the same.
         for shake in dict.fromkeys(DEGRADATIONS[name].shake for name in self.degradations):
             views = {name: DEGRADATIONS[name] for name in self.degradations if DEGRADATIONS[name].shake == shake}
-            arrays |= query_drive(simulation_in(self.site, shake), FEATURES, self.seed, views)
+            arrays |= recognition.query_drive(simulation_in(self.site, shake), FEATURES, self.seed, views)
         save_arrays(self.file(folder), **arrays)
         return {"frames": len(arrays["poses"]), "file": True}
 
@@ -206,13 +200,13 @@ class Recognize(Unit):
             held = load_arrays(query.file(folder))
             views = held[self.degradation]
             if self.recognizer.eq9:
-                matches = recognize_states(_paper_model(*self.needed(Learn), folder), views)
+                matches = recognition.recognize_states(_paper_model(*self.needed(Learn), folder), views)
             else:
                 centering = Centering.fit([one.demonstration.features for one in taught], FEATURES)
                 drives = [centering.apply(one.demonstration.features) for one in taught]
-                matches = recognize_nearest(drives, centering.apply(views), self.recognizer.length)
+                matches = recognition.recognize_nearest(drives, centering.apply(views), self.recognizer.length)
             demonstrated = np.concatenate([one.poses for one in taught])
-            found.append(judged(matches, demonstrated, held["poses"], self.criterion))
+            found.append(recognition.judged(matches, demonstrated, held["poses"], self.criterion))
         return {"queries": found}
 
 
@@ -265,7 +259,7 @@ class Searches(Unit):
             case "teach-and-repeat" | "teach-and-repeat-told" as name:
                 return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told"))
             case nearest:
-                return NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
+                return recognition.NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
 
 
 @dataclass(frozen=True)
