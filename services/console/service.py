@@ -18,7 +18,6 @@ from schemas.codec import printable
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
 from services.console.browser_messages import LATE, Add, Ask, Delete, Drive, End, Learn, Press, Run
 from services.console.jobs import Job, Jobs
-from services.console.learned import Learned
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.live_content import LiveContent
 from services.console.newest_content import Board
@@ -48,7 +47,7 @@ class ConsoleService:
         show = lambda report: board.put("robot", asdict(report))  # noqa: E731
         self._operator = Operator(node, self._say, show, board.clock, self._bridges)
         self.library = Library(root)
-        self._live = LiveContent(node, board, self.library)
+        self.live = LiveContent(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
         self._there_until_s = -math.inf
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -65,11 +64,6 @@ class ConsoleService:
         self._jobs.cancel()
         self._operator.release()
         self.library.close()
-
-    @property
-    def learned(self) -> Learned | None:
-        """The model that the robot goes by."""
-        return self._live.learned
 
     @property
     def attended(self) -> bool:
@@ -157,7 +151,7 @@ class ConsoleService:
 
     def make_world(self, name: str, osm_map: IO[bytes]) -> None:
         """Make a world of a map."""
-        if name in str(self._live.health.detail("robot", "worlds")).split(", "):
+        if name in str(self.live.health.detail("robot", "worlds")).split(", "):
             # Of two worlds of one name the robot opens the project's, or the one that it was started in.
             raise ServiceError(f"there is a world {name} already; give the file another name")
         path = f"/proc/self/fd/{osm_map.fileno()}"
@@ -269,10 +263,10 @@ class ConsoleService:
 
         A robot that moves only while its operator is there hears of none but their own answers, as of their own time.
         """
-        return self.attended and self._live.health.detail("robot", "attended") is False
+        return self.attended and self.live.health.detail("robot", "attended") is False
 
     def _on_action(self, action: Action) -> None:
-        self._live.on_action(action)
+        self.live.on_action(action)
         operator = self._operator
         began = operator.request is not None and operator.request.driver == "policy"
         if action.says and began and action.episode == operator.mine and not operator.asking:

@@ -74,7 +74,7 @@ class Web:
         return _picture(recording.thumbnails[number])
 
     async def _taught(self, request: Request) -> Response:
-        learned, keyframe = self._service.learned, _number(request.path_params["keyframe"])
+        learned, keyframe = self._service.live.learned, _number(request.path_params["keyframe"])
         if learned is None or keyframe is None or learned.identity != request.path_params["model"]:
             return _picture(None)
         return _picture(learned.image(keyframe))

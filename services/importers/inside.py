@@ -25,11 +25,7 @@ class Inside:
         self.path = path
         with self._failures(""):
             self._root = path.resolve(strict=True)
-
-    @property
-    def is_folder(self) -> bool:
-        """Whether it is a folder."""
-        return self._root.is_dir()
+        self.is_folder = self._root.is_dir()
 
     def called(self, name: str) -> str:
         """Return how a file in it is named to the user."""

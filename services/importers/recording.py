@@ -39,10 +39,7 @@ class Written(NamedTuple):
 
 
 def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
-    """Write the recording of a drive; None where nothing of it can be used. ``advance`` is called for each frame.
-
-    Raises ImportFailure when the source is damaged there, and OSError when it cannot be written; then nothing is left.
-    """
+    """Write a drive's recording, ``advance`` for each frame; None: of no use. After an error nothing is left."""
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
     images = _images(drive, shown, tally, advance)
     begin = list(islice(images, _LEAST_FRAMES))

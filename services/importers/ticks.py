@@ -37,10 +37,7 @@ TURNING: Final = 0.5  # From this fraction of the nominal turn rate on a tick is
 
 
 class Ticks(NamedTuple):
-    """The ticks of a drive that have a frame: their numbers, (n,) from 0, and which frame each shows, (n,) ascending.
-
-    Tick 0 was at `start_s`; ticks without a frame are missing.
-    """
+    """The ticks of a drive with a frame, from `start_s` on: numbers (n,), and frames that they show (n,), ascending."""
 
     numbers: NDArray[np.intp]
     frames: NDArray[np.intp]

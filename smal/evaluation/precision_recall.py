@@ -18,10 +18,7 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A curve of precision over recall, arrays (k,), one point for each different score, by falling thresholds.
-
-    Answers with a score of at least the threshold are given; no point if nothing is answered.
-    """
+    """Precision over recall (k,), a point for each score by falling thresholds; answers reach the threshold."""
 
     recall: NDArray[np.float64]
     precision: NDArray[np.float64]

@@ -37,10 +37,7 @@ class Reliability:
 
 
 def known_from_unknown(judgement: Judgement, sure: NDArray[np.float64]) -> float | None:
-    """Return how often a query that has anything to find is the surer one of it and one that has not, of all pairs.
-
-    Half of those of equal sureness (q,) count: the area under the ROC curve. None if there are not both.
-    """
+    """Return how well sureness (q,) tells what can be found: area under the ROC curve; None if not both are there."""
     known, unknown = sure[judgement.findable], np.sort(sure[judgement.judged & ~judgement.findable])
     if not (known.size and unknown.size):
         return None

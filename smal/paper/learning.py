@@ -14,8 +14,6 @@ from smal.paper.state_space import learn_state_space
 from smal.paper.transitions import learn_transitions
 from smal.teaching.demonstration import Demonstration, check_features
 
-# Called with the stage, what is done of it and how much there is of it.
-StageProgress = Callable[[str, int, int], None]
 LAMBDA_SCALE: Final = 0.1
 
 
@@ -58,7 +56,7 @@ class LearningSettings:
 def learn(
     demonstrations: Sequence[Demonstration],
     settings: LearningSettings | None = None,
-    progress: StageProgress = lambda _stage, _done, _total: None,
+    progress: Callable[[str, int, int], None] = lambda _stage, _done, _total: None,
 ) -> Model:
     """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 

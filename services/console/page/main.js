@@ -8,7 +8,7 @@ import { drawMap } from "./map.js";
 import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
 import { episodeFacts, illness, robotStatus, seconds } from "./words.js";
-import { drawWorlds, hideNews, opening, wireWorlds } from "./world.js";
+import { drawWorlds, opening, showNews, wireWorlds } from "./world.js";
 
 const OLD_S = 1, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
 const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
@@ -62,7 +62,7 @@ function drawStatus() {
   say(pill, text);
   pill.title = text;  // where it is cut off
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
-  if (running && document.body.dataset.episode !== robot.episode) hideNews();
+  if (running && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
   for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;

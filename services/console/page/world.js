@@ -76,13 +76,8 @@ export function opening() {
 
 const news = card.querySelector(".empty");
 
-/** Show what becomes of a map, on the place of the drawing: that moves nothing. */
+/** Show what becomes of a map, on the place of the drawing, which moves nothing; without a text, the drawing. */
 export function showNews(text) {
   say(news, text);
   news.hidden = !text;
-}
-
-/** The drawing is looked at again. */
-export function hideNews() {
-  news.hidden = true;
 }

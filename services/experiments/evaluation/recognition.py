@@ -1,6 +1,6 @@
 """Recognizing where the robot is, as in the paper's experiments: by Eq. 9, and by the nearest frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ def recognize_states(model: Model, views: NDArray[np.float32]) -> Matches:
     The answer is a demonstrated frame, counted over all drives: by W, where in the best sequence the robot is. The
     score is the weight of that sequence (left side of Eq. 8, for each query frame).
     """
-    length, frames = model.sequence_length, DemonstratedFrames(model)
+    length, frame_of = model.sequence_length, demonstrated_frames(model)
     matches, centred = Matches.none(len(views)), model.centering.apply(views)
     for tick in range(JUDGED_TICKS - 1, len(views), JUDGED_TICKS):
         if tick < length - 1:
@@ -51,26 +51,21 @@ def recognize_states(model: Model, views: NDArray[np.float32]) -> Matches:
         window = centred[tick - length + 1 : tick + 1].T
         solution = solve(model.templates, window, length, model.lambda1, model.lambda2, tolerance=1e-3)
         if (state := solution.best_block) is not None:
-            matches.reference[tick] = frames.frame(state, matched_phase(solution, state))
+            matches.reference[tick] = frame_of(state, matched_phase(solution, state))
             matches.score[tick] = solution.block_weights.max() / length
     return matches
 
 
-class DemonstratedFrames:
-    """Where in the demonstrations of a model a state and a phase are."""
-
-    def __init__(self, model: Model) -> None:
-        counts = [len(atoms) for atoms in model.atoms]
-        starts = np.cumsum([0, *counts[:-1]])
-        ends = [start + last_frames(count, model.sequence_length) for start, count in zip(starts, counts, strict=True)]
-        lasts = np.repeat(starts + counts - 1, [len(each) for each in ends])
-        # The first sequence of a state is the one that it was made of.
-        _, made = np.unique(np.concatenate(model.state_streams), return_index=True)
-        self._begin, self._last = np.concatenate(ends)[made] - model.sequence_length + 1, lasts[made]
-
-    def frame(self, state: int, phase: float) -> int:
-        """Return which frame of all demonstrations a phase of a state is; beyond its template, one that came after."""
-        return int(min(self._begin[state] + round(phase), self._last[state]))
+def demonstrated_frames(model: Model) -> Callable[[int, float], int]:
+    """Return what tells which frame of all drives a phase of a state is; beyond its template, one that came after."""
+    counts = [len(atoms) for atoms in model.atoms]
+    starts = np.cumsum([0, *counts[:-1]])
+    ends = [start + last_frames(count, model.sequence_length) for start, count in zip(starts, counts, strict=True)]
+    # The first sequence of a state is the one that it was made of.
+    _, made = np.unique(np.concatenate(model.state_streams), return_index=True)
+    begin = np.concatenate(ends)[made] - model.sequence_length + 1
+    last = np.repeat(starts + counts - 1, [len(each) for each in ends])[made]
+    return lambda state, phase: int(min(begin[state] + round(phase), last[state]))
 
 
 def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.float32], length: int) -> Matches:

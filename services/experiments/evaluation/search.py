@@ -73,10 +73,7 @@ def search(
     *,
     until_said: bool = False,
 ) -> Search:
-    """Let somebody search for the victim, who sees images through a degrader; keep each `picture_ticks`-th, 0: none.
-
-    A search ends where the victim is found, or, `until_said`, by what a driver says that can say anything.
-    """
+    """Let somebody search who sees degraded images, `until_said` to their word; keep each `picture_ticks`-th."""
     kind = type(driver)
     says = hasattr(kind, "said") or hasattr(kind, "done")
     episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said and says}))

@@ -29,10 +29,7 @@ _TURN_WEIGHT: Final = 0.25
 
 
 def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tuple[Demonstration, Lap]]:
-    """Find the laps in a tub, which is a folder with a manifest, or in recordings: drives, as `find_laps` orders them.
-
-    Raises UsageError when there is none of these, and JobError when it cannot be read or has less than three laps.
-    """
+    """Find laps in a tub or in recordings, as `find_laps` orders them; UsageError: there is none, JobError: under 3."""
     tub, tally = (source / "manifest.json").is_file(), Tally()
     with TemporaryDirectory() as folder:
         if tub:

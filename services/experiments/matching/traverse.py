@@ -41,10 +41,7 @@ class Traverse:
 
 
 def describe_frames(source: Source, settings: FeatureSettings, depth: Source | None, title: str) -> Traverse:
-    """Compute the features of the frames, and of as many depth images where features need them, with a progress bar.
-
-    JobError where no frame can be read, a feature cannot be computed, or the features do not fit into memory.
-    """
+    """Compute the features of frames and, where they need it, of depth images; JobError where that cannot be."""
     count = len(source.frames)
     try:
         features = np.zeros((count, settings.size), dtype=np.float16)

@@ -13,7 +13,6 @@ from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import Intervals, PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
 
-Findings = Mapping[Unit, Finding]
 SOON_S: Final = 3.0  # Within which a kidnapped robot should know where it is.
 
 
@@ -105,7 +104,7 @@ class WorldResults:
         }
 
 
-def results_of(world: WorldPlan, units: Iterable[Unit], findings: Findings) -> WorldResults:
+def results_of(world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]) -> WorldResults:
     """Put together what was found out in a world."""
     here = [(unit, findings[unit]) for unit in units if unit in findings and unit.site.world == world.world]
     searches: dict[Trial, list[Finding]] = {}

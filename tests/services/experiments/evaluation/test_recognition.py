@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from services.experiments.evaluation.recognition import DemonstratedFrames, NearestImitation
+from services.experiments.evaluation.recognition import NearestImitation, demonstrated_frames
 from smal.features import FeatureSettings, extract
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
@@ -30,14 +30,14 @@ def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> Model:
 def test_a_template_is_where_it_was_demonstrated() -> None:
     model = taught()
     assert model.states < sum(map(len, model.state_streams))
-    frames, made, start = DemonstratedFrames(model), set(), 0
+    frame_of, made, start = demonstrated_frames(model), set(), 0
     for atoms, states in zip(model.atoms, model.state_streams, strict=True):
         begin, last = start + len(atoms) % LENGTH, start + len(atoms) - 1
         for number, state in enumerate(states.tolist()):
             if state not in made:
                 for phase in range(2 * LENGTH - 1):
                     expected = min(begin + number * LENGTH + phase, last)
-                    assert frames.frame(state, phase + 0.3) == expected, "and not beyond the demonstration"
+                    assert frame_of(state, phase + 0.3) == expected, "and not beyond the demonstration"
             made.add(state)
         start += len(atoms)
     assert made == set(range(model.states))
