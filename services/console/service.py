@@ -98,8 +98,6 @@ class ConsoleService:
         self._news.append({"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)})
         self._board.put("news", list(self._news))
 
-    # -- what browsers say, on the node's thread ------------------------------------------------------------------
-
     def hold(self, atom: Atom | None, sent_s: float) -> None:
         """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock."""
         # For longer than what they hold counts: by a slow link one cannot drive, and can watch.
@@ -167,8 +165,6 @@ class ConsoleService:
             reads=osm_map,
         )
         self._jobs.begin(job)
-
-    # -- what is asked for ----------------------------------------------------------------------------------------
 
     def _drive(self, ask: Drive) -> None:
         seed, goal = secrets.randbelow(2**31), ask.goal
@@ -255,8 +251,6 @@ class ConsoleService:
             renews=isinstance(ask, Add),
         )
         self._jobs.begin(job)
-
-    # -- what is heard --------------------------------------------------------------------------------------------
 
     def _bridges(self) -> bool:
         """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go.

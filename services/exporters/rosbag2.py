@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.camera_info import CameraInfo
-from services.exporters.drives import Drive, Moment
+from services.exporters.drives import Drive
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally
 from services.importers.ticks import TICK_S
@@ -64,7 +64,16 @@ def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[t
             absent = {"orientation": {"w": 1.0}, "orientation_covariance": np.array([-1.0, *[0.0] * 8])}
             felt = {"header": _header(at_ns, _BASE), "angular_velocity": turning, "linear_acceleration": push}
             yield "/imu", _IMU, at_ns, felt | absent
-        yield from _moved(moment)
+        if (pose := moment.pose) is not None:
+            place = {"x": pose.x_m, "y": pose.y_m}
+            turn = {"z": math.sin(pose.heading_rad / 2.0), "w": math.cos(pose.heading_rad / 2.0)}
+            odometry = {
+                "header": _header(stamp_ns, _ODOM), "child_frame_id": _BASE,
+                "pose": {"pose": {"position": place, "orientation": turn}},
+                "twist": {"twist": _twist(pose.speed_m_s, pose.turn_rate_rad_s)},
+            }  # fmt: skip
+            yield "/odom", names.ODOMETRY, stamp_ns, odometry
+            yield "/tf", _TF, stamp_ns, _transforms(stamp_ns, (_ODOM, _BASE), place, turn)
         if moment.jpeg is not None:
             header, data = _header(stamp_ns, _CAMERA), np.frombuffer(moment.jpeg, np.uint8)
             image = {"header": header, "format": "jpeg", "data": data}
@@ -74,21 +83,6 @@ def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[t
         if moment.velocity is not None:
             command = {"header": _header(stamp_ns, _BASE), "twist": _twist(*moment.velocity)}
             yield "/cmd_vel", names.STAMPED, stamp_ns, command
-
-
-def _moved(moment: Moment) -> Iterator[tuple[str, str, int, Fields]]:
-    pose = moment.pose
-    if pose is None:
-        return
-    place = {"x": pose.x_m, "y": pose.y_m}
-    turn = {"z": math.sin(pose.heading_rad / 2.0), "w": math.cos(pose.heading_rad / 2.0)}
-    odometry = {
-        "header": _header(moment.stamp_ns, _ODOM), "child_frame_id": _BASE,
-        "pose": {"pose": {"position": place, "orientation": turn}},
-        "twist": {"twist": _twist(pose.speed_m_s, pose.turn_rate_rad_s)},
-    }  # fmt: skip
-    yield "/odom", names.ODOMETRY, moment.stamp_ns, odometry
-    yield "/tf", _TF, moment.stamp_ns, _transforms(moment.stamp_ns, (_ODOM, _BASE), place, turn)
 
 
 def _sees(camera: CameraInfo) -> Fields:

@@ -57,7 +57,11 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
         elif record.index in manifest.deleted_indexes:
             tally.count("records were deleted by their owner")
         else:
-            sessions.setdefault(record.session, []).append(_row(record, job))
+            time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
+            # No car does more than all, whatever the joystick says; and of donkeycar -1 is full left.
+            throttle, angle = (min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle))
+            velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
+            sessions.setdefault(record.session, []).append(Row(f"images/{record.image}", time_s, velocity))
     if found != manifest.current_index:
         tally.say(f"the manifest announces {manifest.current_index} records, the catalogs have {found}")
     if not sessions:
@@ -75,11 +79,3 @@ def _records(inside: Inside, paths: list[str], tally: Tally) -> Iterator[_Record
             except ImportFailure:
                 tally.count("records lack an image, an angle, a throttle or a time")
                 yield None
-
-
-def _row(record: _Record, job: Job) -> Row:
-    time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
-    # No car does more than all, whatever the joystick says; and of donkeycar -1 is full left.
-    throttle, angle = (min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle))
-    velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
-    return Row(f"images/{record.image}", time_s, velocity)

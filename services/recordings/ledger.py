@@ -1,7 +1,7 @@
 """What an episode's recording has and what it lacks: which messages were sent again, which ticks never came."""
 
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import Final, get_args
@@ -32,38 +32,27 @@ class Spans:
     """A set of whole numbers as spans of successive ones: a drive of hours that lacks nothing is a single one."""
 
     def __init__(self) -> None:
-        self._begins = array("q")
-        self._ends = array("q")  # The first number behind each.
+        self._bounds = array("q")  # Ascending: where a span begins, the first number behind it, and so on.
         self.count = 0
 
     def add(self, number: int) -> bool:
         """Add a number; return whether it is new."""
-        after = bisect_right(self._begins, number)
-        before = after - 1
-        if before >= 0 and number < self._ends[before]:
+        if bisect_right(self._bounds, number) % 2:
             return False
         self.count += 1
-        joins_before = before >= 0 and self._ends[before] == number
-        joins_after = after < len(self._begins) and self._begins[after] == number + 1
-        if joins_before and joins_after:
-            self._ends[before] = self._ends.pop(after)
-            self._begins.pop(after)
-        elif joins_before:
-            self._ends[before] = number + 1
-        elif joins_after:
-            self._begins[after] = number
-        else:
-            self._begins.insert(after, number)
-            self._ends.insert(after, number + 1)
+        for bound in (number, number + 1):
+            # Where a span ends and another begins there is no bound.
+            at = bisect_left(self._bounds, bound)
+            if at < len(self._bounds) and self._bounds[at] == bound:
+                self._bounds.pop(at)
+            else:
+                self._bounds.insert(at, bound)
         return True
 
     def missing(self, last: int) -> Iterator[tuple[int, int]]:
         """Yield first and last number of each gap from 0 to `last`."""
-        expected = 0
-        for begin, end in zip([*self._begins, last + 1], [*self._ends, last + 1], strict=True):
-            if expected < begin:
-                yield expected, begin - 1
-            expected = end
+        bounds = [0, *self._bounds, last + 1]
+        yield from ((first, end - 1) for first, end in zip(bounds[::2], bounds[1::2], strict=True) if first < end)
 
 
 class Ledger:
