@@ -27,8 +27,7 @@ CA_DAYS: Final = 3650.0  # An authority must outlive what it signs; a robot is n
 DAYS: Final = 365.0  # A certificate that was stolen unnoticed is of no use after a year.
 SKEW: Final = timedelta(minutes=5)  # Clocks of two machines may differ.
 SOON: Final = timedelta(days=30)  # So long before its end a certificate is named by `check`.
-#: Names by which clients on the router's own machine, and in its compose file, go to it.
-HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")
+HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")  # By these the router's own machine goes to it, and compose.
 ROUTER: Final = "router"
 #: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
 _LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
@@ -54,8 +53,7 @@ class Finding(NamedTuple):
 def begin(folder: Path, robot: str) -> None:
     """Make an authority beside those that are there, which stay known; OSError when the folder cannot be written to."""
     key = ec.generate_private_key(ec.SECP256R1())
-    # Named apart, so that of two only the one that has signed is tried.
-    name = f"smal {robot} {secrets.token_hex(4)}"
+    name = f"smal {robot} {secrets.token_hex(4)}"  # Named apart: of two only the one that has signed is tried.
     certificate = _signed(name, _name(name), key.public_key(), key, CA_DAYS, x509.BasicConstraints(True, 0), _CA_USAGE)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""

@@ -9,8 +9,7 @@ import os
 import signal
 import sys
 
-#: From <linux/prctl.h>; the setting outlives exec. It is about the death of the thread that started the process.
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG = 1  # From <linux/prctl.h>; it outlives exec, and is about the thread that started the process.
 
 
 def tied(*command: str) -> list[str]:

@@ -93,8 +93,7 @@ def import_recordings(
 
 def _run(job: Job) -> tuple[list[str], Report]:
     """Do the job in a process of its own; see `services.importers.run`."""
-    # One thread: more of them would each take memory, and the bound is for all.
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # Each would take memory of the bound for all.
     with subprocess.Popen(  # noqa: S603 - our own
         tied(*_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
         text=True,

@@ -25,8 +25,7 @@ from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
-#: Loops are kept that are right so often, unless told otherwise: a wrong one bends a whole map.
-_LOOP_PRECISION: Final = 0.99
+_LOOP_PRECISION: Final = 0.99  # Loops are kept that are right so often: a wrong one bends a whole map.
 _METHODS: Final = "; ".join(
     f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()

@@ -23,11 +23,9 @@ from services.kit.settings import ServiceSettings
 from services.table import SERVICES
 
 STOP_TIMEOUT_S: Final = 5.0
-#: Least time between two starts of a service, doubled with every death up to the longest, seconds.
-FIRST_S, LONGEST_S = 1.0, 30.0
+FIRST_S, LONGEST_S = 1.0, 30.0  # Least time between two starts of a service, doubled with every death, seconds.
 STEADY_S: Final = 60.0  # A service that has lived this long is taken for healthy again.
-#: A slow machine takes minutes to build a large world; whoever waits is told for whom, and may end it.
-PATIENCE_S: Final = 600.0
+PATIENCE_S: Final = 600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
 _TELL_S: Final = 10.0
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")

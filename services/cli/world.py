@@ -31,8 +31,7 @@ app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import m
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
 _AHEAD_M: Final = 1.0  # A view looks to where the route is this much later: around a corner as the robot would turn.
-# The last view stands this far before the victim, in distances from which a robot has found it.
-_BEFORE_VICTIM: Final = 0.9
+_BEFORE_VICTIM: Final = 0.9  # The last view is so far before the victim, in distances of finding it.
 _MOST_VIEWS: Final = 200
 
 

@@ -22,8 +22,7 @@ _LINES, _REMARKS = 200, 20  # Lines that are kept of what a command says, and of
 #: without a word: one of 40,000 houses that overlap took 13 s of processor time, and one of 64 MB, the most that is
 #: taken, 43 s until it was refused for its 180,000 houses; on 2 cores with a load of 12 that was 70 and 116 s.
 PATIENCE_S: Final = 600.0
-#: How long a command that is told to end may tidy up; it does not hear that while it calculates something in one piece.
-_ENDING_S: Final = 5.0
+_ENDING_S: Final = 5.0  # How long a command may tidy up; it is not heard amid a calculation.
 _log = logging.getLogger("console")
 
 
@@ -37,8 +36,7 @@ class Job:
     done: str  # What the page says when it is there.
     arguments: tuple[str, ...]  # Of the ``smal`` command, which is told ``--out`` as well.
     out: Path
-    #: How the command names what it reads; on the page, where a path means nothing, that is ``called`` otherwise.
-    hidden: str
+    hidden: str  # How the command names what it reads, which is ``called`` otherwise on the page.
     called: str = ""
     renews: bool = False  # Whether it is there already.
     reads: IO[bytes] | None = None  # The open file that the command reads, where it has no name.

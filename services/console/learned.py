@@ -18,8 +18,7 @@ from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
 
-#: The robot is said to be at a place, with the weight of all that is believed so near, along the same drive.
-_NEAR_M = 2.0
+_NEAR_M = 2.0  # The robot is at a place with the weight of all so near, along the same drive.
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,8 +60,7 @@ class Library:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        #: Name of the folder of the recordings; None where it lies outside of the root.
-        self.folder: str | None = DRIVES
+        self.folder: str | None = DRIVES  # The recordings'; None where it lies outside of the root.
         self._lock = Lock()
         self._recordings: dict[_File, Recording] = {}
         self._models: dict[_File, LearnedModel] = {}

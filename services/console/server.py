@@ -18,8 +18,7 @@ from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 
 _MOST_BYTES: Final = 1 << 20  # Most bytes that a browser says at once: the names of a thousand recordings.
-#: Bytes of a socket that are read before it is the others' turn: 20 answers to beats, which take 1 ms.
-_AT_ONCE: Final = 1024
+_AT_ONCE: Final = 1024  # Bytes that are read before it is others' turn: 20 answers, 1 ms.
 _FAREWELL_S: Final = 1  # How long open sockets may take to close at the end.
 _NO_WORD: Final = "-"  # Opens no key that is encrypted, for which the terminal would be asked.
 _complaints = Throttle()

@@ -100,8 +100,7 @@ class ConsoleService:
 
     def hold(self, atom: Atom | None, sent_s: float) -> None:
         """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock."""
-        # For longer than what they hold counts: by a slow link one cannot drive, and can watch.
-        self._there_until_s = sent_s + LEASE_S
+        self._there_until_s = sent_s + LEASE_S  # One may watch by a link that is too slow to drive.
         if self._board.clock() >= sent_s + LET_GO_S:
             return
         self._operator.beat(sent_s)

@@ -26,8 +26,7 @@ from services.console.who_drives import BEAT_S, LEASE_S, Seat
 
 PAGE: Final = Path(__file__).parent / "page"
 _APART_S: Final = 0.05  # A watcher is sent something at most so often.
-#: Codes by which a socket is closed: too many watch; somebody else drives; what was said makes no sense.
-FULL, TAKEN, NONSENSE = 4001, 4002, 4003
+FULL, TAKEN, NONSENSE = 4001, 4002, 4003  # Of a socket: too many watch; somebody else drives; it makes no sense.
 _DIGITS: Final = 9  # Digits of the number of a picture, at most.
 #: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
 _LARGEST_MAP: Final = 64 << 20

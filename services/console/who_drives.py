@@ -24,8 +24,7 @@ class Seat:
     """The one place from which the robot is driven; of one thread."""
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
-        #: What only who has the seat is told; they show it with what comes another way than their socket.
-        self.word = ""
+        self.word = ""  # What only who has the seat is told, to show with what comes another way.
         self._clock = clock
         self._sitter: object | None = None
         self._heard_s = 0.0

@@ -18,8 +18,7 @@ _T = TypeVar("_T")
 
 TEXT, MUTED, LINE, BACK = "#222222", "#5f5f5f", "#dddddd", "#ffffff"
 COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
-#: Beside each colour, for those who do not tell colours apart.
-DASHES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
+DASHES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))  # For those who do not tell colours apart.
 _STYLE: Final[dict[Any, Any]] = {
     "axes.edgecolor": LINE, "axes.labelcolor": MUTED, "axes.titlecolor": TEXT, "axes.titlesize": 10, "axes.grid": True,
     "axes.axisbelow": True, "axes.spines.right": False, "axes.spines.top": False, "axes.labelsize": 10,

@@ -26,8 +26,7 @@ from services.kit.jpeg import decode_jpeg
 
 CAMERA: Final = "observation.images.front"
 FPS: Final = round(1.0 / TICK_S)
-#: The format's own: files in a folder; the largest, in megabytes, that others make when they add to it.
-_CHUNK, _DATA_MB, _VIDEO_MB = 1000, 100, 200
+_CHUNK, _DATA_MB, _VIDEO_MB = 1000, 100, 200  # As the format has it: files a folder; megabytes, as others add to it.
 _FIRST: Final = {"chunk_index": 0, "file_index": 0}
 #: As lerobot has it for random access: every other image stands for itself, and none is told by a later one. With this
 #: quality nobody sees a difference.
@@ -234,8 +233,7 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
     below = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
     shares = np.diff(below, axis=1, prepend=0.0)
     mean = shares @ levels
-    # Of rounding alone it can be less than nothing.
-    variance = np.maximum(shares @ levels**2 - mean**2, 0.0)
+    variance = np.maximum(shares @ levels**2 - mean**2, 0.0)  # Of rounding it can be below 0.
     there = [levels[channel > 0] for channel in counts]
     found = {"min": [one[0] for one in there], "max": [one[-1] for one in there], "mean": mean, "std": variance**0.5}
     found |= {name: levels[np.minimum((below < share).sum(axis=1), 255)] for name, share in _QUANTILES.items()}

@@ -23,8 +23,7 @@ _IMU: Final = "sensor_msgs/msg/Imu"
 _TF: Final = "tf2_msgs/msg/TFMessage"
 _ODOM, _BASE, _CAMERA = "odom", "base_link", "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
-#: From a robot's axes (ahead, left, up) to a camera's (right, down, ahead).
-_OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+_OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # Robot (ahead, left, up) to camera (right, down, ahead).
 _COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # Of each lens, as ROS has it.
 Fields = dict[str, Any]
 

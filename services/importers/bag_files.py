@@ -19,8 +19,7 @@ from services.importers.inside import Inside
 from services.recordings.records import MAGIC, mapped, records
 
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-#: Largest message: a raw image of 4096x3072 pixels with four channels, and something around it.
-_MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
+_MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20  # Largest message: a raw image of 4096x3072x4, and more.
 
 
 class Received(NamedTuple):

@@ -13,8 +13,7 @@ from services.kit.errors import JobError
 from smal.camera import Camera
 
 Array = NDArray[np.float64]
-#: Most samples of a drive, or rows of a file: 28 hours at 100 Hz. They are kept in memory, 100 bytes or so each.
-MOST_SAMPLES: Final = 10_000_000
+MOST_SAMPLES: Final = 10_000_000  # Most of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
 FASTEST_M_S, FASTEST_RAD_S = 50.0, 100.0  # No wheeled robot is faster.
 LATEST_S: Final = 9e9  # A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
 _FURTHEST_M: Final = 4e7  # Round the earth, whose grids some odometry begins in.

@@ -12,8 +12,7 @@ from schemas.codec import describe, printable
 from services.importers.drive import ImportFailure
 from services.kit.root import OutsideError, below, open_below
 
-#: Most bytes of a file that is read as a whole; the episodes of a thousand hours are described in less.
-MOST_BYTES: Final = 256 * 2**20
+MOST_BYTES: Final = 256 * 2**20  # Most of a file read as a whole; a thousand hours are described in less.
 LONGEST_LINE: Final = 1_000_000  # Most characters of a line; of a row of numbers it has a few hundred.
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -32,8 +32,7 @@ _NAMES: Final[dict[tuple[str, ...], float]] = {
     ("vx", "wz"): 1.0,
 }
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
-#: Slower than this it does not go sideways, but is measured badly: `atoms` has the same for ahead.
-_LEAST_SIDEWAYS: Final = 0.02
+_LEAST_SIDEWAYS: Final = 0.02  # Slower sideways is measured badly, as `ticks` has it for ahead.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"

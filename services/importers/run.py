@@ -26,8 +26,7 @@ from services.kit.errors import describe_os_error
 
 #: What the modules of this package that read a format are called; each has ``read(inside, job, tally)``.
 _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
-#: Memory that an import may take, bytes; numbers of the longest drive that is read take a quarter of it.
-MOST_MEMORY: Final = 2 * 2**30
+MOST_MEMORY: Final = 2 * 2**30  # Bytes that an import may take; numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 

@@ -19,10 +19,8 @@ from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, Import
 from smal.movement import seen_from
 
 TICK_S: Final = 0.1  # Time between two ticks, on which the stack runs and learning reckons.
-#: A base stops that has not been told anything for so long: what ROS drivers usually have, and twice what our gate has.
-HOLD_S: Final = 0.5
-#: Further from any frame than this a tick has none: a camera slower than 4 Hz shows too little of the way.
-GAP_S: Final = 0.125
+HOLD_S: Final = 0.5  # A base stops that is told nothing for so long: as ROS drivers have it, twice our gate's.
+GAP_S: Final = 0.125  # Further from any frame a tick has none: below 4 Hz too little of the way is seen.
 _ROUNDING_S: Final = 1e-6  # What times may be off by the rounding of numbers.
 _FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
 #: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
@@ -31,8 +29,7 @@ _LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
 #: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
 #: fastest few are noise, or a hand that slipped.
 QUANTILE: Final = 0.95
-#: Below this fraction of both nominal velocities the robot stands; joysticks have a dead zone of about as much.
-STILL: Final = 0.1
+STILL: Final = 0.1  # Below this fraction of nominal velocities the robot stands: joysticks' dead zone.
 TURNING: Final = 0.5  # From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
 
 

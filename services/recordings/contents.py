@@ -26,8 +26,7 @@ from services.recordings.survey import summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
-#: Of an episode's events, what says who drove where; see `schemas.episode`.
-_SAID: Final = ("world", "seed", "purpose", "goal", "driver")
+_SAID: Final = ("world", "seed", "purpose", "goal", "driver")  # Who drove where; see `schemas.episode`.
 
 
 @dataclass
@@ -59,8 +58,7 @@ class EpisodeContents:
 
     robot: str
     episode: str
-    #: World, seed, purpose, goal and driver, as its events tell.
-    said: dict[str, str | int] = field(default_factory=dict)
+    said: dict[str, str | int] = field(default_factory=dict)  # World, seed, purpose, goal and driver.
     outcome: str | None = None
     judge: str | None = None  # Who says so.
     drove: dict[str, int] = field(default_factory=dict)  # Ticks by whose command moved the robot last in them.

@@ -35,12 +35,10 @@ _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8
 class Teaching:
     """What a set of recordings teaches."""
 
-    #: One for each piece without gaps of each usable episode.
-    demonstrations: list[Demonstration] = field(default_factory=list)
+    demonstrations: list[Demonstration] = field(default_factory=list)  # Of each piece without gaps.
     recordings: int = 0  # Files that were read.
     episodes: int = 0  # Episodes that are used.
-    #: One line for everything that is left out, damaged or computed anew.
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # Of what is left out, damaged or computed anew.
 
 
 class Teacher:

@@ -17,8 +17,7 @@ from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
 from services.recordings.writer import GAPS_METADATA
 
-#: So much at its end may not have reached the disk when the power failed: there chunks are checked by their checksums.
-_UNSURE: Final = 16 * 2**20
+_UNSURE: Final = 16 * 2**20  # May not have reached the disk at a power failure: checksums are checked there.
 
 
 class LeftoverError(JobError):

@@ -18,8 +18,7 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, mapped
 from services.recordings.stream import RecordingError, messages_of
 
-#: What teaching takes, and what is drawn of it.
-USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)
+USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)  # For teaching, and to be drawn.
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,12 +27,9 @@ class Piece:
     features: NDArray[np.float32]  # (f, m), raw feature vectors.
     atoms: NDArray[np.int8]  # (f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
     ahead: NDArray[np.float32]  # (f,), fraction of the nominal speed at which the robot went ahead in turning then.
-    #: As recorded (for ``encoding.decode_image``), one a frame; None if one is missing.
-    images: tuple[memoryview, ...] | None
-    #: (f, 3), x and y in metres and heading in radians by the wheels; None if one is missing.
-    odometry: NDArray[np.float64] | None
-    #: Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found.
-    at_goal: bool
+    images: tuple[memoryview, ...] | None  # As recorded (``encoding.decode_image``), one a frame; or None.
+    odometry: NDArray[np.float64] | None  # (f, 3), metres and radians by the wheels; None if one is missing.
+    at_goal: bool  # Whether the last frame is that of an episode which ended with the victim found.
 
 
 @dataclass(eq=False)
@@ -48,13 +45,11 @@ class RecordedEpisode:
     driver: Source | None = None
     outcome: Outcome | None = None
     end_tick: int | None = None
-    #: Raw feature vectors that were recorded with the wanted fingerprint.
-    features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    features: dict[int, NDArray[np.float32]] = field(default_factory=dict)  # Raw, of the wanted fingerprint.
     images: dict[int, memoryview] = field(default_factory=dict)  # As recorded (for ``encoding.decode_image``).
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
-    #: What the actuator did from this tick to the next.
-    applied: dict[int, CommandApplied] = field(default_factory=dict)
+    applied: dict[int, CommandApplied] = field(default_factory=dict)  # From this tick to the next.
     camera: CameraInfo | None = None
     poses: dict[int, Pose] = field(default_factory=dict)  # True poses, for plots; learning must not use them.
 

@@ -35,8 +35,7 @@ _LARGEST_RECORD: Final = 16 * 2**20
 #: Most bytes that packed recordings may take in memory. 12 drives of 1024x768 unpack to 1.6 GB; our own recordings are
 #: not packed at all, and their images stay on the disk.
 MOST_UNPACKED: Final = 4 * 2**30
-#: Most that a file may unpack to, times its own size: all that LZ4 can pack. Messages of a robot that stands reach 18.
-_MOST_RATIO: Final = 256
+_MOST_RATIO: Final = 256  # A file may unpack to so many times its size: all that LZ4 can pack.
 #: Least bytes of a packed record. A message has another time and number than the last one: with the strongest
 #: compression of Zstandard those of a robot that stands, with an exact clock, take 8.8.
 _LEAST_RECORD: Final = 4

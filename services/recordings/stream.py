@@ -20,8 +20,7 @@ from services.recordings.encoding import stamped_jpeg
 from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, mapped, records
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
-#: Memory that a message takes which is kept, beside its bytes, which may be few: its object, and the numbers in it.
-OBJECTS: Final = 2048
+OBJECTS: Final = 2048  # Memory of a message that is kept beside its bytes: its object, and its numbers.
 
 
 class RecordingError(JobError):

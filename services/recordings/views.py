@@ -46,12 +46,10 @@ from services.recordings.encoding import CAMERA_FRAME, timestamp
 from smal.movement import placed, seen_from
 
 _PART: Final = "/view/"
-#: Poses by the wheels that wait for the belief of their frame, which comes a few frames later at most.
-_KEPT: Final = 100
+_KEPT: Final = 100  # Poses by the wheels that wait for the belief of their frame, a few frames later.
 #: The arrow of the belief is half a metre long, about as a robot.
 _ARROW: Final = {"shaft_length": 0.35, "shaft_diameter": 0.075, "head_length": 0.15, "head_diameter": 0.15}
-#: The driven way has a point for so much of it, a tick at walking pace; for more of it where there would be too many.
-_STEP_M: Final = 0.1
+_STEP_M: Final = 0.1  # From point to point of the driven way; more where there would be too many.
 _MOST_POINTS: Final = 10_000  # Most points of a way: more than a screen can tell apart.
 _LINE_PX: Final = 3.0
 _TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)

@@ -20,10 +20,8 @@ from services.recordings.views import View, Views, view_key
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
-#: A chunk is complete when it spans so much: what viewers load at least, and what a kill or one wrong byte costs.
-_CHUNK_NS: Final = 1_000_000_000
-#: And when it has so many bytes, where images are large: this process holds them until then.
-_CHUNK_BYTES: Final = 4 * 2**20
+_CHUNK_NS: Final = 1_000_000_000  # Time of a chunk: what viewers load, and what a kill or wrong byte costs.
+_CHUNK_BYTES: Final = 4 * 2**20  # Or so many bytes, where images are large: they are held until then.
 
 
 class EpisodeWriter:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from smal.evaluation.ground_truth import Judgement
 
-#: The bootstrap draws from at least so many blocks, if there are so many queries: of fewer it learns nothing.
-_FEWEST_BLOCKS = 4
+_FEWEST_BLOCKS = 4  # The bootstrap draws from at least so many blocks: of fewer it learns nothing.
 
 
 @dataclass(frozen=True, eq=False)

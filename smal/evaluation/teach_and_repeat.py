@@ -26,14 +26,10 @@ from smal.teaching.demonstration import Demonstration
 from smal.teaching.movements import atom_movements
 
 _T = TypeVar("_T")
-#: Pixels of the images that are compared, and of the square within which each of their pixels is normalized.
-COLUMNS, ROWS, PATCH = 115, 44, 9
-#: Forward atoms between keyframes: theirs are 0.2 m apart, about five atoms (0.5 s) of a slow indoor robot.
-SPACING_ATOMS: Final = 5.0
-#: Turn after which there is a keyframe too, and heading error within which a goal counts as reached, radians.
-TURNED_RAD: Final = math.radians(15.0)
-#: How far ahead of a goal the robot aims, and how near the last one a goal is a mere turn; both in spacings.
-LOOKAHEAD, TURNING = 1.3, 0.2
+COLUMNS, ROWS, PATCH = 115, 44, 9  # Pixels of images that are compared, and the square that normalizes each.
+SPACING_ATOMS: Final = 5.0  # Between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
+TURNED_RAD: Final = math.radians(15.0)  # Between keyframes, and heading error at which a goal is reached.
+LOOKAHEAD, TURNING = 1.3, 0.2  # How far ahead it aims, and how near goals are a mere turn; in spacings.
 SEARCH: Final = 3  # Keyframes before and after the current two that are compared.
 RECOGNIZED: Final = 0.1  # Correlation below which a keyframe says nothing.
 #: Fraction by which one image corrects the heading (theirs for the MiRo; 0.01 leaves three times the error) and the way

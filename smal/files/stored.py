@@ -78,8 +78,7 @@ class Stored(ABC):
             if not isinstance(scheme, str) or scheme not in _KINDS:
                 raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
             file_of_kind, class_name = _KINDS[scheme]
-            # Imported only where there is a file of it: the paper's is seldom wanted.
-            kind = getattr(import_module(file_of_kind), class_name)
+            kind = getattr(import_module(file_of_kind), class_name)  # The paper's is imported only for its files.
             if not issubclass(kind, cls):
                 raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
             found: Self = kind.of_content(meta, arrays)

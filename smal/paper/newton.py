@@ -31,8 +31,7 @@ _GAP_TO_EPSILON = 0.7
 _MAX_STEPS = 150
 _RIDGE = 1e-11  # Rounding must not make a Newton system indefinite; it changes the path, never the bound.
 _ARMIJO, _SHORTEST_STEP = 1e-4, 1e-8
-# p^3 q from which on conjugate gradients are tried, so many at most, and beyond which nothing else is.
-_LARGE, _TOO_LARGE = 3e6, 1e9
+_LARGE, _TOO_LARGE = 3e6, 1e9  # p^3 q from which on conjugate gradients are tried, and beyond which nothing else.
 _ACCURATE, _MOST_GRADIENTS = 1e-2, 150
 _ROUNDING = 1e-15  # Squared residuals below this share of the query are rounding.
 _TINY = 1e-300

@@ -97,8 +97,7 @@ def learn_transitions(
     now = np.concatenate([s[:-1] for s in state_streams])
     action = np.concatenate([a[:-1] for a in action_streams])
     then = np.concatenate([s[1:] for s in state_streams])
-    # A goal ends the task, also where another demonstration passes through it on its way.
-    going_on = ~np.isin(now, goals)
+    going_on = ~np.isin(now, goals)  # A goal ends the task, also where another demonstration passes.
     moved = np.stack([now[going_on], action[going_on], then[going_on]], axis=1).astype(np.int32)
     stay = np.stack([goals, np.full_like(goals, NO_ACTION), goals], axis=1)
     distinct, often = np.unique(moved, axis=0, return_counts=True)

@@ -22,8 +22,7 @@ Columns = NDArray[np.intp]
 
 _FIRST = 4  # Sequences to start with.
 _MAX_ROUNDS = 200
-# Alternating projections to bound polars: while sequences are being sorted out, and to prove.
-_QUICK, _THOROUGH = 8, 100
+_QUICK, _THOROUGH = 8, 100  # Projections to bound polars: while sequences are sorted out, and to prove.
 _TIGHT = 0.7  # A row is worth a weight if the dual point holds it so far.
 _LOOSE = 1e-2  # Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
 _OPERATIONS = 32  # The objective and its quotient with the bound take fewer operations, beside the terms of their sums.
@@ -44,8 +43,7 @@ class WorkingSet:
         self._rows, self._query, self._length, self._tolerance = rows, query, length, tolerance
         self._lambdas = lambda1, lambda2
         (n, m), q = rows.shape, len(query)
-        #: Bound on the relative error of inner products of frames in float64, and of sums of these.
-        self._rounding = rounding(m + q + 2)
+        self._rounding = rounding(m + q + 2)  # On the relative error of float64 products, and sums of these.
         self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)  # ||y_i||, rounded up.
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.einsum("rm,rm->r", rows, rows)

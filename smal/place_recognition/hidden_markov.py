@@ -15,8 +15,7 @@ from scipy import sparse
 Array = NDArray[np.float32]
 Seen = NDArray[Any]
 
-#: References to one query, forwards; the same again backwards.
-SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)
+SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # References to one query, or backwards.
 #: Probabilities with each query: that the speed stays; that who is slow stops, and who stands does so still (stops that
 #: can be seen are left out beforehand, so that who seems to stand is rather nowhere); of a jump to anywhere; that no
 #: reference shows it any more, or one shows it again; and that none shows the first one.

@@ -13,8 +13,7 @@ from smal.features.extraction import in_parallel
 from smal.place_recognition.matches import Matches, check_features, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 
-#: A traverse: images one after the other, uint8 (height, width, 3), or the features of all, (n, m).
-Frames = Iterable[NDArray[Any]]
+Frames = Iterable[NDArray[Any]]  # Images in order, uint8 (height, width, 3), or features of all, (n, m).
 
 
 @dataclass(frozen=True)

@@ -76,8 +76,7 @@ def _paper(references: Features, queries: Features, settings: MatchSettings, pro
     return match_as_in_the_paper(mean.apply(references), mean.apply(queries), settings.length, progress)
 
 
-#: What looks at the whole image, and changes little where light and season do.
-FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))
+FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))  # It changes little with light and season.
 
 METHODS: Final = {
     "smal": Method(

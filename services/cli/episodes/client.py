@@ -45,8 +45,7 @@ class EpisodeRecord:
     said: Said | None = None  # What the robot said of the goal.
     decisions: dict[int, str] = field(default_factory=dict)  # Kind of every decision.
     unrecognized: set[int] = field(default_factory=set)  # Decisions that were taken without a recognized state.
-    #: From a frame's readiness to the acceptance of its command.
-    latencies_ms: dict[int, float] = field(default_factory=dict)
+    latencies_ms: dict[int, float] = field(default_factory=dict)  # From a frame to the acceptance of its command.
     frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # Some camera images of the way.
 
 
@@ -188,8 +187,7 @@ class EpisodeClient:
             request = EndRequest(episode=self._episode, said=said, session=self.node.session)
             self.node.bus.call("robot", "end", request, Nothing)
         except RpcError as error:
-            # It may have ended by itself in the meantime; then its last message is on the way.
-            refusal = error
+            refusal = error  # It may have ended by itself; then its last message is on the way.
         if not self.node.spin(until=lambda: self._ended, timeout_s=10.0):
             raise refusal or JobError(f"episode {self._episode} did not end")
 

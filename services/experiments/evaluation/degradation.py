@@ -19,11 +19,9 @@ _WHETHER, _WHAT, _NOISE = range(3)  # Sources of chance in an episode; their ord
 class Degradation:
     """How bad the robot's view is."""
 
-    #: Share of the frames that are occluded: a rectangle of one random colour hides 50 to 100 % of them.
-    occlusion: float = 0.0
+    occlusion: float = 0.0  # Share of the frames of which one colour hides 50 to 100 %, a rectangle.
     noise: float = 0.0  # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
-    #: Strength of the camera's shake, for the simulation (`open_simulation`); None for as usual in that world.
-    shake: float | None = None
+    shake: float | None = None  # Strength of the camera's shake; None for as usual in that world.
 
     @property
     def meaning(self) -> str:

@@ -9,12 +9,10 @@ from schemas.episode import Victim
 from schemas.rpc import Start
 from smal.paper.learning import LearningSettings
 
-#: Sequences have this length by default; the filter has none.
-DEFAULT_LENGTH: Final = LearningSettings().sequence_length
+DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Of sequences; the filter has none.
 #: Seeds of what is learned from begin here, as in the README; those of what is recognized beyond all of them.
 TEACHING_SEED, QUERY_SEED, RUN_SEED, CLOUDS_SEED = 1, 1000, 1, 100
-#: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
-JUDGED_TICKS: Final = 4
+JUDGED_TICKS: Final = 4  # From one judged frame to the next: ten a second show nearly the same.
 #: How often the searches of SMAL and of its best peer are done, and errands; and after one drive, by how many drives,
 #: each of which teaches alone.
 RUNS, TAUGHT = 10, 5
@@ -28,11 +26,9 @@ CONTROLLERS: Final = {
     "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
 }
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
-#: For each drive that teaches the paper's scheme: 60 for twelve, with which it was shown to find its way.
-_RECOVERIES: Final = 5
+_RECOVERIES: Final = 5  # For each drive of the paper's scheme: 60 for twelve, which were shown to do.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")  # Light and season other than those of the drives.
-#: How the victim can lie other than where it was when the way was taught.
-ELSEWHERE: Final[tuple[Victim, ...]] = ("absent", "moved", "decoy")
+ELSEWHERE: Final[tuple[Victim, ...]] = ("absent", "moved", "decoy")  # How the victim can lie otherwise.
 _KIDNAP: Final = 100  # Frame at which robots are carried away: a good way from the start, and far from the goal.
 
 

@@ -73,8 +73,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     # Read when a process loads its libraries; two that compute with two threads each are slower than with one.
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     before = set(multiprocessing.active_children())
-    # Ctrl-C, which goes to the whole group, is left to the process that ends the others.
-    ignoring = (signal.SIGINT, signal.SIG_IGN)
+    ignoring = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the process that ends the others.
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), signal.signal, ignoring)
     try:
         yield pool

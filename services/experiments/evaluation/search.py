@@ -50,8 +50,7 @@ class Search:
     shortest_m: float  # Way from the start to where the victim counts as found.
     #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     places: tuple[Place | None, ...] = ()
-    #: What the robot saw at chosen ticks, (height, width, 3) RGB.
-    pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # At chosen ticks, (height, width, 3) RGB.
     kidnap_tick: int = 0
     right: bool | None = None  # Whether "not here" was so.
 

@@ -44,8 +44,7 @@ from smal.paper.robot import Robot as PaperRobot
 from smal.robot import Robot
 from smal.teaching.mapping import learn as learn_map
 
-#: What a unit found out: numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
-Finding = dict[str, Any]
+Finding = dict[str, Any]  # Numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
 U = TypeVar("U", bound="Unit")
 FEATURES: Final = FeatureSettings()  # Of all drives and queries.
 _PACKAGES: Final = Path(__file__).parents[3]  # What holds our packages: a checkout, or where they are installed.

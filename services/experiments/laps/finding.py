@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 Frames = NDArray[np.float64]
-#: Frames of one lap that may pass in a frame of another, and what each costs that is skipped, or stood at.
-FASTEST, STEP_COST = 3, 0.05
+FASTEST, STEP_COST = 3, 0.05  # Frames of a lap in one of another at most, and what each skipped one costs.
 FIRST: Final = 0.5  # The first recurrence of views that is so much of the best one is a lap; later ones are several.
-#: A lap, and its first fifth, is at most so unlike another one, and so much more unlike than the median lap.
-UNLIKE, OF_MEDIAN = 0.9, 2.0
+UNLIKE, OF_MEDIAN = 0.9, 2.0  # Most that a lap, and its fifth, is unlike another, in itself and by the median.
 TRIED: Final = 16  # Stretches of the drive that are tried as the one that laps are held beside.
 
 

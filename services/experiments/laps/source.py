@@ -24,8 +24,7 @@ from smal.teaching.demonstration import Demonstration
 #: Laps are found and aligned by other features than those that are judged; frames have both.
 JUDGED, _FINDING = FeatureSettings(), FeatureSettings.of(("gist", "thumbnail"))
 HELD: Final = FeatureSettings.of((*JUDGED.modalities, *_FINDING.modalities))
-#: Turns that differ by as much as turns scatter make two frames as unlike as views of cosine .75 are.
-_TURN_WEIGHT: Final = 0.25
+_TURN_WEIGHT: Final = 0.25  # Turns apart as turns scatter are as unlike as views of cosine .75.
 
 
 def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tuple[Demonstration, Lap]]:

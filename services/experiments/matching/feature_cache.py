@@ -29,8 +29,7 @@ def cache_file() -> Path:
 class FeatureCache:
     """Finds and keeps features of some settings, in threads; where the file cannot be used it says so and goes on."""
 
-    #: What was said of the file: references and queries have a cache each, and one line is enough.
-    _said: ClassVar[set[str]] = set()
+    _said: ClassVar[set[str]] = set()  # Of the file, once: references and queries have a cache each.
 
     def __init__(self, settings: FeatureSettings) -> None:
         self._settings, self._lock, self._new = settings, Lock(), dict[bytes, Features]()

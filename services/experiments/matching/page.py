@@ -10,8 +10,7 @@ from services.experiments import html
 from services.experiments.matching.report import Result, title_of
 from smal.likelihood import evenly
 
-#: Matches, and references to find a right one by, that a page shows: as many as a person looks at.
-_MATCHES, _REFERENCES = 200, 60
+_MATCHES, _REFERENCES = 200, 60  # Matches that a page shows, and references to find a right one by.
 
 
 def judging_page(result: Result) -> str:
