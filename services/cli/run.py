@@ -14,7 +14,7 @@ from schemas.rpc import LoadReply, LoadRequest, Nothing, ResetRequest, Start, St
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
-from services.cli.stack import Access, flags, stack_for
+from services.cli.stack import flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of, most_ticks
@@ -100,7 +100,10 @@ def run(
             with recording(bus, record, "--record") if record else nullcontext():
                 _check_features(bus, loaded.feature_settings)
                 for one in client.run_all(requests, access, "running", world=name):
-                    _check_run(one, access)
+                    if one.outcome == "aborted":  # It says nothing of the model.
+                        seed, where = one.request.seed, f" ({access.logs})" if access.logs else ""
+                        logs = f"see the logs of recognition and policy{where}"
+                        raise JobError(f"run with seed {seed}: no command came; {logs}")
                     _check_models(bus, identity, use.goal)
                     records.append(one)
     finally:
@@ -171,11 +174,3 @@ def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
                     f"{service} has {name} {found or 'none'}, not {wanted or 'none'} as --{name}; "
                     "it was started again, or loaded another one: run again"
                 )
-
-
-def _check_run(record: EpisodeRecord, access: Access) -> None:
-    """Refuse a run that was aborted: it says nothing of the model."""
-    if record.outcome == "aborted":
-        where = f" ({access.logs})" if access.logs else ""
-        seed = record.request.seed
-        raise JobError(f"run with seed {seed}: no command came; see the logs of recognition and policy{where}")

@@ -44,11 +44,7 @@ class Asked(Strict):
 
 
 class Press(Asked):
-    """A button that needs no more words.
-
-    ``resume`` arms the robot, and has the driver go on that the person took over from; ``withdraw`` begins no episode
-    after all, while its world is being opened; ``cancel`` ends what is being learned or made.
-    """
+    """Arm and go on, begin no episode after all while its world is opened, or end what is being learned or made."""
 
     do: Literal["resume", "withdraw", "cancel"]
 

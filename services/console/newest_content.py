@@ -1,8 +1,4 @@
-"""The newest of everything, for those who watch.
-
-Nothing waits for a watcher: whoever is slow finds something newer when they look again, and never what was in between.
-So one that stands still costs one event, whatever it is sent.
-"""
+"""The newest of everything, for those who watch: nothing waits for a slow one, who finds something newer then."""
 
 import asyncio
 import json

@@ -175,7 +175,9 @@ class Web:
             try:
                 said = OF_DRIVER.validate_json(text)
             except ValidationError as error:
-                await browser.send_json({"refused": _plainly(error)})
+                # What kind of message it came in means nothing to who asked.
+                kind = next(iter(error.errors(include_url=False)[0]["loc"]), "")
+                await browser.send_json({"refused": describe(error).removeprefix(f"{kind}.")})
                 continue
             if isinstance(said, Hold):
                 if (sent_s := self._seat.answered(said.beat)) is not None:
@@ -199,12 +201,6 @@ class Web:
 
 class _NonsenseError(Exception):
     """A browser says what is no answer to what it was sent."""
-
-
-def _plainly(error: ValidationError) -> str:
-    """Say what is wrong with what was asked for; what kind of message it came in means nothing to who asked."""
-    where = error.errors(include_url=False)[0]["loc"]
-    return describe(error).removeprefix(f"{where[0]}." if where else "")
 
 
 async def _said(browser: WebSocket) -> AsyncIterator[str]:

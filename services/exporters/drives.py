@@ -126,11 +126,7 @@ class Drive:
 
 
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
-    """Read recordings; a JobError says that none of them can be exported, or that nobody knows how fast atoms are.
-
-    Speed and turn rate are those of full-speed atoms, metres and radians a second; measured on the odometry of each
-    robot if not given.
-    """
+    """Read recordings, with speeds of atoms as given, m/s and rad/s, or by odometry; JobError where none is known."""
     episodes = list(_episodes(files, tally))
     if not episodes:
         raise JobError(tally.remarks.pop() if len(tally.remarks) == 1 else "nothing to export, for these reasons")

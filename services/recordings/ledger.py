@@ -56,11 +56,7 @@ class Spans:
 
 
 class Ledger:
-    """Keeps account of the messages of one episode.
-
-    A message may come again: in lockstep a frame is repeated until it is answered, and a recorder that was away is sent
-    what it may have already. It may also come late, after others of its topic.
-    """
+    """Keeps account of the messages of one episode, which may come again, and late, after others of their topic."""
 
     def __init__(self) -> None:
         self._seen: defaultdict[tuple[str, int], Spans] = defaultdict(Spans)

@@ -111,11 +111,7 @@ def mapped(path: Path) -> memoryview:
 
 
 def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[McapRecord]:
-    """Yield the whole records of the data section that hold something, those in chunks in the place of their chunk.
-
-    The allowance is for what is unpacked. Raises MemoryLimitError when that is too much, or another one of
-    ``UNREADABLE`` when the file is damaged otherwise.
-    """
+    """Yield the whole records that hold something, those in chunks in their place; one of ``UNREADABLE`` at damage."""
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")
     bounds = Bounds(len(data), allowance)

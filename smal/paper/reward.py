@@ -40,16 +40,6 @@ class Reward(NamedTuple):
     objective: float
 
 
-def _advantages(transitions: Transitions, expert: NDArray[np.int64]) -> tuple[sparse.csr_array, NDArray[np.intp]]:
-    """Rows P_a1(s) - P_a(s) for every seen alternative a and for the sink, and the state of each row."""
-    T = transitions.matrix
-    rival = np.flatnonzero(expert[transitions.state] != np.arange(transitions.pairs))
-    acting = np.flatnonzero(expert >= 0)
-    seen = T[expert[transitions.state[rival]]] - T[rival]
-    rows = sparse.vstack([seen, T[expert[acting]]], format="csr")
-    return sparse.csr_array(rows), np.concatenate([transitions.state[rival], acting]).astype(np.intp)
-
-
 class _Program:
     """The constraints, with variables V (n, free), R+ and R- (n each, not negative) and margin (n, not negative).
 
@@ -61,7 +51,12 @@ class _Program:
         self.n = n = transitions.states
         expert = transitions.expert_pairs()
         P = policy_matrix(transitions, expert)
-        advantage, of_state = _advantages(transitions, expert)
+        # Rows P_a1(s) - P_a(s) for every seen alternative a and for the sink, and the state of each row.
+        T, acting = transitions.matrix, np.flatnonzero(expert >= 0)
+        rival = np.flatnonzero(expert[transitions.state] != np.arange(transitions.pairs))
+        seen = T[expert[transitions.state[rival]]] - T[rival]
+        advantage = sparse.vstack([seen, T[expert[acting]]], format="csr")
+        of_state = np.concatenate([transitions.state[rival], acting])
         self.rows = rows = of_state.size
         margin = sparse.csr_array((np.ones(rows), (np.arange(rows), of_state)), shape=(rows, n))
         identity = sparse.eye_array(n, format="csr")

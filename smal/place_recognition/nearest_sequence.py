@@ -1,8 +1,4 @@
-"""Nearest neighbour with the sum over the sequence: the plainest method that knows the order of frames.
-
-The products of every query with every reference are summed along the diagonal, frame by frame at the same speed,
-and the reference sequence with the largest sum is the match. There is no optimization and nothing to set but l.
-"""
+"""Nearest neighbour with the sum over the sequence: the plainest method that knows the order of frames."""
 
 from collections.abc import Sequence
 

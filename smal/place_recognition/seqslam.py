@@ -1,8 +1,4 @@
-"""SeqSLAM, written from the paper: Milford & Wyeth, ICRA 2012.
-
-Differences of small images are made comparable within each neighbourhood of references (local contrast enhancement),
-and summed along straight lines: a query sequence is matched where the line of the smallest sum ends.
-"""
+"""SeqSLAM, from the paper (Milford & Wyeth, ICRA 2012): sums of enhanced differences along straight lines."""
 
 import math
 from typing import Final

@@ -1,8 +1,4 @@
-"""Declared degradations of what a running robot sees: occluded frames, sensor noise, shake.
-
-Teaching is never degraded: the question is what a method does with views that are worse than those it was taught.
-Chance belongs to the episode's seed and the tick, so that every method sees the same damage in the same frames.
-"""
+"""Degradations of what a running robot sees; chance belongs to seed and tick, so that all methods see the same."""
 
 import math
 from dataclasses import dataclass

@@ -1,8 +1,4 @@
-"""Errands: what several drives together make possible, in a world that has streets to choose from.
-
-A detour and a shorter way, a fork, drives that share a stretch and are joined. Only what was learned can decide: in
-each, doing what the expert did most often, or last, is wrong.
-"""
+"""Errands: what several drives together make possible, and doing what was done most often, or last, does not."""
 
 import math
 from dataclasses import dataclass, replace

@@ -62,20 +62,16 @@ class Recognizer:
 
 @dataclass(frozen=True)
 class Trial:
-    """Searches that differ in their seed alone.
-
-    The length l is for the paper's scheme; at ``kidnap_tick`` the robot is carried to another place (0: never). The
-    runs are shared out among several sets of drives, each of which teaches alone, with a seed of the filter's own.
-    """
+    """Searches that differ in their seed alone, shared out among sets of drives, each of which teaches alone."""
 
     controller: str
     drives: int
     runs: int
-    length: int = DEFAULT_LENGTH
+    length: int = DEFAULT_LENGTH  # Of the paper's scheme.
     degradation: str = "clean"
     variation: str = "day"
     start: Start = "start"
-    kidnap_tick: int = 0
+    kidnap_tick: int = 0  # At which the robot is carried to another place; 0: never.
     sets: int = 1
     victim: Victim = "there"
     obstacles: int = 0

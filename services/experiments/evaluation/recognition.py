@@ -38,11 +38,7 @@ def query_drive(
 
 
 def recognize_states(model: Model, views: NDArray[np.float32]) -> Matches:
-    """Recognize states (Eq. 9) at every `JUDGED_TICKS`-th view (f, m) of raw features.
-
-    The answer is a demonstrated frame, counted over all drives: by W, where in the best sequence the robot is. The
-    score is the weight of that sequence (left side of Eq. 8, for each query frame).
-    """
+    """Recognize states (Eq. 9) at each `JUDGED_TICKS`-th view (f, m): frames of all drives, scored as in Eq. 8."""
     length, frame_of = model.sequence_length, demonstrated_frames(model)
     matches, centred = Matches.none(len(views)), model.centering.apply(views)
     for tick in range(JUDGED_TICKS - 1, len(views), JUDGED_TICKS):
