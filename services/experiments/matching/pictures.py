@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from services.experiments.drawing import COLOURS, MUTED, draw_reliability, styled
 from services.experiments.matching.report import Quality
 from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.precision_recall import PrecisionRecall
 from smal.place_recognition import Matches
 
 _BAND: Final = "#cfe8cf"
@@ -38,7 +37,15 @@ def draw_matches(
     axes.set(xlabel="query frame", ylabel="reference frame")
     axes.locator_params(integer=True)
     if quality is not None:
-        _draw_curve(more[0], quality.curve)
+        curve, panel = quality.curve, more[0]
+        # Steps, as the area counts them; without any answer there is no curve.
+        recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
+        precision = np.concatenate([curve.precision[:1], curve.precision])
+        panel.step(recall, precision, where="pre", color=COLOURS[0], lw=2)
+        if (at_100 := curve.recall_at_100_precision) > 0.0:
+            panel.plot([at_100], [1.0], "o", color=COLOURS[0], label=f"recall {at_100:.2f} at 100 % precision")
+        panel.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal")
+        panel.set_title(f"area under the curve {curve.auc:.3f}")
     if reliability is not None:
         draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():
@@ -70,14 +77,3 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
         # At the lower edge: they count in the recall, and would go unnoticed.
         axes.plot(without, np.zeros(without.size), "|", color=MUTED, ms=9, transform=axes.get_xaxis_transform(),
                   clip_on=False, zorder=4, label=f"no match ({without.size})")  # fmt: skip
-
-
-def _draw_curve(axes: Axes, curve: PrecisionRecall) -> None:
-    # Steps, as the area counts them; without any answer there is no curve.
-    recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
-    axes.step(recall, np.concatenate([curve.precision[:1], curve.precision]), where="pre", color=COLOURS[0], lw=2)
-    at_100 = curve.recall_at_100_precision
-    if at_100 > 0.0:
-        axes.plot([at_100], [1.0], "o", color=COLOURS[0], label=f"recall {at_100:.2f} at 100 % precision")
-    axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal")
-    axes.set_title(f"area under the curve {curve.auc:.3f}")
