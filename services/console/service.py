@@ -252,10 +252,8 @@ class ConsoleService:
         self._jobs.begin(job)
 
     def _bridges(self) -> bool:
-        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go.
-
-        A robot that moves only while its operator is there hears of none but their own answers, as of their own time.
-        """
+        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go."""
+        # One that moves only while its operator is there hears of none but their own answers, as of their own time.
         return self.attended and self.live.health.detail("robot", "attended") is False
 
     def _on_action(self, action: Action) -> None:

@@ -1,7 +1,4 @@
-"""LeRobotDataset v3.0, as lerobot 0.4 reads it: rows as Parquet, images as MP4, and what describes them.
-
-Its frames are a tenth of a second apart, without exception: where a tick is missing an episode ends and another begins.
-"""
+"""LeRobotDataset v3.0, as lerobot 0.4 reads it: where a tick is missing, an episode ends and another begins."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence

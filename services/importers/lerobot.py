@@ -1,7 +1,4 @@
-"""LeRobotDataset, versions 2.0, 2.1 and 3.0: Parquet and MP4, of bases that are told a linear and an angular velocity.
-
-Files have the names that the format prescribes; those that a data set writes down itself are not followed.
-"""
+"""LeRobotDataset, versions 2.0, 2.1 and 3.0, of bases: Parquet and MP4, by no names but those of the format."""
 
 import math
 import re

@@ -14,31 +14,23 @@ Poses = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What became of every query, in order, arrays (q,): its answer's score, whether it has one, and a right one.
-
-    ``judged`` are those of which something is known; the others do not count at all. ``findable`` are the judged ones
-    that have a right reference: any answer to the other judged ones is wrong.
-    """
+    """What became of every query, in order, arrays (q,): its answer's score, whether it has one, and a right one."""
 
     score: NDArray[np.float64]
     answered: NDArray[np.bool_]
     right: NDArray[np.bool_]
-    judged: NDArray[np.bool_]
-    findable: NDArray[np.bool_]
+    judged: NDArray[np.bool_]  # Those of which something is known; the others do not count at all.
+    findable: NDArray[np.bool_]  # Judged ones that have a right reference: any answer to the other ones is wrong.
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalTruth:
-    """Right are all references from a first to a last one, of one interval or several, arrays (k,).
+    """Right are references from a first to a last one; a query has as many intervals as its place is shown, or none."""
 
-    0 <= first <= last. Of a place that the references show several times a query has several intervals, of one that
-    they do not show none. `judged` (q,): see `Judgement`.
-    """
-
-    query: NDArray[np.int64]
-    first: NDArray[np.int64]
+    query: NDArray[np.int64]  # (k,) of each interval.
+    first: NDArray[np.int64]  # (k,), 0 <= first <= last.
     last: NDArray[np.int64]
-    judged: NDArray[np.bool_]
+    judged: NDArray[np.bool_]  # (q,), see `Judgement`.
 
     @property
     def findable(self) -> NDArray[np.bool_]:

@@ -40,10 +40,7 @@ def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] 
 def objective(
     templates: Matrix, query: Matrix, weights: Matrix, sequence_length: int, lambda1: float, lambda2: float
 ) -> float:
-    """Evaluate Eq. 7: ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}.
-
-    X (m, n) has a template frame a column, Y (m, q) a query frame; W is (n, q).
-    """
+    """Eq. 7 at W (n, q), of X (m, n) and Y (m, q): ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}."""
     W = np.asarray(weights, dtype=np.float64)
     used = np.flatnonzero(W.any(axis=1))
     residual = np.asarray(query, dtype=np.float64) - np.asarray(templates[:, used], dtype=np.float64) @ W[used]

@@ -25,21 +25,18 @@ class Parting:
 
 
 class Ways:
-    """The taught ways of a map: poses of keyframes (k, 3) and frames (f, 3) in axes that all drives of a group share.
-
-    ``of`` (k,) is the drive of each keyframe, ``groups`` (drives,) the number of those that are joined, ``shared`` (k,)
-    whether another drive shows the place too, ``way`` (k,) how far from the start of its drive.
-    """
+    """The taught ways of a map: poses of keyframes (k, 3) and frames (f, 3) in axes that a group of drives shares."""
 
     def __init__(self, taught: VisualMap) -> None:
         self.map = taught
-        self.of = taught.key_drives
+        self.of = taught.key_drives  # (k,) the drive of each keyframe.
         self.key_poses = in_common_axes(taught)
         first = np.searchsorted(self.of, taught.drives)
         self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
         one, other = self.of[taught.stitched].T
         drives = len(taught.goals)
         _, self.groups = connected_components(coo_array((np.ones(one.size), (one, other)), (drives, drives)), False)
+        #: (k,) whether another drive shows the place too; and how far it is from the start of its drive.
         self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
         arc = taught.arc[taught.keyframes]
         self.way: NDArray[np.float64] = arc - arc[np.searchsorted(self.of, self.of)]
@@ -85,15 +82,11 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """Where the belief was at each frame of a drive, float64 arrays (f,); what is neither here nor lost was elsewhere.
+    """Where the belief was at each frame of a drive, arrays (f,); what is neither here nor lost was elsewhere."""
 
-    ``here`` is the probability of being within a correlation length of the robot, ``lost`` of being nowhere near a
-    taught way, ``spread`` the standard deviation of the place on this drive and those that are joined to it.
-    """
-
-    here: NDArray[np.float64]
-    lost: NDArray[np.float64]
-    spread: NDArray[np.float64]
+    here: NDArray[np.float64]  # Probability of being within a correlation length of the robot.
+    lost: NDArray[np.float64]  # Of being nowhere near a taught way.
+    spread: NDArray[np.float64]  # Standard deviation of the place on this drive and those that are joined to it.
 
 
 def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]) -> Believed:
