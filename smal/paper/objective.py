@@ -23,11 +23,7 @@ def sequence_starts(rows: NDArray[np.intp], sequence_length: int) -> NDArray[np.
 
 
 def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None) -> float:
-    """Sum over query frames and template sequences of the l2 norm of their weights (Eq. 6).
-
-    The weights (p, q) are those of all template frames, or of some `rows`, ascending; the rest of W is zero. The last
-    sequence may be shorter.
-    """
+    """Sum of l2 norms of weights (p, q), of each query frame and sequence (Eq. 6); of all rows, or some, ascending."""
     if sequence_length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
     if weights.shape[0] == 0:
