@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO
 
 import pytest
@@ -25,7 +26,7 @@ from tests.services.waiting import eventually
 class Nobody:
     """Takes the place of the console's service: notes what is asked for, and does nothing."""
 
-    learned = None
+    live = SimpleNamespace(learned=None)
 
     def __init__(self, root: Path) -> None:
         self.library = Library(root)
