@@ -52,10 +52,10 @@ class State(Message):
     """Way that the robot was followed for without a jump; of the filter."""
     seen: Annotated[float | None, Field(ge=0, le=1)] = None
     """Probability that what is sought is in view; none where nothing is known of it; of the filter."""
-    near: bool = False
-    """Whether as much of the view speaks for it as where the taught ways ended, or nearly."""
-    seen_left: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
-    """How far left of the middle of the view it is, as a share of the width."""
+    near: Annotated[float, Field(ge=0, le=1e3)] = 0.0
+    """Distance from it where the taught ways ended, over the distance now, by how much of the view speaks for it."""
+    seen_left: Annotated[float | None, Field(ge=-0.5, le=0.5)] = None
+    """How far left of the middle of the view it is, as a share of the width; none where it is hidden."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized by the paper's scheme."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -77,12 +77,12 @@ class State(Message):
         keyframes: NDArray[np.intp],
         offsets: NDArray[np.float64],
         weights: NDArray[np.float64],
-        seen: tuple[float, bool, float] | None = None,
+        seen: tuple[float, float, float | None] | None = None,
         **of_all: float,
     ) -> Self:
         """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
 
-        ``seen`` is the probability that what is sought is in view, whether it is near, and how far to the left;
+        ``seen`` is the probability that what is sought is in view, how near it is, and how far to the left;
         ``of_all`` is what is said of all of it: lost, cosine and tracked_m.
         """
         places = tuple(

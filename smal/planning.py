@@ -159,7 +159,7 @@ class Planner:
         Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
-        elapsed_s = self._map.tick_s if elapsed_s is None else min(elapsed_s, SETTINGS.stands_after_s)
+        elapsed_s = min(elapsed_s or self._map.tick_s, SETTINGS.stands_after_s)
         directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -194,6 +194,7 @@ class Planner:
             kind = "look_around"
         else:
             kind = "guess" if has_way or lost else "dead_end"
+            self.said = "not_here" if self._tried and kind == "dead_end" else None
         if not self._map.odometry or Atom.LEFT in self._going:
             around = None
         if around is not None and has_way and kind in ("follow", "guess"):
@@ -211,12 +212,14 @@ class Planner:
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
         sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        # Who has arrived looks from where nobody drove, where less of it may show.
+        near = seen is None or seen.near > (1.0 / SETTINGS.as_near if self.arrived else 1.0)
         self._toward_rad = None
-        if sees and (self.arrived if seen is None else seen.near and (self.arrived or there > 0.5)):
+        if sees and near and (self.arrived or (seen is not None and there > 0.5)):
             self.said = "found"
+        elif self.arrived and sees and seen and seen.left is not None and self._neared_s < SETTINGS.goal_s:
+            self._toward_rad = seen.left * math.radians(self._map.scene[0])
         elif self.arrived:
-            if sees and seen is not None and self._neared_s < SETTINGS.goal_s:
-                self._toward_rad = seen.left * math.radians(self._map.scene[0])
             self._search(belief, elapsed_s)
 
     def _search(self, belief: Belief, elapsed_s: float) -> None:
@@ -256,9 +259,9 @@ class Planner:
             return self._turning or Atom.STOP
         if kind == "look_around":
             return self._look(to_turn_rad, elapsed_s)
-        atom = self._steer(to_turn_rad)
-        if kind == "search" and atom in self._going:
-            self._neared_s += elapsed_s
+        atom = self._steer(to_turn_rad, elapsed_s)
+        if kind == "search":  # Half as long as it may go ahead it may turn.
+            self._neared_s += elapsed_s if atom in self._going else elapsed_s / 2.0
         elif kind == "guess":
             self._guessed_s += elapsed_s
         elif atom in self._going:
@@ -278,10 +281,15 @@ class Planner:
             self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
         return self._turning
 
-    def _steer(self, to_turn_rad: float) -> Atom:
-        """Begin to turn where the direction is off by more than an atom, go on until half of one; else drive on."""
+    def _steer(self, to_turn_rad: float, elapsed_s: float) -> Atom:
+        """Begin to turn where the direction is off by more than an atom, go on until half of one; else drive on.
+
+        At a lower rate than the taught one it turns further until the next frame: off by less than half of that, too,
+        it drives on.
+        """
         wanted = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
-        least = self._turn_rad / 2.0 if self._turning is wanted else self._turn_rad
+        least = 0.5 if self._turning is wanted else 1.0
+        least = self._turn_rad * max(least, 0.5 * elapsed_s / self._map.tick_s)
         self._turning = wanted if abs(to_turn_rad) > least else None
         return self._turning or Atom.FORWARD
 

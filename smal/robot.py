@@ -71,14 +71,14 @@ class Localizer:
 
         Far from where it was taught to be, nobody looks; who turns there is still there, whatever that looks like.
         """
-        if self._witness is None or picture is None:
+        if self._witness is None:
             return None
         if float(belief.weights @ self._near[belief.keyframes]) >= 0.5:
             self._since_near = 0.0
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
-            return Glimpse(0.0, near=False)
-        return self._witness.look(picture)
+            return Glimpse(0.0, 0.0)
+        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture)
 
     def observe(
         self,
@@ -188,11 +188,13 @@ class Robot:
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
         seen = self._localizer.seen(small(image), self.belief)
-        if depth is None or odometry is None:  # What stood there may be elsewhere by now.
+        if odometry is None:
             self._around = None
-        else:
+        elif depth is not None:
             self._around = self._around or Surroundings(depth[1].radius_m)
             self._around.look(odometry, *depth)
+        elif self._around is not None:
+            self._around.move(odometry)
         self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen, around=self._around)
         self._atom = self.decision.atom
         return self._atom

@@ -146,11 +146,11 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
 
 
 class Glimpse(NamedTuple):
-    """How probable it is that what is sought is in view; whether about as near as where the ways ended; and where."""
+    """What a view says of what is sought."""
 
-    probability: float
-    near: bool
-    left: float = 0.0  # Of the middle of the view, as a share of its width, -0.5 to 0.5.
+    probability: float  # Of being in view.
+    near: float  # Distance from it where the taught ways ended, over the distance now; 0 where it is not in view.
+    left: float | None = None  # Of the middle of the view, as a share of its width, -0.5 to 0.5; none if it is hidden.
 
 
 class Witness:
@@ -162,16 +162,16 @@ class Witness:
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._said, self._left = deque[float](maxlen=SETTINGS.views_as_one), 0.0
+        self._said = deque[float](maxlen=SETTINGS.views_as_one)
 
     def look(self, picture: Image) -> Glimpse:
         """Take a small picture. A view that is hidden is no evidence."""
-        said, near = self._sight.says(picture), False
+        said, near, left = self._sight.says(picture), 0.0, None
         if said is not None:
             self._said.append(said[0])
             # An area falls with the square of the distance.
-            near, self._left = said[1] > self._sight.size / SETTINGS.as_near**2, said[2]
+            near, left = math.sqrt(said[1] / self._sight.size), said[2] if said[0] > 0.0 else None
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean(self._said)) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
-        return Glimpse(odds / (1.0 + odds), near, self._left)
+        return Glimpse(odds / (1.0 + odds), near, left)

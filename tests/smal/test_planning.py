@@ -106,27 +106,27 @@ END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
 
 def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> None:
     planner = Planner(STRAIGHT)
-    decision = planner.decide(END, seen=Glimpse(0.5, near=False))
+    decision = planner.decide(END, seen=Glimpse(0.5, near=0.0))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
     assert decision.atom is Atom.LEFT
-    assert planner.decide(END, seen=Glimpse(0.99, near=True)).atom is Atom.STOP
+    assert planner.decide(END, seen=Glimpse(0.99, near=1.1)).atom is Atom.STOP
     assert planner.said == "found"
 
 
 def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
     planner = Planner(STRAIGHT)
-    planner.decide(END, seen=Glimpse(0.0, near=False))
-    kinds = [planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=False)).kind for _ in range(120)]
+    planner.decide(END, seen=Glimpse(0.0, near=0.0))
+    kinds = [planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=0.0)).kind for _ in range(120)]
     assert set(kinds) == {"search", "goal"}
     assert planner.said == "not_here"
 
 
 def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
     planner = Planner(STRAIGHT)
-    atoms = [planner.decide(END, seen=Glimpse(0.99, False, left)).atom for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
+    atoms = [planner.decide(END, seen=Glimpse(0.99, 0.5, left)).atom for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
     assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
     assert planner.said is None
-    assert planner.decide(END, seen=Glimpse(0.99, near=True)).atom is Atom.STOP
+    assert planner.decide(END, seen=Glimpse(0.99, near=1.1)).atom is Atom.STOP
     assert planner.said == "found"
 
 
@@ -135,7 +135,7 @@ def test_it_does_not_go_far_for_what_never_comes_near() -> None:
     made = Counter[Atom]()
     while planner.said is None:
         assert made.total() < 200, "it never says anything"
-        made[planner.decide(END, seen=Glimpse(0.99, near=False)).atom] += 1
+        made[planner.decide(END, seen=Glimpse(0.99, near=0.0)).atom] += 1
     assert planner.said == "not_here"
     assert made[Atom.FORWARD] * STRAIGHT.tick_s <= SETTINGS.goal_s + STRAIGHT.tick_s
 
@@ -146,7 +146,7 @@ def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
     while planner.said is None:
         assert turned_rad < 8.0, "it never says anything"
         turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
-            planner.decide(END, seen=Glimpse(0.0, near=False)).atom, 0.0
+            planner.decide(END, seen=Glimpse(0.0, near=0.0)).atom, 0.0
         )
     assert planner.said == "not_here"
     assert turned_rad > 2.0 * math.pi

@@ -60,7 +60,7 @@ def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(step: flo
 def test_on_the_way_nothing_is_seen() -> None:
     seen = [Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)]
     assert max(one.probability for one in seen) < 0.5
-    assert not any(one.near for one in seen)
+    assert max(one.near for one in seen) < 0.5
 
 
 def test_it_is_seen_in_half_the_light() -> None:
@@ -69,7 +69,9 @@ def test_it_is_seen_in_half_the_light() -> None:
 
 def test_it_is_near_where_it_looks_about_as_large_as_at_the_end_of_the_way() -> None:
     near = [Witness(sight()).look(view(step, ORANGE, BLUE)).near for step in (STEPS - 13, STEPS - 5, STEPS - 1.4)]
-    assert near == [False, False, True]
+    assert near == sorted(near)
+    assert near[1] < 0.7
+    assert near[2] > 0.9
 
 
 def test_a_hidden_view_is_no_evidence() -> None:

@@ -115,7 +115,7 @@ def test_where_it_is_not_at_one_taught_end_the_next_one_is_tried() -> None:
         end = np.flatnonzero(visual_map.key_drives == number)[-1:]
         return Belief(end, np.zeros((1, 3)), np.ones(1), 0.0, 0.9, 3.0)
 
-    kinds = [planner.decide(at_end(0), seen=Glimpse(0.0, near=False)).kind for _ in range(150)]
+    kinds = [planner.decide(at_end(0), seen=Glimpse(0.0, near=0.0)).kind for _ in range(150)]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
-    kinds = [planner.decide(at_end(1), seen=Glimpse(0.0, near=False)).kind for _ in range(150)]
+    kinds = [planner.decide(at_end(1), seen=Glimpse(0.0, near=0.0)).kind for _ in range(150)]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "goal", "not_here")
