@@ -227,10 +227,7 @@ class VisualMap:
 
 
 def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
-    """Return the poses of all keyframes (k, 3), those of drives that share a place in the axes of the first of them.
-
-    A drive that shares none stays in its own. For people, and for pictures: odometry has drifted on the way.
-    """
+    """Return the keyframes' poses (k, 3): of drives that share a place in axes of the first, of others in their own."""
     poses = visual_map.key_poses.copy()
     drives = visual_map.key_drives
     one, other = visual_map.stitched.T

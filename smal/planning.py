@@ -282,11 +282,8 @@ class Planner:
         return self._turning
 
     def _steer(self, to_turn_rad: float, elapsed_s: float) -> Atom:
-        """Begin to turn where the direction is off by more than an atom, go on until half of one; else drive on.
-
-        At a lower rate than the taught one it turns further until the next frame: off by less than half of that, too,
-        it drives on.
-        """
+        """Begin to turn where the direction is off by more than an atom, go on until half of one; else drive on."""
+        # At a low rate a turn until the next frame is longer: it must not lead further to the other side.
         wanted = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
         least = 0.5 if self._turning is wanted else 1.0
         least = self._turn_rad * max(least, 0.5 * elapsed_s / self._map.tick_s)

@@ -39,16 +39,13 @@ class Localizer:
     model : Model
     seed : int
         Of the filter's noise.
-
-    Attributes
-    ----------
-    features : FeatureSettings
-        That it goes by.
+    goal : str, optional
+        Where it is sent; may be left out where all drives lead to one goal.
     """
 
     def __init__(self, model: Model, seed: int = 0, goal: str | None = None) -> None:
         self._map = mapped = model.mapped
-        self.features = model.feature_settings
+        self.features = model.feature_settings  # That it goes by.
         self._filter = Filter(mapped, model.centering, seed)
         goals = set(mapped.goals)
         goal = next(iter(goals)) if goal is None and len(goals) == 1 else goal
