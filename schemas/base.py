@@ -7,8 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 ROBOT_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,31}$"
 EPISODE_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,63}$"
 MAX_TICK: Final = 10_000_000
-#: In the place of an episode, where there is none; every episode has a longer name.
-NO_EPISODE: Final = "none"
+NO_EPISODE: Final = "none"  # In the place of an episode, where there is none; every episode has a longer name.
 
 RobotId = Annotated[str, Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters.")]
 EpisodeId = Annotated[str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")]
@@ -48,10 +47,8 @@ class Message(Strict):
     #: Version of this message's fields, and earlier ones that lack fields with defaults; a receiver refuses others.
     version: ClassVar[int] = 1
     reads: ClassVar[tuple[int, ...]] = ()
-    #: Most bytes that this message may take on the wire.
-    max_bytes: ClassVar[int] = 64 * 1024
-    #: Most maps and arrays in it; a state has 66 (one a candidate).
-    max_containers: ClassVar[int] = 128
+    max_bytes: ClassVar[int] = 64 * 1024  # Most bytes that this message may take on the wire.
+    max_containers: ClassVar[int] = 128  # Most maps and arrays in it; a state has 66 (one a candidate).
     #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
     topic: ClassVar[str]
 

@@ -10,8 +10,7 @@ from schemas.base import Message, Source
 Purpose = Literal["drive", "recovery", "run"]
 EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
 Outcome = Literal["found", "false_goal", "missed", "not_here", "collision", "timeout", "aborted"]
-#: What a robot says that ends its run.
-Said = Literal["found", "not_here"]
+Said = Literal["found", "not_here"]  # What a robot says that ends its run.
 #: How the victim of a simulated run lies: as in the world; nowhere; a little elsewhere; something else in its place.
 Victim = Literal["there", "absent", "moved", "decoy"]
 Judge = Literal["task", "operator"]

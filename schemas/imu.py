@@ -7,8 +7,7 @@ from pydantic import Field, model_validator
 
 from schemas.base import Message, Strict
 
-#: So many are kept of what was felt while no frame was taken.
-MAX_SAMPLES: Final = 100
+MAX_SAMPLES: Final = 100  # So many are kept of what was felt while no frame was taken.
 Rate = Annotated[float, Field(ge=-100, le=100)]
 Acceleration = Annotated[float, Field(ge=-1000, le=1000)]
 

@@ -9,8 +9,7 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-#: About the world's start, or anywhere beside the way from there to the victim.
-Start = Literal["start", "anywhere"]
+Start = Literal["start", "anywhere"]  # About the world's start, or anywhere beside the way from there to the victim.
 #: Knowing where it is by a filter over the map of views; or by the paper's Eq. 7 to 9, deciding every l frames.
 Scheme = Literal["filter", "paper"]
 #: The sources that can drive; an emergency stop only ever makes the robot stand.
@@ -21,8 +20,7 @@ Driver = Literal["teleop", "expert", "policy"]
 #: nothing, and moves no log or terminal.
 _PART: Final = r"[^./\\\x00-\x1f\x7f-\x9f][^/\\\x00-\x1f\x7f-\x9f]*"
 _NAME: Final = re.compile(rf"{_PART}(/{_PART})*")
-#: Most characters of it: at 4 bytes each, what Linux takes.
-_MAX_NAME: Final = 1023
+_MAX_NAME: Final = 1023  # Most characters of it: at 4 bytes each, what Linux takes.
 
 
 def _is_below(name: str) -> str:
@@ -36,8 +34,7 @@ FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_belo
 #: A file below the root of a service.
 FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
-#: What a person calls an episode.
-EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]  # What a person calls an episode.
 #: Most bytes of a world's name: of a file's 255 some are for its ending, and for what it is called while it is written.
 _MAX_WORLD_NAME: Final = 200
 
@@ -51,8 +48,7 @@ def _fits(name: str) -> str:
 #: Name of a world, or of a variation of its light and things.
 WorldName = Annotated[str, Field(pattern=r"^\w[\w ().-]{0,63}$"), AfterValidator(_fits)]
 
-#: Most frames of an episode: a day and more.
-MAX_TICKS: Final = 1_000_000
+MAX_TICKS: Final = 1_000_000  # Most frames of an episode: a day and more.
 
 
 class Nothing(Strict):

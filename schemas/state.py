@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from schemas.base import Message, Strict
 
-#: Room for a belief; recognition sends fewer (`smal.settings`).
-MAX_PLACES = 100
+MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
 
 
 class Place(Strict):

@@ -7,8 +7,7 @@ from pydantic import Field, model_validator
 from schemas.array import Float32Array
 from schemas.base import Message
 
-#: Keyframes that a place may name, see `schemas.state.Place`.
-_MOST_KEYFRAMES = 1_000_000
+_MOST_KEYFRAMES = 1_000_000  # Keyframes that a place may name, see `schemas.state.Place`.
 
 
 class TaughtMap(Message):

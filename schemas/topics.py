@@ -98,8 +98,7 @@ TOPICS: Final[dict[str, Topic]] = {
         *(*COMMANDS.values(), APPLIED, PULSE, HEARTBEAT, EPISODE),
     )
 }
-#: Names that topics had in recordings of older versions.
-_FORMER: Final = {"camera/rgb": JPEG.name}
+_FORMER: Final = {"camera/rgb": JPEG.name}  # Names that topics had in recordings of older versions.
 
 
 def check_robot_id(robot: str) -> str:

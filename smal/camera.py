@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from smal.settings import SETTINGS
 
-#: RGB, uint8 (height, width, 3).
-Image = NDArray[np.uint8]
+Image = NDArray[np.uint8]  # RGB, uint8 (height, width, 3).
 #: Turns of the virtual views; how far apart they are, and which of them is not turned.
 TURNS_DEG: Final = np.array(SETTINGS.turns_deg)
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])

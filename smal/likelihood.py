@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 
 from smal.settings import SETTINGS
 
-#: What z is tabulated for; beyond it the ends hold.
-GRID = np.arange(-6.0, 40.125, 0.25)
-#: Upper ends of the ranges of the share.
-SHARES = np.linspace(0.0, 1.0, 5)
+GRID = np.arange(-6.0, 40.125, 0.25)  # What z is tabulated for; beyond it the ends hold.
+SHARES = np.linspace(0.0, 1.0, 5)  # Upper ends of the ranges of the share.
 #: Their probabilities on a day of which nothing is known.
 ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)))
 _FINE = np.linspace(0.0, 1.0, 101)

@@ -37,8 +37,7 @@ class Particles:
         self.keyframes, self.poses = keyframes, poses
         self.tracked = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
-        #: By how many standard deviations the robot is faster than it is said to be.
-        self.pace = np.zeros(len(poses))
+        self.pace = np.zeros(len(poses))  # By how many standard deviations the robot is faster than it is said to be.
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
         self.shares = FIRST_SHARES
 

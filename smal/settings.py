@@ -18,13 +18,11 @@ class Settings:
     spacing_deg: float = 12.0
     #: Over this way wheels tell whether a person came back to where they were, and mended what they did.
     mended: float = 4.0
-    #: Virtual views are taken as far aside as two steps from keyframe to keyframe.
-    aside: float = 0.4
+    aside: float = 0.4  # Virtual views are taken as far aside as two steps from keyframe to keyframe.
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
     #: alike; beyond 40 hardly anything of the taught image is left.
     turns_deg: tuple[float, ...] = tuple(5.0 * k for k in range(-8, 9))
-    #: Principal components, at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
-    most_components: int = 400
+    most_components: int = 400  # Principal components, at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
     #: Components of variance v are divided by v to this power: half way to where all count alike. The largest ones are
     #: what many places share (sky, light), the smallest are noise.
     whitened: float = 0.25
@@ -32,15 +30,13 @@ class Settings:
     elsewhere: float = 4.0
     #: Share of views elsewhere whose distribution is taken as it is; that of the rest is an exponential tail.
     usual: float = 0.95
-    #: Views that say what elsewhere looks like.
-    reference: int = 256
+    reference: int = 256  # Views that say what elsewhere looks like.
     #: Views from which components are computed, and keyframes that are compared at once: memory.
     sampled_views: int = 2500
     compared_at_once: int = 32
     #: Looks of a keyframe at most, the taught one among them: more cost memory and time, and each can be mistaken.
     looks: int = 4
-    #: A further look is warped from a frame that is nearer to its keyframe than this.
-    look_from: float = 0.5
+    look_from: float = 0.5  # A further look is warped from a frame that is nearer to its keyframe than this.
     #: By so much, natural logarithms, a new map may make a view less likely: a hundredth of what views tell.
     may_lose: float = 0.05
     #: Keyframes at which a view is looked for anywhere, and leading components by which they are chosen on longer ways.
@@ -51,8 +47,7 @@ class Settings:
     #: Turned by less, a view is the same; by more, two views hardly overlap.
     same_deg: float = 3.0
     overlap_deg: float = 40.0
-    #: Views of one place are looked for over this share of the longest way.
-    reach: float = 0.2
+    reach: float = 0.2  # Views of one place are looked for over this share of the longest way.
     #: Frames of a drive, and pairs in curves, that are looked at: time grows with the square; a millisecond each.
     most_frames: int = 1000
     most_pairs: int = 500
@@ -75,16 +70,14 @@ class Settings:
     tells_camera_deg: float = 9.0
     tells_scene_deg: float = 25.0
     tells_turn_deg: float = 15.0
-    #: How fast robots turn, where no drive turns and nothing else tells.
-    usual_turn_deg_s: float = 45.0
+    usual_turn_deg_s: float = 45.0  # How fast robots turn, where no drive turns and nothing else tells.
 
     # -- the wheels (`smal.movement.MotionNoise`)
     #: Of the way, of a turn, and of the pace. Wheels slip a little, and those of two robots disagree by a twentieth. Of
     #: atoms only the usual movement is known: people drive half as fast, or half as fast again.
     wheels: tuple[float, float, float] = (0.05, 0.03, 0.05)
     atoms: tuple[float, float, float] = (0.1, 0.1, 0.5)
-    #: Way over which a pace lasts.
-    pace: float = 10.0
+    pace: float = 10.0  # Way over which a pace lasts.
     #: Degrees of heading a correlation length, and at every new view: carpets, kerbs, and cameras that shake.
     drift_deg: float = 1.5
     jitter_deg: float = 1.0
@@ -98,18 +91,15 @@ class Settings:
     hidden: float = 0.1
     appears: float = 0.5
     light: float = 0.1
-    #: Way without a view after which the wheels are believed half.
-    blind: float = 2.0
+    blind: float = 2.0  # Way without a view after which the wheels are believed half.
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
     located: float = 0.9
     slip: float = 0.1
     #: First belief: at the start of a taught drive, beside any way, lost; and how far the heading may be off there.
     first: tuple[float, float, float] = (0.5, 0.35, 0.15)
     first_turn_deg: float = 30.0
-    #: Starts scatter by what is driven in this time.
-    start_s: float = 0.5
-    #: Lost robots that are beside the way again, with each new view.
-    back: float = 0.05
+    start_s: float = 0.5  # Starts scatter by what is driven in this time.
+    back: float = 0.05  # Lost robots that are beside the way again, with each new view.
     #: Particles of each set: more take longer and find no more; and keyframes to both sides among which one that moved
     #: finds its nearest.
     particles: int = 1000
@@ -120,8 +110,7 @@ class Settings:
     places: int = 64
     #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
     lookahead_s: float = 0.7
-    #: Directions that differ by more about their mean are none to drive in.
-    wide_deg: float = 25.0
+    wide_deg: float = 25.0  # Directions that differ by more about their mean are none to drive in.
     #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
     #: once round and a view more. Then it drives by its best guess, before it looks again.
     look_aside_deg: float = 45.0
@@ -135,36 +124,29 @@ class Settings:
     #: It must have been followed for this way before, or have looked all around: a few views may show another place.
     tracked: float = 2.0
     goal_s: float = 1.25
-    #: Without a decision it stands after this time: it has not gone on turning since.
-    stands_after_s: float = 0.5
+    stands_after_s: float = 0.5  # Without a decision it stands after this time: it has not gone on turning since.
 
     # -- what is sought (`smal.sought`)
     #: Time of driving before the end of a drive in which what it ends before may be seen well; and within which views
     #: show the same things.
     approach_s: float = 4.0
     beside_s: float = 3.0
-    #: Views of the way that explain others.
-    explaining: int = 60
+    explaining: int = 60  # Views of the way that explain others.
     #: Shares of the cells of the way that are nearer to the rest of it: what is less near stands out; is not alike.
     stands_out: float = 0.98
     far: float = 0.999
-    #: Share of how far a cell is from the way within which it is like what is followed.
-    like: float = 0.7
-    #: Windows of different sizes.
-    sizes: int = 4
-    #: Contrast of a picture, of 255, with less of which it shows nothing.
-    plain: float = 4.0
+    like: float = 0.7  # Share of how far a cell is from the way within which it is like what is followed.
+    sizes: int = 4  # Windows of different sizes.
+    plain: float = 4.0  # Contrast of a picture, of 255, with less of which it shows nothing.
     #: Mean score where it is not in view, as a share of the best one of the approach, at least: round the end there are
     #: things that the way does not show.
     least_score: float = 0.025
-    #: So many views say together what one says: half a second at ten a second.
-    views_as_one: int = 5
+    views_as_one: int = 5  # So many views say together what one says: half a second at ten a second.
     #: Probability that it is in view of a robot that has arrived and looks around; how much worse it is to say wrongly
     #: that it is there than to look on.
     in_view: float = 0.2
     false_seen: float = 40.0
-    #: What is seen is found nearer than this many times how near the taught ways ended.
-    as_near: float = 1.3
+    as_near: float = 1.3  # What is seen is found nearer than this many times how near the taught ways ended.
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0
     stands_s: float = 1.0
@@ -172,8 +154,7 @@ class Settings:
     # -- stitches
     #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.
     advance: int = 3
-    #: Standard deviations of odometry that are believed.
-    trusted: float = 3.0
+    trusted: float = 3.0  # Standard deviations of odometry that are believed.
 
 
 SETTINGS: Final = Settings()

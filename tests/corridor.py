@@ -21,8 +21,7 @@ from smal.teaching.mapping import demonstrations_of, fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3
-#: Of every frame, metres.
-STEP_M: Final = 0.2
+STEP_M: Final = 0.2  # Of every frame, metres.
 FRAMES: Final = 20
 HEIGHT, WIDTH = 48, 64
 #: Colours of left wall, right wall, floor and ceiling, half a metre a cell.

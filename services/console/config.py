@@ -10,8 +10,7 @@ from services.kit.credentials import others_reach, secret
 from services.kit.node import ServiceError
 from services.kit.root import RootSettings
 
-#: Letters of a token, at least.
-_TOKEN_LETTERS: Final = 16
+_TOKEN_LETTERS: Final = 16  # Letters of a token, at least.
 
 
 class ConsoleSettings(RootSettings):

@@ -14,12 +14,9 @@ from schemas.pose import Pose
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 
-#: A recovery drive is over after this many frames (8 s at 10 Hz).
-RECOVERY_TICKS: Final = 80
-#: Frames after which a full drive is given up: four times as many as 1 km takes at 2 m/s.
-DRIVE_TICKS: Final = 20_000
-#: How far ahead on the route the driver looks, as seconds of driving.
-LOOKAHEAD_S: Final = 1.25
+RECOVERY_TICKS: Final = 80  # A recovery drive is over after this many frames (8 s at 10 Hz).
+DRIVE_TICKS: Final = 20_000  # Frames after which a full drive is given up: four times as many as 1 km takes at 2 m/s.
+LOOKAHEAD_S: Final = 1.25  # How far ahead on the route the driver looks, as seconds of driving.
 #: A person corrects the heading when it is off by this much, and then until it is this close, radians.
 START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)

@@ -36,27 +36,21 @@ __all__ = [
     "zenohd_configuration",
 ]
 
-#: How long a process waits for a router that is perhaps just starting.
-PATIENCE_S: Final = 10.0
+PATIENCE_S: Final = 10.0  # How long a process waits for a router that is perhaps just starting.
 #: How often a publisher tells how many samples there were, so that a subscriber that missed the last ones notices; also
 #: when it has been silent for long, since the router may have been away meanwhile.
 HEARTBEAT_S: Final = 0.25
 #: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
 #: them on a busy machine, and the rest be lost.
 REPLAY_PRIORITY: Final = zenoh.Priority.DATA
-#: How long a sender that does not answer can hold up its own samples.
-REPLAY_TIMEOUT_S: Final = 10.0
+REPLAY_TIMEOUT_S: Final = 10.0  # How long a sender that does not answer can hold up its own samples.
 #: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
 #: megabytes a second, which is frames as JPEG at 10 Hz and all else.
 HELD_BYTES: Final = 64 << 20
-#: Calls of one key that wait; where more come, nobody answers the oldest.
-WAITING_CALLS: Final = 32
-#: Most of a processor's time that answering the calls of one key takes.
-CALLS_SHARE: Final = 0.1
-#: Of calls: ahead of images and of what is replayed.
-_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
-#: A call that is being answered at the end is waited for so long.
-_LAST_ANSWER_S: Final = 1.0
+WAITING_CALLS: Final = 32  # Calls of one key that wait; where more come, nobody answers the oldest.
+CALLS_SHARE: Final = 0.1  # Most of a processor's time that answering the calls of one key takes.
+_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW  # Of calls: ahead of images and of what is replayed.
+_LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT

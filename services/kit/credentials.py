@@ -16,8 +16,7 @@ KEY_SUFFIX: Final = ".key"
 
 #: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
 HANDSHAKE_S: Final = 5.0
-#: How long after it the router may take to refuse us.
-REFUSAL_S: Final = 1.0
+REFUSAL_S: Final = 1.0  # How long after it the router may take to refuse us.
 
 
 class Certificate(NamedTuple):
@@ -28,8 +27,7 @@ class Certificate(NamedTuple):
     key: Path
 
 
-#: None of whoever goes to an open bus.
-Credentials = Certificate | None
+Credentials = Certificate | None  # None of whoever goes to an open bus.
 
 
 def credentials_in(folder: Path, role: str) -> Certificate:

@@ -20,13 +20,11 @@ from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.planning import chosen_goal
 
-#: So many hex digits of a model's checksum tell one model from another.
-_DIGITS: Final = 16
+_DIGITS: Final = 16  # So many hex digits of a model's checksum tell one model from another.
 #: Frames after which a run times out, at least; and how many times those of the longest taught drive.
 LEAST_TICKS, PATIENCE = 3000, 3
 _log = logging.getLogger("models")
-#: Of either scheme.
-AnyModel = Model | PaperModel
+AnyModel = Model | PaperModel  # Of either scheme.
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 

@@ -36,8 +36,7 @@ from services.table import role_of
 REQUEST_QUEUE: Final = 64
 #: How long threads may take to end when a node closes; they end with the process in any case.
 _LAST_WORK_S: Final = 10.0
-#: Queues of what is to be done soon, which are no topics and tell nobody anything.
-_SOON: Final = "soon/"
+_SOON: Final = "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
 A = TypeVar("A")

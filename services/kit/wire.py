@@ -22,14 +22,11 @@ from schemas.codec import misfit, printable
 from schemas.topics import TOPICS
 from services.kit.errors import JobError
 
-#: Largest request of a service, and largest reply, bytes.
-MAX_RPC_BYTES: Final = 1_000_000
-#: Largest message of any topic, bytes.
-LARGEST_BYTES: Final = max(topic.message.max_bytes for topic in TOPICS.values())
+MAX_RPC_BYTES: Final = 1_000_000  # Largest request of a service, and largest reply, bytes.
+LARGEST_BYTES: Final = max(topic.message.max_bytes for topic in TOPICS.values())  # Largest message of any topic, bytes.
 #: What a subscriber is called with: payload, encoding, seconds on the way.
 Take = Callable[[bytes, str, float | None], None]
-#: What is called with why a sample or a request is refused, in one line.
-Refused = Callable[[str], None]
+Refused = Callable[[str], None]  # What is called with why a sample or a request is refused, in one line.
 
 
 class BusError(JobError):

@@ -25,8 +25,7 @@ from services.kit.zenoh_settings import (
     settings_of,
 )
 
-#: Zenoh's own variable for how many threads it has for what, in a process.
-_RUNTIME: Final = "ZENOH_RUNTIME"
+_RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
 _OPENING: Final = threading.Lock()
 
 

@@ -12,13 +12,11 @@ from services.table import roles
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
-#: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
-ATTEMPT_MS: Final = 500
+ATTEMPT_MS: Final = 500  # How long one attempt to reach the router lasts; between two attempts a signal is noticed.
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
-#: After so long a silence a link is dead, and so is one that has not said who it is.
-LEASE_MS: Final = 2000
+LEASE_MS: Final = 2000  # After so long a silence a link is dead, and so is one that has not said who it is.
 #: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
 #: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
 #: lease. The rest is for 16 programs of people.
@@ -29,8 +27,7 @@ ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
-#: Largest call that a router passes on, for who is called to refuse it by name.
-_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
 
 
 class Quality(NamedTuple):

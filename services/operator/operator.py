@@ -24,18 +24,14 @@ from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 from services.operator.report import Report, told_of
 
-#: How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
-POLL_S: Final = 0.02
-#: A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
-RESET_S: Final = 60.0
+POLL_S: Final = 0.02  # How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
+RESET_S: Final = 60.0  # A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
 _OPEN_S: Final = 600.0
 ANSWER_S: Final = 5.0
 #: How often it is told how the robot is that has no episode, of which it would tell ten times a second.
 LOOK_S: Final = 0.5
-#: Silence after which the robot is said to be silent; twenty pulses.
-SILENCE_S: Final = 1.0
-#: Pulses that may still be answered, and some more; they come every 0.05 s.
-_PULSES: Final = 16
+SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; twenty pulses.
+_PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
 #: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
 INSIST_S: Final = 0.1
 
@@ -66,8 +62,7 @@ class Operator:
         self.mine: str | None = None  # The running episode, if it was begun here, and how it was asked for.
         self.request: ResetRequest | None = None
         self._beats = count()
-        #: When something was heard of the robot, and of its episode.
-        self._heard_s = self._applied_s = -math.inf
+        self._heard_s = self._applied_s = -math.inf  # When something was heard of the robot, and of its episode.
         self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
         self.asking = False

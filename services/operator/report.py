@@ -17,14 +17,12 @@ class Report:
     emergency: bool = False  # An emergency stop was asked for here, and the robot was not armed since.
     cause: StopCause | None = None  # Why the robot stands until it is armed.
     episode: str | None = None  # The running episode; none where there is none.
-    #: Of the running episode, or of the last one: its newest frame, and how the robot moved.
-    tick: int = 0
+    tick: int = 0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
     atom: Atom | None = None
     source: Source | None = None
     reason: str | None = None
     refused: int = 0
-    #: How the episode was begun; None where nobody has told.
-    purpose: Purpose | None = None
+    purpose: Purpose | None = None  # How the episode was begun; None where nobody has told.
     driver: Source | None = None
     goal: str | None = None
     world: str | None = None

@@ -21,10 +21,8 @@ from smal.paper.model import Model as PaperModel
 from smal.planning import Planner
 from smal.sought.sight import Glimpse
 
-#: Reports of the actuator of whose delays the median is taken: those of a second.
-DELAYS_KEPT: Final = 10
-#: Places where something stands that are told with a decision, for people.
-SHOWN: Final = 100
+DELAYS_KEPT: Final = 10  # Reports of the actuator of whose delays the median is taken: those of a second.
+SHOWN: Final = 100  # Places where something stands that are told with a decision, for people.
 _log = logging.getLogger("policy")
 
 
@@ -37,8 +35,7 @@ class PolicyService:
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
-        #: What stands about the robot; it goes round that.
-        self.sight = Sight()
+        self.sight = Sight()  # What stands about the robot; it goes round that.
         #: How long its commands take to move the robot, by what the actuator has told lately.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 

@@ -20,10 +20,8 @@ from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
 from smal.robot import Localizer
 
-#: Odometry and commands that are kept until the observation of their frame comes, frames.
-_KEPT: Final = 100
-#: Drives whose beginnings a message of the map has room for.
-_MOST_DRIVES: Final = 1000
+_KEPT: Final = 100  # Odometry and commands that are kept until the observation of their frame comes, frames.
+_MOST_DRIVES: Final = 1000  # Drives whose beginnings a message of the map has room for.
 Pose = tuple[float, float, float]
 
 
@@ -36,8 +34,7 @@ class RecognitionService:
     """
 
     def __init__(self) -> None:
-        #: Whether newer observations wait.
-        self.behind: Callable[[], bool] = lambda: False
+        self.behind: Callable[[], bool] = lambda: False  # Whether newer observations wait.
         #: Told where the keyframes are, before the first belief of an episode tells of them.
         self.announce: Callable[[TaughtMap], None] = lambda _map: None
         self._loaded: LoadedModel | None = None

@@ -8,17 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-#: How often the disk is looked at.
-LOOK_S: Final = 1.0
-#: Over how long the rate is measured, and from how much of that on it is known.
-_RATE_S: Final = 10.0
+LOOK_S: Final = 1.0  # How often the disk is looked at.
+_RATE_S: Final = 10.0  # Over how long the rate is measured, and from how much of that on it is known.
 _KNOWN_S: Final = 3.0
 #: Who drives is told when there is room for less than that: time to come to an end, or to make room.
 WARN_S: Final = 600.0
 #: Recording ends while there is room for so much more of it: other programs write to the disk as well.
 _CLOSE_S: Final = 10.0
-#: And for that: the largest image has 16 MB, and the index of a day 28 MB.
-LEAST_BYTES: Final = 64 * 2**20
+LEAST_BYTES: Final = 64 * 2**20  # And for that: the largest image has 16 MB, and the index of a day 28 MB.
 
 
 class Disk:

@@ -33,8 +33,7 @@ GRACE_S: Final = 1.0
 EARLY_S: Final = 5.0
 _EARLY_QUEUE: Final = 4096
 _EARLY_BYTES: Final = 64 << 20
-#: How long `flush` and `stop` wait for that.
-_SETTLE_S: Final = 10.0
+_SETTLE_S: Final = 10.0  # How long `flush` and `stop` wait for that.
 SEAL_PERIOD_S: Final = 0.05
 
 

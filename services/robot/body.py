@@ -24,8 +24,7 @@ class OdometryReading(NamedTuple):
     turn_rate_rad_s: float
 
 
-#: Ahead, to the left, and up.
-Triple = tuple[float, float, float]
+Triple = tuple[float, float, float]  # Ahead, to the left, and up.
 
 
 class ImuReading(NamedTuple):

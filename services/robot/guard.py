@@ -16,10 +16,8 @@ from services.robot.body import Body, View
 from services.robot.clock import TICK_S
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
 
-#: Age of a look at which nothing is free any more, seconds; as of commands.
-MAX_LOOK_S: Final = 0.25
-#: Shares of the speed are told in so many steps: of each that changes somebody is told.
-_STEPS: Final = 20
+MAX_LOOK_S: Final = 0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
+_STEPS: Final = 20  # Shares of the speed are told in so many steps: of each that changes somebody is told.
 
 
 def guard_of(body: Body[View]) -> "Guard | None":

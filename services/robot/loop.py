@@ -11,10 +11,8 @@ from services.robot.body import Body, Stops, View
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 
-#: Time from one look at the gate to the next.
-PERIOD_S: Final = 0.02
-#: The robot stands this long, at most, after whoever moves it has fallen silent.
-STAND_WITHIN_S: Final = 0.5
+PERIOD_S: Final = 0.02  # Time from one look at the gate to the next.
+STAND_WITHIN_S: Final = 0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
 _log = logging.getLogger("robot")
 
 

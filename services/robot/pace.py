@@ -97,8 +97,7 @@ class Pace(Protocol[V]):
         """Leave the robot standing."""
 
 
-#: How time passes, by mode; each episode has a pace of its own.
-Paces = Mapping[Mode, Callable[[], Pace[V]]]
+Paces = Mapping[Mode, Callable[[], Pace[V]]]  # How time passes, by mode; each episode has a pace of its own.
 
 
 class RealTime(Generic[V]):

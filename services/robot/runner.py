@@ -29,8 +29,7 @@ from services.robot.task import Task
 
 #: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
 CLIENT_S: Final = 2.0
-#: Frames whose readiness is remembered; an older one's command is stale anyway.
-READY_KEPT: Final = 10
+READY_KEPT: Final = 10  # Frames whose readiness is remembered; an older one's command is stale anyway.
 # What is told of before the end is; that the goal is reached is told when it is first seen.
 _ENDING_EVENTS: Final[dict[Outcome, EventName]] = {
     "collision": "collision", "timeout": "timed_out", "missed": "timed_out"
@@ -59,8 +58,7 @@ class EpisodeRunner(Generic[V]):
     ) -> None:
         self.body = body
         self.gate = gate
-        #: Called when ``poll`` has something to do; must return at once.
-        self.wake: Callable[[], None] = lambda: None
+        self.wake: Callable[[], None] = lambda: None  # Called when ``poll`` has something to do; must return at once.
         self.task = task
         self._robot = robot
         self.session = session

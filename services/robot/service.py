@@ -23,10 +23,8 @@ from services.robot.pace import Paces
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
-#: Name on the bus, whatever body it has.
-ROBOT: Final = "robot"
-#: How long another robot of this id may take to say so.
-ANSWER_S: Final = 1.0
+ROBOT: Final = "robot"  # Name on the bus, whatever body it has.
+ANSWER_S: Final = 1.0  # How long another robot of this id may take to say so.
 V = TypeVar("V", bound=View)
 
 

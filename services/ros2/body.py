@@ -77,8 +77,7 @@ class Ros2Body:
         self._lacked = False
         self._asked: Atom = "stop"
 
-    #: Its scanner and bumpers forbid movements, see `drive`.
-    mount = None
+    mount = None  # Its scanner and bumpers forbid movements, see `drive`.
 
     @property
     def camera(self) -> Camera | None:

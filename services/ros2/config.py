@@ -18,8 +18,7 @@ from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified
 
 PRESETS: Final = Path(__file__).parent / "presets"
-#: A configuration is a page of text.
-_LARGEST: Final = 65536
+_LARGEST: Final = 65536  # A configuration is a page of text.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Seconds = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 #: Without a message for so long the robot is not moved.

@@ -8,8 +8,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from services.kit.ros_message import ros_message
 
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
-#: A message, or a part of one: its class is made of its definition when that is read.
-RosMessage: TypeAlias = Any
+RosMessage: TypeAlias = Any  # A message, or a part of one: its class is made of its definition when that is read.
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
@@ -23,8 +22,7 @@ BOOL: Final = "std_msgs/msg/Bool"
 HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
-#: The last moment that a stamp, which has 32 bits of seconds, can hold.
-_LAST_NS: Final = (2**31 - 1) * 1_000_000_000
+_LAST_NS: Final = (2**31 - 1) * 1_000_000_000  # The last moment that a stamp, which has 32 bits of seconds, can hold.
 # Of bases whose messages are not among those of the distributions.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",

@@ -8,8 +8,7 @@ import numpy as np
 from services.ros2.config import Scan
 from services.ros2.messages import MessageError, RosMessage
 
-#: A whole turn; drivers round, and one in a hundred is far more than they do.
-_TURN_RAD: Final = 1.01 * math.tau
+_TURN_RAD: Final = 1.01 * math.tau  # A whole turn; drivers round, and one in a hundred is far more than they do.
 
 
 class Way(NamedTuple):

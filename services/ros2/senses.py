@@ -28,8 +28,7 @@ from services.ros2.scanner import ways
 from services.ros2.wheels import Track, Wheels
 from smal.camera import Camera
 
-#: Wheels that were read within this time of a frame are looked through for those of its moment.
-_KEPT: Final = 100
+_KEPT: Final = 100  # Wheels that were read within this time of a frame are looked through for those of its moment.
 #: As `schemas.imu` and `schemas.compressed_image` have it; and far more than any base does.
 _MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
 _MOST_COLUMNS, _MOST_ROWS = 4096, 3072
@@ -41,8 +40,7 @@ _MOST_BYTES: Final = {
 }
 _MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
-#: Why movements are forbidden, and which.
-Ban = tuple[str, frozenset[Atom]]
+Ban = tuple[str, frozenset[Atom]]  # Why movements are forbidden, and which.
 # Of irobot_create_msgs/msg/HazardDetection, by number.
 _HAZARDS: Final[dict[int, Ban]] = {
     0: ("it may not back further", frozenset({"backward"})),
@@ -96,8 +94,7 @@ class Senses:
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self.touched = False  # Whether the bumper was pressed since this was last set.
-        #: Messages that were none, or not newer than the one before, by topic.
-        self.refused: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()  # Messages that were none, or not newer than the one before, by topic.
         self.camera_clock = StampedClock()
         self.inputs = self._plan(config)
 
@@ -248,8 +245,7 @@ class Senses:
         return readings
 
 
-#: What a stop's message says: whether something was touched, and what is forbidden.
-Said = tuple[bool, tuple[Ban, ...]]
+Said = tuple[bool, tuple[Ban, ...]]  # What a stop's message says: whether something was touched, and what is forbidden.
 
 
 def _hazards(message: RosMessage) -> Said:

@@ -10,8 +10,7 @@ from services.ros2.messages import Messages
 
 Kind = Literal["MP", "MS"]
 DialectName = Literal["rmw_zenoh", "zenoh-bridge-ros2dds"]
-#: What stands in the place of a type's hash in Humble, which has none.
-NO_TYPE_HASH: Final = "TypeHashNotSupported"
+NO_TYPE_HASH: Final = "TypeHashNotSupported"  # What stands in the place of a type's hash in Humble, which has none.
 _GID_BYTES: Final = 16
 # Names that releases before Jazzy 0.2.4 and Humble 0.1.2 write before the values, as strings with their length.
 _OLD_NAMES: Final = tuple(bytes([len(n)]) + n for n in (b"sequence_number", b"source_timestamp", b"source_gid"))
@@ -86,10 +85,8 @@ def qualified(topic: str, namespace: str) -> str:
 class Bridge:
     """A robot with another middleware: zenoh-bridge-ros2dds speaks for us, with plain keys and nothing attached."""
 
-    #: Key expression of the tokens by which endpoints tell that they are there.
-    tokens = "@/*/@ros2_lv/**"
-    #: Whether a message without an attachment is none.
-    attached = False
+    tokens = "@/*/@ros2_lv/**"  # Key expression of the tokens by which endpoints tell that they are there.
+    attached = False  # Whether a message without an attachment is none.
 
     def type_hash(self, _type_name: str) -> str:
         """Return the hash of a type as it stands in keys; here none does."""

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from services.simulator.physics import PhysicalBase
 from services.simulator.world.route import Obstacles, obstacles_of
 
-#: What can drive a robot in a place.
-Base: TypeAlias = "KinematicBase | PhysicalBase"
+Base: TypeAlias = "KinematicBase | PhysicalBase"  # What can drive a robot in a place.
 #: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
 STEP_S: Final = 0.02
 # Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.

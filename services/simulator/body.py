@@ -18,11 +18,9 @@ from services.simulator.world.place import WorldError
 from services.simulator.worlds import Worlds
 from smal.camera import Camera
 
-#: Silence after which the simulated base stands by itself, as those of real robots do.
-WATCHDOG_S: Final = 0.2
+WATCHDOG_S: Final = 0.2  # Silence after which the simulated base stands by itself, as those of real robots do.
 
-#: Time within which a base that was told to stand does so and is at rest, with much to spare.
-STOOD_S: Final = 2.0
+STOOD_S: Final = 2.0  # Time within which a base that was told to stand does so and is at rest, with much to spare.
 
 
 class SimulatedBody:

@@ -20,8 +20,7 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 
-#: Frames after which an episode is truncated: five minutes.
-MAX_TICKS: Final = 3000
+MAX_TICKS: Final = 3000  # Frames after which an episode is truncated: five minutes.
 COLLISION_REWARD: Final = -1.0
 _REWARDS: Final = {"found": 1.0, "collision": COLLISION_REWARD}
 Info = dict[str, Any]

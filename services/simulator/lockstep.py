@@ -40,8 +40,7 @@ class LockstepEpisode(Episode[SimulatedView]):
 class Lockstep:
     """The pace of a simulated robot whose world waits for commands; `clock` times what was not answered."""
 
-    #: The world waits.
-    delay_s = 0.0
+    delay_s = 0.0  # The world waits.
 
     def __init__(self, body: SimulatedBody, clock: Callable[[], float] = now_s) -> None:
         self._body, self._clock = body, clock

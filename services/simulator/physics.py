@@ -23,8 +23,7 @@ _HALF_THICKNESS_M: Final = 0.01
 _ABOVE_M: Final = 1.0
 # PhysX warns of triangles that are much larger than what touches them.
 _LONGEST_WALL_M: Final = 20.0
-#: Time that the engine advances by, seconds.
-TIMESTEP_S: Final = 1 / 250
+TIMESTEP_S: Final = 1 / 250  # Time that the engine advances by, seconds.
 #: Bits of a shape's collision group: what it is (first entry), and what it is stopped by (second entry).
 FLOOR: Final = 1
 OBSTACLE: Final = 2
@@ -40,10 +39,8 @@ ACCELERATION_M_S2: Final = 4.0
 BRAKING_M_S2: Final = 6.0
 #: The same when the robot is to stand: nearly all that the tyres give, since a stop may be an emergency.
 STOPPING_M_S2: Final = 9.0
-#: How fast its turning speed may change, at the same time.
-TURN_ACCELERATION_RAD_S2: Final = 8.0
-#: Rubber on dry asphalt or a clean floor.
-_TYRE_FRICTION: Final = 1.1
+TURN_ACCELERATION_RAD_S2: Final = 8.0  # How fast its turning speed may change, at the same time.
+_TYRE_FRICTION: Final = 1.1  # Rubber on dry asphalt or a clean floor.
 # The motors' torque, as the acceleration that it gives to the robot: more than the tyres carry, so that a robot at a
 # wall spins its wheels.
 _TORQUE_M_S2: Final = 12.0

@@ -29,10 +29,8 @@ _KEYS: Final[dict[int, Key]] = {
     **_PAD,
     _CTRL_C: "quit",
 }
-#: Of kitty's flags: whether presses, repeats and releases are told apart.
-_EVENT_TYPES: Final = 2
-#: Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
-_CTRL: Final = 4
+_EVENT_TYPES: Final = 2  # Of kitty's flags: whether presses, repeats and releases are told apart.
+_CTRL: Final = 4  # Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
 _SHORTCUT: Final = ~(1 | 64 | 128)
 _RELEASED: Final = "3"
 #: An escape sequence, the beginning of one at the end of the input, or any other byte. Sequences end in any letter (End

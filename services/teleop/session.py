@@ -28,10 +28,8 @@ NO_RELEASES: Final = (
     "this terminal does not tell when you let go of a key (kitty, foot, ghostty, WezTerm and others do): the robot "
     "goes on for up to {:g} s after a tap; space stops it at once"
 )
-#: How long a terminal may take to say that it tells releases.
-TELLS_S: Final = 1.0
-#: How often the recorder is asked how much room its disk has, and how long it may take to answer.
-DISK_S: Final = 5.0
+TELLS_S: Final = 1.0  # How long a terminal may take to say that it tells releases.
+DISK_S: Final = 5.0  # How often the recorder is asked how much room its disk has, and how long it may take to answer.
 _DISK_ANSWER_S: Final = 1.0
 #: Keyboards begin to repeat 0.25 to 0.6 s after the press, and then do every 0.03 to 0.1 s.
 FIRST_HOLD_S: Final = 0.6

@@ -20,12 +20,10 @@ from services.teleop.keys import ASK_RELEASES, RELEASES_ANSWER, TELL_NO_RELEASES
 _ERASE_LINE: Final = "\r\x1b[K"
 _INPUT_FLAGS: Final = 0
 _LOCAL_FLAGS: Final = 3
-#: Lines kept for a screen that takes none for a while.
-_LINES_KEPT: Final = 200
+_LINES_KEPT: Final = 200  # Lines kept for a screen that takes none for a while.
 #: How long the last lines may take to be drawn; a screen that stands still must not keep the process.
 _LAST_LINES_S: Final = 1.0
-#: How long it may take to say that it has understood; a second is a slow link.
-_ANSWER_S: Final = 1.0
+_ANSWER_S: Final = 1.0  # How long it may take to say that it has understood; a second is a slow link.
 
 
 class Terminal:

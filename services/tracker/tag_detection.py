@@ -7,16 +7,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
-_CELLS: Final = 6
+_CELLS: Final = 6  # Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
 #: How far from where an edge is thought to be it is looked for. Further out, the next cell's edge comes in.
 _REACH_CELLS: Final = 0.5
-#: The ends of an edge are left out: blur rounds the corners.
-_MARGIN: Final = 0.12
+_MARGIN: Final = 0.12  # The ends of an edge are left out: blur rounds the corners.
 _PROFILES: Final = 24
 _SAMPLES: Final = 13
-#: OpenCV's corners are about a pixel off. Each round leaves a tenth of that.
-_ROUNDS: Final = 3
+_ROUNDS: Final = 3  # OpenCV's corners are about a pixel off. Each round leaves a tenth of that.
 
 
 @cache

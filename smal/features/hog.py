@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 ROWS, COLUMNS = 240, 320
 CELL, BINS = 20, 9
 BLOCK = 2 * CELL
-#: Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
-SMOOTHING_PX = 2.0
+SMOOTHING_PX = 2.0  # Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
 SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
 
 

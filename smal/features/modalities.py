@@ -18,8 +18,7 @@ MODALITIES: Final = {
     )
 }
 
-#: Names that users may give.
-MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")
+MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")  # Names that users may give.
 
 
 def modality_named(name: str) -> Modality:

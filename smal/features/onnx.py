@@ -71,8 +71,7 @@ class Network:
         return unit_length(pooled)
 
 
-#: The networks that the user gave to this process, by their names.
-_given: dict[str, Network] = {}
+_given: dict[str, Network] = {}  # The networks that the user gave to this process, by their names.
 
 
 @cache

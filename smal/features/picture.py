@@ -5,8 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: Its rows and columns: a person who lies 5 m away takes 20 of the columns.
-SHAPE: Final = (60, 80)
+SHAPE: Final = (60, 80)  # Its rows and columns: a person who lies 5 m away takes 20 of the columns.
 
 
 def small(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -25,8 +25,7 @@ _ASIDE: Final = 6.0
 _ROOM, _TIGHT_COST = 2.0, 2.0
 #: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
 _STANDS: Final = 6.0
-#: Turns to each side that are tried at most: a degree apart.
-_TURNS: Final = 180
+_TURNS: Final = 180  # Turns to each side that are tried at most: a degree apart.
 #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
 _ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
 

@@ -17,19 +17,14 @@ from scipy.ndimage import distance_transform_edt, shift
 
 Floats = NDArray[np.float64]
 
-#: Columns of depth that are looked at: half a degree apart, which is 4 cm at 5 m.
-_COLUMNS: Final = 160
+_COLUMNS: Final = 160  # Columns of depth that are looked at: half a degree apart, which is 4 cm at 5 m.
 #: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
 #: noise and of a floor that is not quite even. A wheel climbs less.
 _GROUND_M, _GROUND_SLOPE = 0.05, 0.02
-#: Pitch and roll of a camera that shakes, and of a kerb under a wheel.
-_MOST_TILT: Final = math.tan(math.radians(5.0))
-#: Pixels of a column that must show a thing: fewer are noise.
-_LEAST_PIXELS: Final = 3
-#: Rows of a column that may show no ground before it ends: specks without texture.
-_GAP_ROWS: Final = 5
-#: Share of the lower half of a picture that must have depth for it to say anything.
-_LEAST_VALID: Final = 0.1
+_MOST_TILT: Final = math.tan(math.radians(5.0))  # Pitch and roll of a camera that shakes, and of a kerb under a wheel.
+_LEAST_PIXELS: Final = 3  # Pixels of a column that must show a thing: fewer are noise.
+_GAP_ROWS: Final = 5  # Rows of a column that may show no ground before it ends: specks without texture.
+_LEAST_VALID: Final = 0.1  # Share of the lower half of a picture that must have depth for it to say anything.
 #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free. Being
 #: seen through takes 1, so that what has walked away is forgotten within half a second.
 _HIT, _MOST, _LEAST = 2, 5, -3
@@ -37,10 +32,8 @@ _HIT, _MOST, _LEAST = 2, 5, -3
 _CELLS, _REACH = 4, 12
 #: Nearer than this many radii what is unknown ahead does not count: a camera does not see beside its own robot.
 _NEAR: Final = 2.5
-#: What stays between the robot and what it stops before, in radii.
-_MARGIN: Final = 0.25
-#: Slower than this share of its speed a robot stands.
-_SLOWEST: Final = 0.05
+_MARGIN: Final = 0.25  # What stays between the robot and what it stops before, in radii.
+_SLOWEST: Final = 0.05  # Slower than this share of its speed a robot stands.
 
 
 class Mount(NamedTuple):

@@ -24,10 +24,8 @@ from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nea
 
 #: Cells that are taken of a view of the way, as what explains others; of the approach, beside what is sought; of that.
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
-#: Cells that are the least to be looked for.
-_FEWEST: Final = 8
-#: Rows and columns that a window has at least: fewer cells look like anything.
-_LEAST: Final = 3
+_FEWEST: Final = 8  # Cells that are the least to be looked for.
+_LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
 #: A small picture, its cells (60, 80, 27), and which of these are of what is sought.
 _Patch = tuple[Image, NDArray[np.float32], NDArray[np.bool_]]
 

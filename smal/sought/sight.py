@@ -19,12 +19,9 @@ from smal.camera import Image
 from smal.features.picture import SHAPE
 from smal.settings import SETTINGS
 
-#: What scores are tabulated for.
-SCORES: Final = np.linspace(0.0, 1.0, 201)
-#: A cell and its eight neighbours, in three colours.
-NUMBERS: Final = 27
-#: Codes that a file may hold; learning keeps fewer.
-_MOST_CODES: Final = 16_384
+SCORES: Final = np.linspace(0.0, 1.0, 201)  # What scores are tabulated for.
+NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
+_MOST_CODES: Final = 16_384  # Codes that a file may hold; learning keeps fewer.
 Codes = NDArray[np.float16]
 _ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
 

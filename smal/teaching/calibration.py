@@ -21,8 +21,7 @@ from smal.model import unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 
-#: Centred features (n, m) of n images.
-Describe = Callable[[Iterable[Image]], NDArray[np.float32]]
+Describe = Callable[[Iterable[Image]], NDArray[np.float32]]  # Centred features (n, m) of n images.
 #: Turns from one view to another that a fit tries: those over which views overlap.
 _TURNS_RAD = np.radians(np.geomspace(1.0, SETTINGS.overlap_deg, 23)).tolist()
 #: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from smal.camera import Camera, Image
 from smal.files.map_file import GOAL_NAME
 
-#: Where drives lead that do not say so.
-USUAL_GOAL = "victim"
+USUAL_GOAL = "victim"  # Where drives lead that do not say so.
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -26,8 +25,7 @@ class Demonstration:
 
     name: str  # Its episode.
     features: NDArray[np.float32]  # (f, m) raw features (`smal.features.extract`), without dropped frames.
-    #: (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
-    atoms: NDArray[np.int8]
+    atoms: NDArray[np.int8]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
     successful: bool = True  # Whether it ended at the goal.
     recovery: bool = False  # Whether it began off the route, to show the way back to it.
     images: Sequence[Image] | None = None  # RGB; read when they are wanted. The map of views is made of them.

@@ -37,8 +37,7 @@ class Followed:
     keyframes: NDArray[np.intp]  # (f,) the likeliest one.
     offsets: NDArray[np.float64]  # (f, 3) from there: ahead, left, turned left in radians.
     sure: NDArray[np.float64]  # (f,) probability of being within a correlation length of there.
-    #: (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
-    says: NDArray[np.float64]
+    says: NDArray[np.float64]  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
     #: (f,) logarithm of how much likelier the view was, after all before it, than a view of elsewhere.
     evidence: NDArray[np.float64]
     arrived: int  # Frame at which a robot would have said that it had arrived; f if none.

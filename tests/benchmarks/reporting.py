@@ -19,8 +19,7 @@ from services.kit import tables
 from services.kit.errors import UsageError
 from smal.files.container import replacing
 
-#: What a benchmark found out about one thing; JSON can hold it.
-Record = dict[str, object]
+Record = dict[str, object]  # What a benchmark found out about one thing; JSON can hold it.
 
 
 class Parser(argparse.ArgumentParser):

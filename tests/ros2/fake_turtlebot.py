@@ -31,8 +31,7 @@ from tests.ros2.truth import Truth
 
 STEP_S = 0.02
 WATCHDOG_S = 0.2
-#: As controllers of ros2_control do: a stamped velocity that is older is not carried out.
-OLDEST_S = 0.5
+OLDEST_S = 0.5  # As controllers of ros2_control do: a stamped velocity that is older is not carried out.
 
 
 def now_s() -> float:

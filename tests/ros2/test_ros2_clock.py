@@ -12,8 +12,7 @@ from services.robot.gate import MAX_AGE_S
 from services.ros2.clock import DRIFT, LEARN_S, StampedClock
 from tests.ros2.rig import AHEAD_S, BEGIN, Rig
 
-#: From frame to frame.
-FRAME_S = 0.1
+FRAME_S = 0.1  # From frame to frame.
 
 
 @pytest.fixture

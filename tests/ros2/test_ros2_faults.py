@@ -30,10 +30,8 @@ from tests.ros2.fake_turtlebot import now_s
 from tests.ros2.field import Field, Robot, robot_for, until
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
-#: How long a fault lasts: longer than Zenoh's links take to notice, which is 2 s.
-FAULT_S = 2.5
-#: By how much the robot's clock is ahead of ours.
-AHEAD_S = 3600.0
+FAULT_S = 2.5  # How long a fault lasts: longer than Zenoh's links take to notice, which is 2 s.
+AHEAD_S = 3600.0  # By how much the robot's clock is ahead of ours.
 DIALECTS = ("rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped")
 #: What is harmed, and how; most is the same in all dialects. A link that is down is a black hole, as a frozen one.
 HARMS = {one: [("router", "freeze")] for one in DIALECTS}

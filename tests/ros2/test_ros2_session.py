@@ -23,8 +23,7 @@ from tests.services.waiting import eventually
 
 pytestmark = pytest.mark.zenoh
 BUTTON = "/button"
-#: How long it is seen that nothing comes; what comes takes some milliseconds.
-NOTHING_S = 0.5
+NOTHING_S = 0.5  # How long it is seen that nothing comes; what comes takes some milliseconds.
 
 
 @dataclass

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from smal.movement import Atom
 from smal.obstacles.clearance import Mount
 
-#: x_min, y_min, x_max, y_max and height, metres.
-Box = tuple[float, float, float, float, float]
+Box = tuple[float, float, float, float, float]  # x_min, y_min, x_max, y_max and height, metres.
 MOUNT: Final = Mount(focal=0.65, height_m=1.0, ahead_m=0.35, radius_m=0.4, top_m=1.0)
 SPEED_M_S: Final = 2.0
 #: What each atom does in a tenth of a second.

@@ -21,20 +21,16 @@ from smal.settings import SETTINGS
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
-#: What describes frames: HOG as well takes ten times as long.
-COLOR = FeatureSettings(("color",))
+COLOR = FeatureSettings(("color",))  # What describes frames: HOG as well takes ten times as long.
 FIELD_DEG = 75.0
 CAMERA_HEIGHT = 0.35
 SPEED, TURN_RAD_S = 0.5, math.radians(45.0)
-#: Between two frames, seconds.
-TICK = 0.1
+TICK = 0.1  # Between two frames, seconds.
 ROWS, COLUMNS = 72, 96
-#: A way through the room: metres ahead and degrees to the left, by turns.
-WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))
+WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))  # A way through the room: metres ahead and degrees to the left, by turns.
 START = (2.5, 4.0, 0.0)
 
-#: What a fit should find, but for the distance, which no room has one of.
-CAMERA = Camera.of_field(FIELD_DEG)
+CAMERA = Camera.of_field(FIELD_DEG)  # What a fit should find, but for the distance, which no room has one of.
 SCENE = Scene(CAMERA, CAMERA_HEIGHT, 6.0)
 
 Image = NDArray[np.uint8]

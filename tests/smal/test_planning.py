@@ -189,6 +189,28 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
         assert decisions[look + 2].atom is Atom.FORWARD
 
 
+def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
+    """A quarter of a second of turning is 11 degrees: from 6 to one side it would lead to 5 on the other."""
+    planner = Planner(STRAIGHT)
+    atoms = [planner.decide(belief((10, 0.0, 0.0, turned)), 0.25).atom for turned in (-6.0, 5.25, -5.25)]
+    assert atoms == [Atom.LEFT, Atom.FORWARD, Atom.FORWARD]
+
+
+def test_it_drives_up_to_nothing_that_it_does_not_see() -> None:
+    planner = Planner(STRAIGHT)
+    atoms = {planner.decide(END, seen=Glimpse(0.99, 0.5, None)).atom for _ in range(20)}
+    assert atoms == {Atom.LEFT}
+
+
+def test_where_nothing_leads_on_after_it_has_looked_it_says_so() -> None:
+    """Carried to a way that leads nowhere, just before it has looked all round."""
+    planner = Planner(map_of(5.0, 5.0, goals=("victim", "elsewhere")), "victim")
+    end, other = belief((50, 0.0, 0.0, 0.0)), belief((70, 0.0, 0.0, 0.0))
+    for _ in range(200):
+        planner.decide(other if planner.arrived else end, seen=Glimpse(0.0, 0.0))
+    assert planner.said == "not_here"
+
+
 def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
     planner = Planner(STRAIGHT)
     assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.FORWARD

@@ -16,8 +16,7 @@ from tests.benchmarks.faults.run import run_cell
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(300)]
 
-#: What a machine that does other things as well may miss.
-BUSY = {"recovery", "pause", "rate"}
+BUSY = {"recovery", "pause", "rate"}  # What a machine that does other things as well may miss.
 
 
 @pytest.fixture(scope="module")

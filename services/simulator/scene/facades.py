@@ -23,8 +23,7 @@ STOREY_M: Final = 3.0
 
 #: The parts of a façade, by number: upper storeys, the ground floor, a wall without windows.
 UPPER, GROUND, BARE = range(3)
-#: Most façades that are painted for one world; one takes 7 MB.
-MOST_LOOKS: Final = 64
+MOST_LOOKS: Final = 64  # Most façades that are painted for one world; one takes 7 MB.
 
 _CELL_PX: Final = 256
 # Step of colours, and number of variants, from the finest to the coarsest: 5 styles by 8 colours or none.

@@ -13,8 +13,7 @@ from services.simulator.scene.textures import Picture, as_picture, coloured, lay
 from services.simulator.tables import table
 from services.simulator.world.place import Rgb
 
-#: Width and height of a face's picture, pixels.
-SIZE: Final = 512
+SIZE: Final = 512  # Width and height of a face's picture, pixels.
 STRONG: Final[tuple[Rgb, ...]] = (
     (196, 52, 44), (28, 84, 150), (236, 172, 40), (36, 122, 84), (104, 62, 130), (226, 108, 44), (32, 142, 160),
     (170, 40, 92),

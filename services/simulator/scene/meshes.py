@@ -18,8 +18,7 @@ UP: Final = np.array([0.0, 0.0, 1.0])
 UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
 # The same without its outermost edge, at which filtering mixes in the opposite one.
 _WHOLE: Final = [(0.003, 0.997), (0.997, 0.997), (0.997, 0.003), (0.003, 0.003)]
-#: A material's picture repeats after so much of furniture.
-TEXTURE_M: Final = 0.6
+TEXTURE_M: Final = 0.6  # A material's picture repeats after so much of furniture.
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,7 @@ _LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
     ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
     ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
 )
-#: The ceiling's picture is four tiles of 0.6 m wide.
-_CEILING_M: Final = 2.4
+_CEILING_M: Final = 2.4  # The ceiling's picture is four tiles of 0.6 m wide.
 #: How far each kind stands off the wall.
 _THICK_M: Final[dict[FittingKind, float]] = {"door": 0.03, "poster": 0.004, "whiteboard": 0.025, "window": 0.02}
 _SKIRTING_M: Final = 0.08

@@ -26,10 +26,8 @@ from smal.obstacles.clearance import Mount
 if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
 
-#: How wide the robot's camera sees.
-FIELD_OF_VIEW_DEG: Final = 75.0
-#: Its focal length over the image's width.
-FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
+FIELD_OF_VIEW_DEG: Final = 75.0  # How wide the robot's camera sees.
+FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)  # Its focal length over the image's width.
 # Time over which one picture collects light; what moves meanwhile is blurred.
 _EXPOSURE_S: Final = 0.02
 # Less than this moves no pixel visibly.
@@ -38,8 +36,7 @@ _LEAST_PX: Final = 0.25
 _STEP_PX: Final = 1.5
 # Koschmieder: at the visibility, 5 % of the contrast is left.
 _CONTRAST_AT_VISIBILITY: Final = 0.05
-#: Fraction of the image that the victim must fill to be seen.
-VISIBLE_FRACTION: Final = 0.0005
+VISIBLE_FRACTION: Final = 0.0005  # Fraction of the image that the victim must fill to be seen.
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ _FARTHEST_M: Final = 65.0
 _EYES_M, _NEAREST_M = 0.05, 0.28
 #: Error of a shift, of an image 848 pixels wide, pixels: 1.2 % at 4 m, as Intel tells of it less than 2 % at 2 m.
 _SHIFT_PX, _SHIFT_WIDTH_PX = 0.08, 848
-#: Neighbours err alike, over so many pixels of the small image.
-_PATCH_PX: Final = 4
+_PATCH_PX: Final = 4  # Neighbours err alike, over so many pixels of the small image.
 #: Share of patches without texture that tell nothing near by, and how much more a metre further on.
 _HOLES, _HOLES_A_M = 0.01, 0.005
 

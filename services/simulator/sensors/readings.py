@@ -16,8 +16,7 @@ from services.simulator.robots import Drive
 from services.simulator.world.place import Pose
 
 GRAVITY_M_S2: Final = 9.81
-#: East and north.
-Velocity = tuple[float, float]
+Velocity = tuple[float, float]  # East and north.
 
 # The shake: standard deviation of roll, pitch and yaw at the robot's nominal speed on a floor that is not quite even,
 # and how long a swing lasts, the integral of the angles' autocorrelation over positive lags.

@@ -15,8 +15,7 @@ from services.simulator.tables import table
 from services.simulator.world.place import STRICT, Pose, Rgb, Solid
 
 FurnitureKind = Literal["cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
-#: Kinds whose footprint is a circle, `width_m` across.
-ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})
+ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})  # Kinds whose footprint is a circle, `width_m` across.
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
 HIDING_M: Final = 0.6
 # Smallest width and depth of kinds that consist of parts.

@@ -25,8 +25,7 @@ from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _SUFFIXES: Final = (".osm", ".json")
-#: Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
-LARGEST_FILE: Final = 32 * 1024 * 1024
+LARGEST_FILE: Final = 32 * 1024 * 1024  # Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
 # Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
 _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
 _FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(

@@ -27,8 +27,7 @@ _THINGS: Final = {
     False: (_thing("partition", 1.6, 0.3, 1.0), _thing("crate", 0.8, 0.8, 0.9), _thing("car", 1.8, 4.2, 1.46)),
     True: (_thing("partition", 0.7, 0.12, 0.6), _thing("crate", 0.35, 0.35, 0.45), _thing("chair", 0.45, 0.45, 0.85)),
 }
-#: What closes a way reaches so far to either side of it, in radii of the robot, or to a wall.
-_CLOSED: Final = 12.0
+_CLOSED: Final = 12.0  # What closes a way reaches so far to either side of it, in radii of the robot, or to a wall.
 #: What stays free is at most so far beside the way, in radii of the robot: the belief follows it there.
 _ASIDE: Final = 4.75
 _TRIES: Final = 400

@@ -19,18 +19,15 @@ Tags = Mapping[str, str]
 Points = NDArray[np.float64]
 Shape = TypeVar("Shape")
 
-#: Bytes; a town of several thousand buildings has a third of it.
-LARGEST_FILE: Final = 64 * 1024 * 1024
-#: Points of all ways and relations together, and tagged nodes, ways and relations.
-MOST_POINTS: Final = 1_000_000
+LARGEST_FILE: Final = 64 * 1024 * 1024  # Bytes; a town of several thousand buildings has a third of it.
+MOST_POINTS: Final = 1_000_000  # Points of all ways and relations together, and tagged nodes, ways and relations.
 MOST_ELEMENTS: Final = 200_000
 #: OpenStreetMap's own limits; only a file made by hand has longer ones.
 MOST_POINTS_OF_A_WAY: Final = 2_000
 LONGEST_TAG: Final = 255
 #: A larger world would take more memory than a machine has: roads become points a couple of metres apart.
 LARGEST_M: Final = 10_000.0
-#: Of roads, barriers and waterways.
-MOST_WAY_M: Final = 500_000.0
+MOST_WAY_M: Final = 500_000.0  # Of roads, barriers and waterways.
 
 # WGS84: semi-major axis in metres and first eccentricity squared.
 _SEMI_MAJOR_M: Final = 6_378_137.0

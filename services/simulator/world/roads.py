@@ -27,8 +27,7 @@ _MOST_ENTRIES: Final = 12
 _MARGIN_M: Final = 0.8
 _NARROWEST_GAP_M: Final = 2.0
 _GATE_M: Final = 1.6
-#: Under a building over a passage there is room for a car.
-PASSAGE_M: Final = 3.2
+PASSAGE_M: Final = 3.2  # Under a building over a passage there is room for a car.
 _THINNEST_STOREY_M: Final = 0.8
 # Slivers that cutting leaves behind are not worth drawing.
 _SMALLEST_M2: Final = 0.5

@@ -33,10 +33,8 @@ AreaKind = Literal["grass", "water", "paved"]
 BarrierKind = Literal["hedge", "wall", "fence"]
 TreeKind = Literal["round", "tall", "conifer"]
 
-#: Water and the edge of the world stop the robot like a wall of this height.
-_BANK_M: Final = 0.5
-#: Radius of the posts of a canopy.
-POST_M: Final = 0.1
+_BANK_M: Final = 0.5  # Water and the edge of the world stop the robot like a wall of this height.
+POST_M: Final = 0.1  # Radius of the posts of a canopy.
 # A roof without walls that one can walk under stands on posts, unless it is so large that it must hang on something.
 _HEADROOM_M: Final = 1.5
 _CANOPY_M2: Final = 400.0

@@ -47,8 +47,7 @@ from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 _FEATURES: Final = FeatureSettings()
 #: Frames of a piece, at ten a second; those within which a belief is to be right, and for how long it is to stay so.
 PIECE, SOON, STAYS = 80, 30, 10
-#: A run in so many ends in another world.
-_AWAY_EVERY: Final = 4
+_AWAY_EVERY: Final = 4  # A run in so many ends in another world.
 ERROR: Final = 0.05
 
 

@@ -43,11 +43,9 @@ from tests.services.secured import ROBOT, make_keys
 FRAME_LIMIT, SMALL_LIMIT = 1.3, 3.0
 #: What certificates may cost: a frame times as long, a command milliseconds more; and a flood, milliseconds.
 SECURE_FRAME_LIMIT, SECURE_COMMAND_MS, FLOOD_MS = 1.5, 0.3, 20.0
-#: Of the robot's loop.
-COMMAND_PERIOD_S: Final = 0.02
+COMMAND_PERIOD_S: Final = 0.02  # Of the robot's loop.
 _SIZE: Final = (768, 1024, 3)
-#: A message of a busy machine takes less; what takes longer is lost.
-_PATIENCE_S: Final = 5.0
+_PATIENCE_S: Final = 5.0  # A message of a busy machine takes less; what takes longer is lost.
 COMMAND: Final = topics.COMMANDS["policy"]
 TOPICS: Final = (topics.JPEG, topics.OBSERVATION, topics.STATE, COMMAND, topics.APPLIED)
 

@@ -17,10 +17,8 @@ from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from tests.services.secured import ROBOT, open_session
 
-#: Of the flood, one process; more comes from several.
-RATE_HZ: Final = 10_000
-#: As long as a command is.
-_SIZE: Final = 200
+RATE_HZ: Final = 10_000  # Of the flood, one process; more comes from several.
+_SIZE: Final = 200  # As long as a command is.
 
 
 def plain_beside(topic: Topic) -> Topic:

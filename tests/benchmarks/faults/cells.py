@@ -23,16 +23,14 @@ from tests.benchmarks.faults.proxy import GROWTH, LATE_S, link
 from tests.benchmarks.faults.rig import LINKED, Rig
 
 _RESTART_S: Final = 40.0
-#: What is left on the full disk, bytes: less than a second of recording.
-_ROOM: Final = 100_000
+_ROOM: Final = 100_000  # What is left on the full disk, bytes: less than a second of recording.
 #: How long an operator looks on, and how long after the last sign of life there is nobody, seconds.
 _LOOKS_ON_S: Final = 1.0
 #: From the death of a service to the next frame that the loop answers, and from the return of one that was away.
 _RESTARTED_S, _RECOVERED_S = 15.0, 1.0
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
-#: Without a new command, of what must not disturb the robot: it stands after half a second.
-_UNDISTURBED_S: Final = 1.0
+_UNDISTURBED_S: Final = 1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
 
 
 @dataclass(frozen=True)

@@ -29,24 +29,16 @@ from tests.benchmarks.faults.rig import ROBOT, Rig
 from tests.services.secured import open_session
 
 _STOP: Final = COMMANDS["emergency_stop"]
-#: A flood lasts so long before a stop is put, seconds: buffers on its way are full then.
-_FLOODED_S: Final = (0.4, 0.8)
-#: A stop that is not obeyed after so long counts as lost, seconds.
-_LOST_S: Final = 5.0
-#: Between two floods, seconds: what is under way arrives.
-_BETWEEN_S: Final = 0.3
-#: How long the robot may take to begin an episode, seconds.
-_BEGIN_S: Final = 30.0
-#: Messages or calls between two looks at what to flood next.
-_ROUND: Final = 50
-#: Calls wait so long for their answers, seconds.
-_ANSWER_S: Final = 1.0
-#: Of who connects on a busy machine.
-_PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
+_FLOODED_S: Final = (0.4, 0.8)  # A flood lasts so long before a stop is put, seconds: buffers on its way are full then.
+_LOST_S: Final = 5.0  # A stop that is not obeyed after so long counts as lost, seconds.
+_BETWEEN_S: Final = 0.3  # Between two floods, seconds: what is under way arrives.
+_BEGIN_S: Final = 30.0  # How long the robot may take to begin an episode, seconds.
+_ROUND: Final = 50  # Messages or calls between two looks at what to flood next.
+_ANSWER_S: Final = 1.0  # Calls wait so long for their answers, seconds.
+_PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}  # Of who connects on a busy machine.
 #: What is put, and what every call but a status asks: refused by who takes it, so that nothing but its number harms.
 _NONSENSE: Final = b"12345678"
-#: What a status asks, which is answered.
-_NOTHING: Final = b"{}"
+_NOTHING: Final = b"{}"  # What a status asks, which is answered.
 
 
 class Flood(NamedTuple):

@@ -17,10 +17,8 @@ from schemas.base import Message
 from schemas.topics import APPLIED, COMMANDS
 from services.robot.clock import TICK_S
 
-#: A command may be obeyed for so long, counted from the capture of the frame that it answers.
-VALID_S: Final = 0.5
-#: A base that does not move for so long stands; as long as from frame to frame.
-RESTS_S: Final = TICK_S
+VALID_S: Final = 0.5  # A command may be obeyed for so long, counted from the capture of the frame that it answers.
+RESTS_S: Final = TICK_S  # A base that does not move for so long stands; as long as from frame to frame.
 _TOLD: Final = ("sequence", "event", "atom", "reason", "answered_tick", "latency_ns")
 
 

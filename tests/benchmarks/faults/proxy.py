@@ -21,8 +21,7 @@ from tests.benchmarks.child import child
 #: is sent 20 times a second arrives several times a second all the time.
 LATE_S: Final = 3.0
 GROWTH: Final = 0.5
-#: Most pieces under way, of 64 KiB at most.
-_UNDER_WAY: Final = 1024
+_UNDER_WAY: Final = 1024  # Most pieces under way, of 64 KiB at most.
 
 
 @contextmanager

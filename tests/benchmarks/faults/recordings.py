@@ -18,8 +18,7 @@ from tests.benchmarks.faults.judge import Entry
 
 #: What the robot sends for every frame, from which number on: a missing one is known although nobody saw it.
 _FROM_THE_ROBOT: Final = {JPEG.name: 0, POSE.name: 0, APPLIED.name: 1}
-#: Topic, tick, and what tells apart the messages of one tick.
-Place = tuple[str, int, str]
+Place = tuple[str, int, str]  # Topic, tick, and what tells apart the messages of one tick.
 
 
 @dataclass
@@ -30,8 +29,7 @@ class Recorded:
     duplicates: int = 0
     gaps: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
     unfinished: list[str] = field(default_factory=list)
-    #: Whether the end of the episode is there; that a recording without it was cut is plain to see.
-    ended: bool = False
+    ended: bool = False  # Whether the end of the episode is there; that a recording without it was cut is plain to see.
 
 
 def place_of(topic: str, tick: int, told: dict[str, Any]) -> Place:

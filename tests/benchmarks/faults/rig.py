@@ -26,8 +26,7 @@ from tests.benchmarks.faults.wheels import Step, boot_ahead_s, read_steps, rolli
 ROBOT: Final = "faulty"
 WORLD: Final = "yard"
 CAMERA: Final = (160, 120)
-#: Services whose way to the router is a link that can go down.
-LINKED: Final = ("robot", "policy", "recorder")
+LINKED: Final = ("robot", "policy", "recorder")  # Services whose way to the router is a link that can go down.
 _LOOK_S: Final = 0.02
 _MOVING_S: Final = 12.0
 _STARTS: Final = 5
@@ -84,20 +83,14 @@ class Rig:
 
     def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, int], arrived: list[Entry]) -> None:
         self.plan, self.stack, self.bus = plan, stack, bus
-        #: Process id of the link of each linked service.
-        self.links = links
-        #: Everything that was observed since the last ``forget``.
-        self.entries: list[Entry] = []
-        #: Whether dead services are started again, as ``smal up`` does.
-        self.supervised = True
-        #: Whether a new episode begins when one has ended.
-        self.driven = False
+        self.links = links  # Process id of the link of each linked service.
+        self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
+        self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
+        self.driven = False  # Whether a new episode begins when one has ended.
         self.notes: list[str] = []
         self.seed = 100
-        #: How many episodes have begun.
-        self.begun = 0
-        #: When the account began, monotonic seconds.
-        self.since_s = time.monotonic()
+        self.begun = 0  # How many episodes have begun.
+        self.since_s = time.monotonic()  # When the account began, monotonic seconds.
         self._armed = False
         self._arrived = arrived
         self._episode: str | None = None

@@ -14,8 +14,7 @@ from tests.benchmarks.faults.judge import Entry, Window
 from tests.benchmarks.faults.recordings import Recorded, lost, read_recordings, unsaid
 from tests.benchmarks.faults.rig import Rig
 
-#: Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
-_RECOVERY_S: Final = 60.0
+_RECOVERY_S: Final = 60.0  # Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
 #: After the recovery the loop goes on for so many answered frames, so that what comes late is seen.
 _AFTERWARDS: Final = 15
 NEVER: Final = Window(0.0, 0.0)

@@ -30,8 +30,7 @@ from tests.benchmarks.child import child
 
 #: Motions kept until the robot asks: the longest freeze, 14 s, and as much again for what comes before and after.
 _KEPT: Final = round(30.0 / STEP_S)
-#: An answer with all of them, at 120 bytes each.
-_LARGEST: Final = 1 << 18
+_LARGEST: Final = 1 << 18  # An answer with all of them, at 120 bytes each.
 #: The base answers within a step of its own time; on a busy machine it may have to wait for its turn.
 _ANSWER_S: Final = 2.0
 
@@ -112,8 +111,7 @@ class Wheels:
     def __init__(self, base: Base, log: IO[str], begin_s: float | None = None) -> None:
         self._base = base
         self._log = log
-        #: When the next step is complete.
-        self.due_s = (now_s() if begin_s is None else begin_s) + STEP_S
+        self.due_s = (now_s() if begin_s is None else begin_s) + STEP_S  # When the next step is complete.
         self._motions: deque[Motion] = deque(maxlen=_KEPT)
         self._order: tuple[Atom, float] = ("stop", 0.0)
         self._ordered_s = 0.0

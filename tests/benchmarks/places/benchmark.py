@@ -19,8 +19,7 @@ from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 
 #: Cosine of a scene with the next one, and entries of what lies behind features.
 _SCENE, _LATENT = 0.97, 64
-#: Length of noise beside that of what is shown, in references and queries.
-_NOISE: Final = (1.0, 2.0)
+_NOISE: Final = (1.0, 2.0)  # Length of noise beside that of what is shown, in references and queries.
 _BLOCK = 500
 
 

@@ -14,8 +14,7 @@ from tests.benchmarks.recognition.algorithm2 import algorithm2
 OURS, THEIRS = COLOURS[:2]
 
 _TOLERANCES: Final = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
-#: The paper speaks of 9, 12 and at most 20 iterations.
-_ITERATIONS: Final = 40
+_ITERATIONS: Final = 40  # The paper speaks of 9, 12 and at most 20 iterations.
 
 
 def convergence(

@@ -36,10 +36,8 @@ _PERIOD_S: Final = 10.0
 _SAMPLES: Final = 30
 _PAGE_PERIOD_S: Final = 60.0
 _PAGE_SAMPLES: Final = 10
-#: Recordings that are kept: an hour's would be gigabytes.
-_KEPT: Final = 5
-#: Fewer commands a second: the loop stood, and the run says nothing.
-_LEAST_HZ: Final = 8.0
+_KEPT: Final = 5  # Recordings that are kept: an hour's would be gigabytes.
+_LEAST_HZ: Final = 8.0  # Fewer commands a second: the loop stood, and the run says nothing.
 _BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 

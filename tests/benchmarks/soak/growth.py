@@ -9,8 +9,7 @@ import numpy as np
 
 from tests.benchmarks.reporting import Record
 
-#: Of the run, and at least so long: what is allocated once.
-WARM_UP_SHARE: Final = 0.1
+WARM_UP_SHARE: Final = 0.1  # Of the run, and at least so long: what is allocated once.
 WARM_UP_S: Final = 120.0
 MOST_GROWTH: Final = 0.05
 _PROC: Final = Path("/proc")

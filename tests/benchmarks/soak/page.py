@@ -27,18 +27,15 @@ from tests.benchmarks.soak.growth import line, rise, said
 
 CHROMIUM: Final = shutil.which("chromium")
 NO_CHROMIUM: Final = "no chromium on this machine (apt-get install chromium)"
-#: Debian's needs it where it runs as root; nothing but the console's page is opened.
-FLAGS: Final = ("--no-sandbox",)
+FLAGS: Final = ("--no-sandbox",)  # Debian's needs it where it runs as root; nothing but the console's page is opened.
 #: However long it watches, bytes: what the browser's own caches and compiled code come and go by is 200,000, and
 #: pictures are 50,000 to 200,000 a second.
 MOST_GROWTH: Final = 500_000
-#: The news fill up, 50 lines of four nodes each, and some recordings of thirty come and go.
-MOST_NODES: Final = 300
+MOST_NODES: Final = 300  # The news fill up, 50 lines of four nodes each, and some recordings of thirty come and go.
 _STARTING_S: Final = 30.0
 _ANSWER_S: Final = 30.0
 
-#: Sends a command of Chrome's DevTools Protocol, and returns the answer.
-Send = Callable[[str], dict[str, Any]]
+Send = Callable[[str], dict[str, Any]]  # Sends a command of Chrome's DevTools Protocol, and returns the answer.
 
 
 @dataclass(frozen=True)

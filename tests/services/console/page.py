@@ -31,15 +31,13 @@ class Page:
         self.address = server.address.removeprefix("http://")
         self.state: dict[str, Any] = {}
         self.pictures: list[bytes] = []
-        #: What is held, and how beats are answered.
-        self.held: str | None = None
+        self.held: str | None = None  # What is held, and how beats are answered.
         self.answers = True
         self.late_s = 0.0
         self.beats = 0
         self.beat = 0
         self.refusals: list[str] = []
-        #: What shows that this page drives.
-        self.word = ""
+        self.word = ""  # What shows that this page drives.
         self.closed: int | None = None
         self._open = ExitStack()
         self._drive: ClientConnection | None = None

@@ -17,8 +17,7 @@ from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
 OpenPage = Callable[[], Page]
-#: A world is being opened; the robot goes on.
-Opening = tuple[threading.Event, threading.Event]
+Opening = tuple[threading.Event, threading.Event]  # A world is being opened; the robot goes on.
 unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
 

@@ -23,8 +23,7 @@ from tests.services.importers import sources
 
 pytest.importorskip("rosbags", reason="needs the extra formats")
 
-#: The drive in ticks.
-MADE = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["stop"]
+MADE = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["stop"]  # The drive in ticks.
 FRAMES = len(sources.drive(20.0))
 
 

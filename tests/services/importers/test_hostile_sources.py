@@ -20,8 +20,7 @@ from tests.services.importers.sources import CAMERA
 from tests.services.importers.test_formats import FORMATS, FRAMES, MADE, episode_of, imported
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
-#: The end of a zip file, and nothing before it.
-NOTHING_ZIPPED = b"PK\x05\x06" + bytes(18)
+NOTHING_ZIPPED = b"PK\x05\x06" + bytes(18)  # The end of a zip file, and nothing before it.
 INFO, LINES, CATALOG = "meta/info.json", "meta/episodes.jsonl", "catalog_0.catalog"
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = f"videos/{CAMERA}/chunk-000/file-000.mp4"

@@ -24,8 +24,7 @@ def images_of(episode: RecordedEpisode) -> list[NDArray[np.uint8]]:
     return [decode_image(bytes(episode.images[tick])) for tick in sorted(episode.images)]
 
 
-#: When laps of it begin, seconds after the second session does; they take 3.5 s.
-BEGIN_S = (22.0, 25.48, 28.96)
+BEGIN_S = (22.0, 25.48, 28.96)  # When laps of it begin, seconds after the second session does; they take 3.5 s.
 
 
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")

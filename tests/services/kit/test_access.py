@@ -39,8 +39,7 @@ FOREIGN: Final = (
 WILD: Final = ("**", f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*", f"smal/{ROBOT}/rpc/**", "smal/*/heartbeat")
 KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *FOREIGN, *WILD)
 Cell = tuple[str, str]
-#: Of who waits for a busy machine.
-PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
+PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}  # Of who waits for a busy machine.
 
 
 def allowed(role: Role, verb: str, key: str) -> bool:

@@ -13,8 +13,7 @@ from tests.services.secured import open_session
 from tests.services.waiting import eventually
 
 STOP, STATUS = COMMANDS["emergency_stop"].key("rescuebot"), rpc_key("rescuebot", "robot", "status")
-#: More than a router lets through in the time that it takes to ask them.
-FLOOD = 40_000
+FLOOD = 40_000  # More than a router lets through in the time that it takes to ask them.
 
 
 def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:

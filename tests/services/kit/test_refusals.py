@@ -35,8 +35,7 @@ TELEOP = topics.COMMANDS["teleop"]
 KEY = TELEOP.key("rescuebot")
 COMMAND = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source="teleop", atom="left")
 ENCODING = encoding_of(Command)
-#: Where Eclipse's router listens, in its container.
-OTHERS = "tcp/0.0.0.0:7447"
+OTHERS = "tcp/0.0.0.0:7447"  # Where Eclipse's router listens, in its container.
 
 
 def status(client: Bus) -> Status:

@@ -258,8 +258,7 @@ def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode
     assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
-#: Of the image that a robot sends in a second, bytes.
-IMAGE = 100_000
+IMAGE = 100_000  # Of the image that a robot sends in a second, bytes.
 
 
 class Room:

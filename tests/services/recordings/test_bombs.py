@@ -30,8 +30,7 @@ from smal.features import FeatureSettings
 from tests.services.recordings.recorded_messages import episode, event
 
 MIB = 2**20
-#: Head of a chunk that is not packed.
-CHUNK_HEAD = struct.Struct("<BQQQQIIQ")
+CHUNK_HEAD = struct.Struct("<BQQQQIIQ")  # Head of a chunk that is not packed.
 ALLOWED = 128 * MIB
 #: What reading may take beside what is allowed: the largest chunk while it is unpacked and checked, and the reader.
 BESIDE = 160 * MIB

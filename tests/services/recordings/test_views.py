@@ -27,8 +27,7 @@ from tests.services.recordings.recorded_messages import MODEL, episode
 from tests.services.recordings.test_recorder_files import record
 
 LAYOUT = Path(__file__).parents[3] / "deploy" / "foxglove.json"
-#: The true pose is that of the wheels, turned by a quarter and 5 m further.
-WORLD = (5.0, -2.0, math.pi / 2)
+WORLD = (5.0, -2.0, math.pi / 2)  # The true pose is that of the wheels, turned by a quarter and 5 m further.
 KEYFRAMES = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 5, 0]], np.float32)
 
 

@@ -20,8 +20,7 @@ class Console:
         self._master, self.slave = os.openpty()
         self.mode_before = termios.tcgetattr(self.slave)
         self.output = ""
-        #: Cleared, the screen takes nothing more.
-        self.draws = threading.Event()
+        self.draws = threading.Event()  # Cleared, the screen takes nothing more.
         self.draws.set()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "services.teleop", "--router", endpoint, "--seed", "5", *flags],

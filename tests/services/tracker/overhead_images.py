@@ -9,8 +9,7 @@ import numpy as np
 from schemas.overhead_image import Calibration
 from services.tracker.tag_tracking import Tag
 
-#: What a pixel is averaged from, along each axis.
-SUPERSAMPLING = 8
+SUPERSAMPLING = 8  # What a pixel is averaged from, along each axis.
 MARGIN_CELLS = 1.0
 
 

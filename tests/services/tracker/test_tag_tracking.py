@@ -14,8 +14,7 @@ from services.tracker.tag_tracking import Tag, TagNotSeen, TagPose, fit_square, 
 from tests.services.tracker.overhead_images import Shot, photograph
 
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)
-#: 1024 x 768 pixels from 4.2 m: 29.7 pixels a side.
-SIZE = (1024, 768)
+SIZE = (1024, 768)  # 1024 x 768 pixels from 4.2 m: 29.7 pixels a side.
 CAMERA = Calibration(
     focal_px=560.0, centre_x_px=512.0, centre_y_px=384.0, x_m=4.0, y_m=3.0, height_m=4.2, up_rad=math.pi / 2
 )

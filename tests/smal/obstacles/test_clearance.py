@@ -12,8 +12,7 @@ from tests.smal.depth_world import MOUNT, Box, depth
 
 HERE = (0.0, 0.0, 0.0)
 WALL: Box = (4.0, -5.0, 4.5, 5.0, 2.0)
-#: Of the robot's middle before what it stands before.
-OFF_M = MOUNT.radius_m + 0.1
+OFF_M = MOUNT.radius_m + 0.1  # Of the robot's middle before what it stands before.
 
 
 def around(*boxes: Box) -> Surroundings:

@@ -10,8 +10,7 @@ from smal.place_recognition.places import match_places
 from tests.smal.place_recognition.traverses import Walk, unit
 
 N = 240
-#: Drives that are followed with a lag as well, which takes longer.
-LAGGED = ("2.5", "waves", "stops")
+LAGGED = ("2.5", "waves", "stops")  # Drives that are followed with a lag as well, which takes longer.
 Array = NDArray[np.float64]
 
 

@@ -23,11 +23,9 @@ from tests.smal.synthetic_world import (
 )
 
 ROWS, COLUMNS = 144, 192
-#: In the middle of a room, whose walls are then all about as far away.
-MIDDLE = (6.0, 6.0, 0.3)
+MIDDLE = (6.0, 6.0, 0.3)  # In the middle of a room, whose walls are then all about as far away.
 ROOM = Room(half=8.0)
-#: Painted once.
-PAINTED = Room()
+PAINTED = Room()  # Painted once.
 LENSES = {
     "rectilinear": Camera.of_field(FIELD_DEG),
     "barrel": Camera(0.7, "plumb_bob", (-0.25, 0.06, 0.0, 0.0)),

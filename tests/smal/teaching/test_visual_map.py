@@ -108,6 +108,19 @@ def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> No
     assert found.correlation_length == pytest.approx(usual, rel=0.25)
 
 
+def length_of(way: np.ndarray, views: np.ndarray) -> float:
+    """Return the correlation length of features (f, m) along a straight way (f,)."""
+    frames = TaughtFrames(
+        images=[ROOM.look(drive().poses[0])] * len(way),
+        centred=lambda some: unit(views[list(some)]),
+        poses=np.stack([way, np.zeros_like(way), np.zeros_like(way)], axis=1),
+        drives=np.zeros(len(way), dtype=np.int32),
+        describe=lambda _: np.empty((0, 1024), dtype=np.float32),
+        movements=np.zeros((5, 2)),
+    )
+    return correlation_length(frames, Camera.of_field(70.0))[0]
+
+
 def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_length() -> None:
     """Views half as alike after 3 m; once, where the robot creeps, somebody passes: few pairs are so near."""
     rng = np.random.default_rng(0)
@@ -117,15 +130,7 @@ def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_lengt
         kept = 0.5 ** (step / 3.0)
         views.append(kept * views[-1] + math.sqrt(1.0 - kept**2) * unit(rng.standard_normal(1024).astype(np.float32)))
     views[41] = unit(rng.standard_normal(1024).astype(np.float32))
-    frames = TaughtFrames(
-        images=[ROOM.look(drive().poses[0])] * len(way),
-        centred=lambda some: unit(np.stack([views[frame] for frame in some])),
-        poses=np.stack([way, np.zeros_like(way), np.zeros_like(way)], axis=1),
-        drives=np.zeros(len(way), dtype=np.int32),
-        describe=lambda _: np.empty((0, 1024), dtype=np.float32),
-        movements=np.zeros((5, 2)),
-    )
-    assert correlation_length(frames, Camera.of_field(70.0))[0] == pytest.approx(3.0, rel=0.25)
+    assert length_of(way, np.stack(views)) == pytest.approx(3.0, rel=0.25)
 
 
 def test_views_that_stay_alike_nowhere_are_refused() -> None:
@@ -133,16 +138,8 @@ def test_views_that_stay_alike_nowhere_are_refused() -> None:
     rng = np.random.default_rng(0)
     way = np.repeat(np.arange(0.0, 40.0), 3)
     views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))
-    frames = TaughtFrames(
-        images=[ROOM.look(drive().poses[0])] * len(way),
-        centred=lambda some: views[list(some)],
-        poses=np.stack([way, np.zeros_like(way), np.zeros_like(way)], axis=1),
-        drives=np.zeros(len(way), dtype=np.int32),
-        describe=lambda _: np.empty((0, 1024), dtype=np.float32),
-        movements=np.zeros((5, 2)),
-    )
     with pytest.raises(ValueError, match="too far apart"):
-        correlation_length(frames, Camera.of_field(70.0))
+        length_of(way, views)
 
 
 class Reader(Sequence[Image]):

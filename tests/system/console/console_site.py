@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0
-#: After so long a person presses a button again.
-AGAIN_S = 15.0
+AGAIN_S = 15.0  # After so long a person presses a button again.
 
 
 class Site:
@@ -45,12 +44,10 @@ class Site:
         self.bus = bus
         self.root = root
         self.poses: list[Pose] = []
-        #: What moved the robot, since when.
-        self.applied: list[tuple[float, CommandApplied]] = []
+        self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
         bus.subscribe(topics.POSE, lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)))
         bus.subscribe(topics.APPLIED, self._note)
-        #: The episode that ended last: from then on the robot stands, and tells no more of it.
-        self.ended = ""
+        self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
         bus.subscribe(topics.EPISODE, self._note_end)
 
     def _note(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:

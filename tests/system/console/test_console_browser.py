@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
-#: Teach, learn, run, found.
-WHOLE_LOOP_S = 240.0
+WHOLE_LOOP_S = 240.0  # Teach, learn, run, found.
 
 
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:

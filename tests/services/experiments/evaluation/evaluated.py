@@ -31,8 +31,7 @@ SMALL = Plan(
     camera=(64, 48),
     omitted=("nearly everything",),
 )  # fmt: skip
-#: Of the held-out drive, those that are judged.
-QUERIES = 60
+QUERIES = 60  # Of the held-out drive, those that are judged.
 
 
 def finding(unit: Unit) -> Finding:
