@@ -60,7 +60,8 @@ def evaluate(
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     if runs is not None:
         plan = with_each(plan, lambda trial: replace(trial, runs=runs) if trial.sets > 1 else trial)
-    plan = with_each(plan, lambda trial: replace(trial, **asdict(changes)))
+    changed = {name: value for name, value in asdict(changes).items() if value not in (0, "there")}
+    plan = with_each(plan, lambda trial: replace(trial, **changed))
     planned = units(plan)
     results = Results(out, planned)
     with interrupted_by_signals():

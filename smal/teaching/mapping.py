@@ -68,6 +68,10 @@ def learn(
     frames = _frames(taught, centering, tick_s)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
+    for drive, (names, _) in enumerate(whole):
+        extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
+        if np.hypot(*extent) < length / SETTINGS.views_a_length:
+            raise ValueError(f"demonstration {names[0]}: the robot hardly moves in it; leave it out")
     aside = SETTINGS.aside * length
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length)

@@ -207,6 +207,13 @@ def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
     assert "\n" not in str(refused.value)
 
 
+def test_a_drive_that_stands_is_refused_beside_one_that_does_not() -> None:
+    one, still = drive(way=((1.5, 0.0),)), [ROOM.look(START)] * 5
+    views = [ROOM.look(pose) for pose in one.poses]
+    with pytest.raises(ValueError, match="the robot hardly moves in it"):
+        learn([views, still], [one.poses, np.tile(START, (5, 1))], [one.atoms, np.zeros(5, dtype=np.int8)])
+
+
 def test_a_camera_that_sees_nothing_is_refused() -> None:
     one = drive(way=((1.0, 0.0),))
     with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
