@@ -27,7 +27,7 @@ def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -
     solutions = dict(answers(problem, tolerance))
     for name, solution in solutions.items():
         check(solution, problem, tolerance, name)
-    sharp = solve(problem.X, problem.Y, *problem.parameters, tolerance=1e-6)
+    sharp = solve(problem.X, problem.Y, *problem.parameters, tolerance=1e-5 if structure == "rank deficient" else 1e-6)
     best = min(problem.value(solution.weights) for solution in (*solutions.values(), sharp))
     check_bounds(solutions | {"sharp": sharp}, best + 4e-8 * float(np.linalg.norm(problem.Y, axis=0).sum()))
 
