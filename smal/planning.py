@@ -154,8 +154,8 @@ class Planner:
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
         what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether what is
-        sought is in view: it is found where it is as near as where the ways ended, and a robot that has arrived goes up
-        to it. Where nobody can tell, a robot that has arrived says that it has found it.
+        sought is in view: it is found where it is as near as where the ways ended; a robot that has arrived, or nearly,
+        goes up to it. Where nobody can tell, a robot that has arrived says that it has found it.
         Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
@@ -178,7 +178,7 @@ class Planner:
         ended = float(belief.weights @ at_end) > 0.5
         tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
         if not self.arrived and ended and sure and (tracked or looked):
-            self.arrived, self._ends = True, self._ends_here(belief)
+            self.arrived, self._ends, self._neared_s = True, self._ends_here(belief), 0.0
         if self.said is None:
             approach = leads & (to_end < SETTINGS.approach_s * self._map.speed)
             self._say(belief, elapsed_s, seen, float(belief.weights @ approach) * (1.0 - belief.lost))
@@ -186,7 +186,7 @@ class Planner:
         kind: Kind
         if self.said is not None:
             kind = "goal"
-        elif self.arrived:
+        elif self.arrived or self._toward_rad is not None:
             kind, error_rad = "search", self._toward_rad or 0.0
         elif clear and (looked or not ended):
             kind = "follow"
@@ -212,12 +212,13 @@ class Planner:
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
         sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        beside = seen is not None and there > 0.5 and seen.near > 1.0 / SETTINGS.as_near
         # Who has arrived looks from where nobody drove, where less of it may show.
-        near = seen is None or seen.near > (1.0 / SETTINGS.as_near if self.arrived else 1.0)
+        near = seen is None or (beside and seen.near > 1.0) or (self.arrived and seen.near > 1.0 / SETTINGS.as_near)
         self._toward_rad = None
-        if sees and near and (self.arrived or (seen is not None and there > 0.5)):
+        if sees and near and (self.arrived or beside):
             self.said = "found"
-        elif self.arrived and sees and seen and seen.left is not None and self._neared_s < SETTINGS.goal_s:
+        elif sees and seen and seen.left is not None and (self.arrived or beside) and self._neared_s < SETTINGS.goal_s:
             self._toward_rad = seen.left * math.radians(self._map.scene[0])
         elif self.arrived:
             self._search(belief, elapsed_s)

@@ -196,6 +196,17 @@ def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
     assert atoms == [Atom.LEFT, Atom.FORWARD, Atom.FORWARD]
 
 
+def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_on() -> None:
+    planner, before = Planner(STRAIGHT), belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
+    atoms = [planner.decide(before, seen=Glimpse(0.99, 0.9, left)).atom for left in (0.4, 0.0)]
+    assert atoms == [Atom.LEFT, Atom.FORWARD]
+    kinds = [planner.decide(before, seen=Glimpse(0.99, 0.9, 0.0)).kind for _ in range(30)]
+    assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
+    planner.reset()
+    planner.decide(before, seen=Glimpse(0.99, 1.1, 0.0))
+    assert planner.said == "found"
+
+
 def test_it_drives_up_to_nothing_that_it_does_not_see() -> None:
     planner = Planner(STRAIGHT)
     atoms = {planner.decide(END, seen=Glimpse(0.99, 0.5, None)).atom for _ in range(20)}
