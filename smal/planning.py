@@ -212,11 +212,12 @@ class Planner:
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
         sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
-        beside = seen is not None and there > 0.5 and seen.near > 1.0 / SETTINGS.as_near
+        near = math.inf if seen is None else seen.near
         # Who has arrived looks from where nobody drove, where less of it may show.
-        near = seen is None or (beside and seen.near > 1.0) or (self.arrived and seen.near > 1.0 / SETTINGS.as_near)
+        about_as_near = near > 1.0 / SETTINGS.as_near
+        beside = seen is not None and there > 0.5 and about_as_near
         self._toward_rad = None
-        if sees and near and (self.arrived or beside):
+        if sees and ((self.arrived and about_as_near) or (beside and near > 1.0)):
             self.said = "found"
         elif sees and seen and seen.left is not None and (self.arrived or beside) and self._neared_s < SETTINGS.goal_s:
             self._toward_rad = seen.left * math.radians(self._map.scene[0])

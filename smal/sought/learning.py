@@ -83,11 +83,10 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     ]
     here = [best_window(one, windows)[0] for one in left_out]
     at_end = [float(one.sum()) for one, (picture, _, _) in zip(left_out, patches, strict=False) if id(picture) in ends]
-    every, new_codes = np.concatenate(sought), others[len(codes) :]
+    every, added = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
-        best_window(speaking(cells_of(one, 2), every, known, far), windows)[0]
+        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows)[0]
         for k, one in enumerate(pictures)
-        for known in [np.concatenate([codes[elsewhere(k)], new_codes])]
     ]
     ratio = _ratio(np.array(here), np.array(elsewhere_scores))
     if ratio is None:
