@@ -18,7 +18,7 @@ def test_the_way_is_followed_and_timed(tmp_path: Path, monkeypatch: pytest.Monke
     route.main(["--quick", "--metres", "30", "60", "--json", str(file)])
     found = json.loads(file.read_text())
     assert [one["frames"] for one in found["learned"]] == [80, 120]
-    assert 0.0 < found["learned"][0]["cpu_s"] < found["learned"][1]["cpu_s"]
+    assert all(one["cpu_s"] > 0.0 for one in found["learned"])
     case, longer = found["cases"]
     assert (case["keyframes"], longer["keyframes"]) == (41, 81)
     assert 0.0 < case["p50_ms"] <= case["p95_ms"]
