@@ -14,26 +14,17 @@ from schemas.topics import COMMANDS, TOPICS, Topic
 class Service:
     """One row of the table."""
 
-    name: str
-    """Part of the keys of its queryables."""
-    meaning: str
-    """What it does, in a few words."""
-    takes: tuple[Topic, ...] = ()
-    """Topics that it may subscribe to."""
-    gives: tuple[Topic, ...] = ()
-    """Topics that it may publish."""
-    fetches: tuple[Topic, ...] = ()
-    """Topics of which it may have sent what it has missed."""
-    serves: tuple[str, ...] = ()
-    """Verbs that it answers beside ``status``."""
-    calls: tuple[str, ...] = ()
-    """What it may call of others, ``<service>/<verb>``."""
+    name: str  # Part of the keys of its queryables.
+    meaning: str  # What it does, in a few words.
+    takes: tuple[Topic, ...] = ()  # Topics that it may subscribe to.
+    gives: tuple[Topic, ...] = ()  # Topics that it may publish.
+    fetches: tuple[Topic, ...] = ()  # Topics of which it may have sent what it has missed.
+    serves: tuple[str, ...] = ()  # Verbs that it answers beside ``status``.
+    calls: tuple[str, ...] = ()  # What it may call of others, ``<service>/<verb>``.
+    #: Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
     image: Literal["services", "recognition", "simulator"] | None = "services"
-    """Target of the Dockerfile that it runs in; None for what is no process of its own in a stack."""
-    module: str = ""
-    """What ``python -m`` runs; ``services.<name>`` if not given."""
-    role: str = ""
-    """Whose certificate it shows to the router; its own if not given."""
+    module: str = ""  # What ``python -m`` runs; ``services.<name>`` if not given.
+    role: str = ""  # Whose certificate it shows to the router; its own if not given.
 
     @property
     def command(self) -> tuple[str, str]:
@@ -149,16 +140,14 @@ def graph() -> str:
 class Role:
     """What the holder of a certificate may do on a robot's bus, as of a service; all else is refused by the router."""
 
-    name: str
-    """Common name of the certificate."""
+    name: str  # Common name of the certificate.
     takes: tuple[Topic, ...]
     gives: tuple[Topic, ...]
     fetches: tuple[Topic, ...]
-    serves: tuple[str, ...]
-    """Queryables that it may be, ``<service>/<verb>``."""
+    serves: tuple[str, ...]  # Queryables that it may be, ``<service>/<verb>``.
     calls: tuple[str, ...]
+    #: Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics.
     person: bool = False
-    """Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics."""
 
 
 def role_of(name: str) -> str:

@@ -254,8 +254,8 @@ class Model(Stored):
 
     centering: Centering
     mapped: VisualMap
+    #: What is sought at each goal; of one that has none, a robot that has arrived says that it has found it.
     sights: Mapping[str, Sight] = field(default_factory=dict)
-    """What is sought at each goal; of one that has none, a robot that has arrived says that it has found it."""
 
     def __post_init__(self) -> None:
         if len(self.mapped.basis) != self.feature_settings.size:

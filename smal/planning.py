@@ -107,13 +107,11 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
-        self._tried: frozenset[int] | None = None
+        self._plan(frozenset())
         self.reset()
 
     def _plan(self, tried: frozenset[int]) -> None:
         """Plan the ways to all ends but those that were tried, by their drives."""
-        if tried == self._tried:
-            return
         self._tried = tried
         self._to_go_s, following = cost_to_go(self._map, self._goal, tried)
         self._guide, self._offset = self._guides(following)
@@ -137,7 +135,8 @@ class Planner:
         self._turning: Atom | None = None
         self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
         self._toward_rad: float | None = None
-        self._plan(frozenset())
+        if self._tried:
+            self._plan(frozenset())
         #: Whether it takes itself to be where it was taught that the goal is.
         self.arrived, self._ends = False, frozenset[int]()
         self.said: Said | None = None
@@ -231,7 +230,7 @@ class Planner:
         # One that turns ahead would leave the place.
         if self._searched_s < (SETTINGS.stands_s if Atom.LEFT in self._going else around_s):
             return
-        self._plan((self._tried or frozenset()) | self._ends)
+        self._plan(self._tried | self._ends)
         self.arrived, self._searched_s, self._neared_s = False, 0.0, 0.0
         if float(belief.weights @ np.isfinite(self._to_go_s[belief.keyframes])) < 0.5:
             self.said = "not_here"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import extract
-from smal.features.picture import small
+from smal.features.resizing import small
 from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
@@ -34,13 +34,7 @@ class Place:
 class Localizer:
     """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
 
-    Parameters
-    ----------
-    model : Model
-    seed : int
-        Of the filter's noise.
-    goal : str, optional
-        Where it is sent; may be left out where all drives lead to one goal.
+    The seed is of the filter's noise; `goal` is where it is sent, and may be left out where all drives lead to one.
     """
 
     def __init__(self, model: Model, seed: int = 0, goal: str | None = None) -> None:
@@ -64,7 +58,7 @@ class Localizer:
             self._witness.reset()
 
     def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> Glimpse | None:
-        """Return whether what is sought is in view of a frame (`smal.features.picture.small`); None where nobody knows.
+        """Return whether what is sought is in view of a frame (`resizing.small`); None where nobody knows.
 
         Far from where it was taught to be, nobody looks; who turns there is still there, whatever that looks like.
         """
@@ -84,24 +78,13 @@ class Localizer:
         atoms: Sequence[Atom] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
-        """Take one frame.
+        """Take the features (m,) of one frame, of `smal.features.extract`.
 
-        Parameters
-        ----------
-        raw_features : array (m,)
-            From `smal.features.extract`.
-        odometry : (x, y, heading in radians), optional
-            Pose by the wheels at the frame; does not count where the drives had none: the map then has another unit.
-            A frame without it, and without atoms, says nothing of the movement: the next pose does.
-        atoms : sequence of Atom
-            Made since the frame before, for equal parts of the time; they count where there is no odometry.
-        elapsed_s : float, optional
-            Time since the frame before; a taught tick if not given.
-
-        Raises
-        ------
-        ValueError
-            A time or a pose that is not finite, a negative time, or as `Filter.observe`.
+        Odometry is the pose by the wheels at the frame, x, y and heading in radians; it does not count where the drives
+        had none: the map then has another unit. Atoms were made since the frame before, for equal parts of the time;
+        they count where there is no odometry. A frame without either says nothing of the movement: the next pose does.
+        `elapsed_s` is the time since the frame before, a taught tick if not given. ValueError for a time or a pose that
+        is not finite, a negative time, or as `Filter.observe`.
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
             raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
@@ -124,20 +107,9 @@ class Localizer:
 
 
 class Robot:
-    """Finds the goal: takes an image, gives the atom to make until the next one.
+    """Finds the goal, which may be left out where all drives lead to one: takes an image, gives the atom to make next.
 
-    Parameters
-    ----------
-    model : Model
-    goal : str, optional
-        Where to go; may be left out where all drives lead to one goal.
-    seed : int
-        Of the filter's noise.
-
-    Raises
-    ------
-    ValueError
-        The model has not this goal, or several and none is named.
+    The seed is of the filter's noise. ValueError where the model has not this goal, or several and none is named.
     """
 
     belief: Belief  # After the last image.
@@ -163,24 +135,12 @@ class Robot:
         elapsed_s: float | None = None,
         depth: tuple[NDArray[np.float32], Mount] | None = None,
     ) -> Atom:
-        """Take one image.
+        """Take one image (height, width, 3), RGB; return the atom to make until the next one.
 
-        Parameters
-        ----------
-        image : uint8 array (height, width, 3)
-            RGB.
-        odometry : (x, y, heading in radians), optional
-            Pose by the wheels at the image. Without it the robot is taken to have made the last atom, as usual.
-        elapsed_s : float, optional
-            Time since the image before; as between taught images if not given.
-        depth : (float32 array (height, width), Mount), optional
-            What a depth camera measures, metres, 0 where nothing, and how it sits: with it, and odometry, the robot
-            goes round what stands in its way.
-
-        Returns
-        -------
-        Atom
-            To make until the next image.
+        Odometry is the pose by the wheels at the image, x, y and heading in radians; without it the robot is taken to
+        have made the last atom, as usual. `elapsed_s` is the time since the image before, as between taught images if
+        not given. `depth` is what a depth camera measures (height, width), metres, 0 where nothing, and how it sits:
+        with it, and odometry, the robot goes round what stands in its way.
         """
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)

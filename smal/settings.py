@@ -1,4 +1,4 @@
-"""The tuned numbers of the map's method, with their units and reasons; of obstacles, in `smal.obstacles.clearance`.
+"""The tuned numbers of the method of maps, with their units and reasons.
 
 A plain fraction that explains itself stands where it is used. What drives tell is measured (`smal.teaching`).
 """
@@ -150,6 +150,37 @@ class Settings:
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0
     stands_s: float = 1.0
+
+    # -- what stands in the way (`smal.obstacles`), in radii of the robot
+    depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
+    #: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
+    #: noise and of a floor that is not quite even. A wheel climbs less.
+    ground_m: float = 0.05
+    ground_slope: float = 0.02
+    tilt_deg: float = 5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
+    least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
+    gap_rows: int = 5  # Rows of a column that may show no ground before it ends: specks without texture.
+    least_valid: float = 0.1  # Share of the lower half of a picture that must have depth for it to say anything.
+    #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
+    #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
+    hit: int = 2
+    most_evidence: int = 5
+    least_evidence: int = -3
+    cells_radius: int = 4  # Cells a radius.
+    grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
+    unseen: float = 2.5  # Nearer, what is unknown ahead does not count: a camera does not see beside its own robot.
+    margin: float = 0.25  # What stays between the robot and what it stops before.
+    slowest: float = 0.05  # Slower than this share of its speed a robot stands.
+    may_go_aside: float = 6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
+    #: Distance from things beyond which more is of no use, and what a metre costs more right beside them.
+    room: float = 2.0
+    tight_cost: float = 2.0
+    #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
+    stands_before: float = 6.0
+    most_turns: int = 180  # Turns to each side that are tried: a degree apart.
+    #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
+    aside_cost: float = 0.15
+    unknown_cost: float = 0.5
 
     # -- stitches
     #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.

@@ -13,7 +13,7 @@ from services.kit.node import Detail, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
-from smal.features.picture import small
+from smal.features.resizing import small
 
 _log = logging.getLogger("features")
 

@@ -4,8 +4,7 @@ from smal.features.centering import Centering
 from smal.features.extraction import extract
 from smal.features.modalities import MODALITIES, MODALITY_NAMES, modality_named
 from smal.features.modality import Modality
-from smal.features.selection import select
-from smal.features.settings import FeatureSettings
+from smal.features.settings import FeatureSettings, select
 
 __all__ = [
     "MODALITIES",

@@ -35,27 +35,12 @@ def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> It
 def extract(
     image: NDArray[np.uint8], settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
 ) -> NDArray[np.float32]:
-    """Compute the raw features of one frame.
+    """Compute the raw features (m,) of one frame, an RGB image (height, width, 3) of at least 24 rows and 32 columns.
 
-    Parameters
-    ----------
-    image : uint8 array (height, width, 3)
-        RGB, at least 24 rows and 32 columns.
-    settings : FeatureSettings
-    depth_mm : uint16 array (height, width), optional
-        Depth of the same view, of any size, in millimetres, 0 where nothing is in range; needed by the
-        modality "depth".
-
-    Returns
-    -------
-    float32 array (m,)
-        The modalities one after the other, each of unit length (or zero, see the modality); not
-        centred, which `Centering.apply` does once the mean is known.
-
-    Raises
-    ------
-    ValueError
-        An image has another type, shape or is too small, or there is no depth image though one is needed.
+    They are the modalities one after the other, each of unit length (or zero, see the modality); not centred, which
+    `Centering.apply` does once the mean is known. The modality "depth" needs depth of the same view, of any size, in
+    millimetres, 0 where nothing is in range. ValueError for an image of another type or shape or that is too small, and
+    where a depth image is needed and missing.
     """
     _check_image(image)
     inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}

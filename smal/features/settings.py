@@ -4,9 +4,10 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smal.features import onnx
 from smal.features.modalities import modality_named
@@ -77,6 +78,22 @@ class FeatureSettings:
         modalities = [modality_named(name) for name in self.modalities]
         text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:
+    """Take the wanted modalities, in their order, out of raw features (..., m) of those that are held.
+
+    ValueError where the last axis is not m, or a modality is wanted that is not held.
+    """
+    if raw.ndim == 0 or raw.shape[-1] != held.size:
+        raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")
+    missing = [name for name in wanted.modalities if name not in held.modalities]
+    if missing:
+        raise ValueError(f"the features {', '.join(held.modalities)} do not hold {', '.join(missing)}")
+    if held.modalities == wanted.modalities:
+        return raw
+    where = dict(zip(held.modalities, held.slices, strict=True))
+    return np.concatenate([raw[..., where[name]] for name in wanted.modalities], axis=-1)
 
 
 def _given(name: str) -> str:

@@ -9,7 +9,6 @@ the dynamic window's global form, Brock and Khatib 1999).
 
 import math
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
 from smal.obstacles.clearance import Floats, Surroundings
-
-#: How far beside the taught way it may go, in radii of the robot: 2.4 m for one of 0.4 m, where views are still known.
-_ASIDE: Final = 6.0
-#: Distance from things beyond which more is of no use, in radii, and what a metre costs more right beside them.
-_ROOM, _TIGHT_COST = 2.0, 2.0
-#: It waits so many radii before what it does not get round: nearer by that would hide all that it knows its way by.
-_STANDS: Final = 6.0
-_TURNS: Final = 180  # Turns to each side that are tried at most: a degree apart.
-#: What a metre costs more a radius beside the way, and over ground that nobody has seen.
-_ASIDE_COST, _UNKNOWN_COST = 0.15, 0.5
+from smal.settings import SETTINGS
 
 
 def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, error_rad: float) -> float | None:
@@ -40,7 +30,7 @@ def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float,
     far_m = hit_m(around, way)
     if far_m < math.inf or around.free_m(ahead=True) == 0.0:
         round_rad = turn_round(around, way, turn_rad, step_m)
-        if round_rad is not None or far_m < _STANDS * around.radius_m:
+        if round_rad is not None or far_m < SETTINGS.stands_before * around.radius_m:
             return round_rad
     return error_rad
 
@@ -56,7 +46,7 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
 
     Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`.
     """
-    count = min(round(math.pi / turn_rad), _TURNS)
+    count = min(round(math.pi / turn_rad), SETTINGS.most_turns)
     turns = np.array(sorted(range(-count, count + 1), key=abs))
     straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
@@ -82,9 +72,16 @@ def _to_go_m(around: Surroundings, way: Floats) -> Floats:
     clear_m, body_m = around.clearance_m, around.body_m
     # A robot that stands too near to something, or too far aside, may leave.
     leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (clear_m >= clear_m[here] - 1e-3)
-    may = ((clear_m >= body_m) | leaves) & (aside_m <= max(_ASIDE * around.radius_m, float(aside_m[here])))
-    tight = np.clip((_ROOM * around.radius_m - clear_m) / (_ROOM * around.radius_m - body_m), 0.0, 1.0)
-    cost = 1.0 + _TIGHT_COST * tight + _ASIDE_COST * aside_m / around.radius_m + _UNKNOWN_COST * around.unknown
+    may = ((clear_m >= body_m) | leaves) & (
+        aside_m <= max(SETTINGS.may_go_aside * around.radius_m, float(aside_m[here]))
+    )
+    tight = np.clip((SETTINGS.room * around.radius_m - clear_m) / (SETTINGS.room * around.radius_m - body_m), 0.0, 1.0)
+    cost = (
+        1.0
+        + SETTINGS.tight_cost * tight
+        + SETTINGS.aside_cost * aside_m / around.radius_m
+        + SETTINGS.unknown_cost * around.unknown
+    )
     ends = np.flatnonzero(may & (along >= len(dense) - 3))
     if not ends.size:
         return np.full(may.shape, np.inf)

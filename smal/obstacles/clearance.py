@@ -9,69 +9,43 @@ Nothing is free because nothing was seen: a look without depth leaves everything
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, shift
 
-Floats = NDArray[np.float64]
+from smal.settings import SETTINGS
 
-_COLUMNS: Final = 160  # Columns of depth that are looked at: half a degree apart, which is 4 cm at 5 m.
-#: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
-#: noise and of a floor that is not quite even. A wheel climbs less.
-_GROUND_M, _GROUND_SLOPE = 0.05, 0.02
-_MOST_TILT: Final = math.tan(math.radians(5.0))  # Pitch and roll of a camera that shakes, and of a kerb under a wheel.
-_LEAST_PIXELS: Final = 3  # Pixels of a column that must show a thing: fewer are noise.
-_GAP_ROWS: Final = 5  # Rows of a column that may show no ground before it ends: specks without texture.
-_LEAST_VALID: Final = 0.1  # Share of the lower half of a picture that must have depth for it to say anything.
-#: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free. Being
-#: seen through takes 1, so that what has walked away is forgotten within half a second.
-_HIT, _MOST, _LEAST = 2, 5, -3
-#: Cells a robot's radius, and how far the grid reaches, in radii: some 5 m for a robot of 0.4 m.
-_CELLS, _REACH = 4, 12
-#: Nearer than this many radii what is unknown ahead does not count: a camera does not see beside its own robot.
-_NEAR: Final = 2.5
-_MARGIN: Final = 0.25  # What stays between the robot and what it stops before, in radii.
-_SLOWEST: Final = 0.05  # Slower than this share of its speed a robot stands.
+Floats = NDArray[np.float64]
 
 
 class Mount(NamedTuple):
     """How a level depth camera sits on a round robot that turns on the spot."""
 
-    focal: float
-    """Focal length over the image's width; its axis meets the middle."""
-    height_m: float
-    """Of the camera, above the ground."""
-    ahead_m: float
-    """Of the camera, ahead of the middle of the robot."""
-    radius_m: float
-    """Of the robot."""
-    top_m: float
-    """Height of the robot's highest point."""
+    focal: float  # Focal length over the image's width; its axis meets the middle.
+    height_m: float  # Of the camera, above the ground.
+    ahead_m: float  # Of the camera, ahead of the middle of the robot.
+    radius_m: float  # Of the robot.
+    top_m: float  # Height of the robot's highest point.
 
 
 class Scan(NamedTuple):
     """What one look says, of each column; distances are along the camera's axis."""
 
-    across: Floats
-    """(n,) how far the column looks to the left, a metre ahead; evenly, from the left to the right."""
-    free_m: Floats
-    """(n,) how far the ground is free."""
-    hit_m: Floats
-    """(n,) how near something stands; infinity where nothing does."""
-    top_m: Floats
-    """(n,) how high that is seen to be."""
-    falls: float
-    """How much the lowest rays fall a metre: what is nearer may lie below them."""
+    across: Floats  # (n,) how far the column looks to the left, a metre ahead; evenly, from the left to the right.
+    free_m: Floats  # (n,) how far the ground is free.
+    hit_m: Floats  # (n,) how near something stands; infinity where nothing does.
+    top_m: Floats  # (n,) how high that is seen to be.
+    falls: float  # How much the lowest rays fall a metre: what is nearer may lie below them.
 
 
 def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     """Return what a depth image (h, w) says, 0 where it has none; None where that is too little to say anything."""
-    every = max(1, math.ceil(depth_m.shape[1] / _COLUMNS))
+    every = max(1, math.ceil(depth_m.shape[1] / SETTINGS.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
     valid = np.isfinite(ahead) & (ahead > 0.0)
-    if valid[len(valid) // 2 :].mean() < _LEAST_VALID:
+    if valid[len(valid) // 2 :].mean() < SETTINGS.least_valid:
         return None
     below, across = (
         (np.arange(count) * every + every // 2 + 0.5 - size / 2) / (mount.focal * depth_m.shape[1])
@@ -81,30 +55,30 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     left, up = -ahead * across, mount.height_m - ahead * below[:, None]
     pitch, roll = _tilt(ahead, -across, up, valid)
     up -= pitch * ahead + roll * left
-    high = _GROUND_M + _GROUND_SLOPE * ahead
+    high = SETTINGS.ground_m + SETTINGS.ground_slope * ahead
     ground = valid & (np.abs(up) <= high)
     # What hangs a little higher than the robot may hang lower beside what is seen of it.
     thing = valid & (up > high) & (up < mount.top_m + mount.radius_m)
-    hit_m = np.partition(np.where(thing, ahead, np.inf), _LEAST_PIXELS - 1, axis=0)[_LEAST_PIXELS - 1]
+    hit_m = np.partition(np.where(thing, ahead, np.inf), SETTINGS.least_pixels - 1, axis=0)[SETTINGS.least_pixels - 1]
     top_m = np.where(thing & (ahead < hit_m + 2.0 * mount.radius_m), up, 0.0).max(axis=0)
     # From below on as long as the ground goes on: what shows nothing may stand there.
-    goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= _GAP_ROWS
+    goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= SETTINGS.gap_rows
     free_m = np.minimum(np.where(ground & goes_on, ahead, 0.0).max(axis=0), hit_m)
     return Scan(-across, free_m, hit_m, top_m, float(below[-1]) + pitch)
 
 
 def _tilt(ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_]) -> Floats:
     """Return how much the ground rises a metre ahead and to the left, as it seems to a camera that is not level."""
-    tilt = np.zeros(2)
+    tilt, most_tilt = np.zeros(2), math.tan(math.radians(SETTINGS.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
-    for slope in (_MOST_TILT, _MOST_TILT / 3.0):
-        flat = valid & (np.abs(up - (tilt[0] + tilt[1] * across) * ahead) < _GROUND_M / 2.0 + slope * ahead)
+    for slope in (most_tilt, most_tilt / 3.0):
+        flat = valid & (np.abs(up - (tilt[0] + tilt[1] * across) * ahead) < SETTINGS.ground_m / 2.0 + slope * ahead)
         if flat.sum() < valid.size // 50:
             break
         # Far points err by more: each counts by how many of its metres it is off.
         a_metre = np.stack([np.ones(int(flat.sum())), sides[flat]])
         tilt = np.linalg.lstsq(a_metre @ a_metre.T, a_metre @ (up[flat] / ahead[flat]), rcond=None)[0]
-        tilt = tilt.clip(-_MOST_TILT, _MOST_TILT)
+        tilt = tilt.clip(-most_tilt, most_tilt)
     return tilt
 
 
@@ -116,12 +90,12 @@ class Surroundings:
 
     def __init__(self, radius_m: float) -> None:
         self.radius_m = radius_m
-        self.cell_m = radius_m / _CELLS
-        self.reach_m = _REACH * radius_m
+        self.cell_m = radius_m / SETTINGS.cells_radius
+        self.reach_m = SETTINGS.grid * radius_m
         #: How near it may come to the middle of a cell in which something stands: half a cell is that cell's, the other
         #: half is for wheels that slip.
         self.body_m = radius_m + self.cell_m
-        self._half = _CELLS * _REACH
+        self._half = SETTINGS.cells_radius * SETTINGS.grid
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Of each cell's middle, from that of the robot's cell, in the axes of the odometry.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
@@ -158,15 +132,15 @@ class Surroundings:
         lowest = mount.height_m - ahead * seen.falls
         evidence = self._evidence
         # What lies below the rays is not seen through; where nothing is known they say at least that nothing rises.
-        cleared = through & ((lowest <= _GROUND_M) | (self._top_m > lowest))
-        evidence[cleared] = np.maximum(evidence[cleared] - 1, _LEAST)
+        cleared = through & ((lowest <= SETTINGS.ground_m) | (self._top_m > lowest))
+        evidence[cleared] = np.maximum(evidence[cleared] - 1, SETTINGS.least_evidence)
         evidence[through & (evidence == 0)] = -1
         near = np.isfinite(seen.hit_m)
         hit_m = seen.hit_m[near]
         places = np.stack([mount.ahead_m + hit_m, hit_m * seen.across[near]], axis=1)
         cells = self.cells(places)
         # Through and hit in one look: at its edges a thing is both.
-        evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + _HIT, _MOST)
+        evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence)
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
         for edge in (0, -1):  # What stands further away is not on the edge.
             evidence[edge] = evidence[:, edge] = 0
@@ -219,14 +193,16 @@ class Surroundings:
         wide_m = min(self.body_m, float(np.hypot(ahead, left).min(initial=math.inf)))
         touches_m = along - np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0))
         touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
-        return np.asarray(np.maximum(touches_m.min(axis=1, initial=self.reach_m) - _MARGIN * self.radius_m, 0.0))
+        return np.asarray(
+            np.maximum(touches_m.min(axis=1, initial=self.reach_m) - SETTINGS.margin * self.radius_m, 0.0)
+        )
 
     def free_m(self, ahead: bool) -> float:
         """Return how far the robot may go straight ahead, or back, and keep off what it sees, and what it does not."""
         along, aside = self.seen_from(0.0)
-        along, near = (along, _NEAR) if ahead else (-along, 1.0)
+        along, near = (along, SETTINGS.unseen) if ahead else (-along, 1.0)
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m) & (along > near * self.radius_m)
-        known_m = along[unseen].min(initial=math.inf) - (1.0 + _MARGIN) * self.radius_m
+        known_m = along[unseen].min(initial=math.inf) - (1.0 + SETTINGS.margin) * self.radius_m
         return float(max(0.0, min(self.clear_m(np.array([0.0 if ahead else math.pi]))[0], known_m)))
 
 
@@ -238,4 +214,4 @@ def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float)
     # share * speed * wait + share^2 * speed * braking / 2 = free
     waits, brakes = speed_m_s * wait_s, speed_m_s * braking_s / 2.0
     share = 2.0 * free_m / (waits + math.sqrt(waits**2 + 4.0 * brakes * max(free_m, 0.0)))
-    return min(share, 1.0) if share >= _SLOWEST else 0.0
+    return min(share, 1.0) if share >= SETTINGS.slowest else 0.0

@@ -11,13 +11,13 @@ each view's neighbourhood left out of what explains it, what to expect where it 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
-from smal.features.picture import SHAPE
+from smal.features.resizing import SHAPE
 from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
 from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nearest, speaking
@@ -26,8 +26,14 @@ from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nea
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
 _FEWEST: Final = 8  # Cells that are the least to be looked for.
 _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
-#: A small picture, its cells (60, 80, 27), and which of these are of what is sought.
-_Patch = tuple[Image, NDArray[np.float32], NDArray[np.bool_]]
+
+
+class _Patch(NamedTuple):
+    """What of a view of the approach is sought."""
+
+    cells: NDArray[np.float32]  # Of the small picture, (60, 80, 27).
+    mask: NDArray[np.bool_]  # Which of these are of what is sought.
+    last: bool  # Whether it is the drive's last view.
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +42,7 @@ class Taught:
 
     pictures: Sequence[Image]
     left_s: NDArray[np.float64]
-    ends: bool
-    """Whether it ends before what is sought."""
+    ends: bool  # Whether it ends before what is sought.
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:
@@ -63,26 +68,24 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     if not new.size:
         return None
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
-    followed = [list(_patches(one, codes, stands_out)) for one in drives if one.ends]
-    ends = {id(one[0][0]) for one in followed if one}
-    patches = [patch for one in followed for patch in one]
+    patches = [patch for one in drives if one.ends for patch in _patches(one, codes, stands_out)]
     patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
     if not patches:
         return None
-    others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for _, cells, mask in patches)])
-    sought = [cells[mask] for _, cells, mask in patches]
+    others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for cells, mask, _ in patches)])
+    sought = [cells[mask] for cells, mask, _ in patches]
     sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
-    sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, _, mask in patches]) // 2
+    sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, mask, _ in patches]) // 2
     sizes = np.maximum(sizes, _LEAST)
     chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
     left_out = [
-        speaking(cells_of(one, 2), np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far)
-        for k, (one, _, _) in enumerate(patches)
+        speaking(one.cells[::2, ::2], np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far)
+        for k, one in enumerate(patches)
         if len(patches) > 1
     ]
     here = [best_window(one, windows)[0] for one in left_out]
-    at_end = [float(one.sum()) for one, (picture, _, _) in zip(left_out, patches, strict=False) if id(picture) in ends]
+    at_end = [float(one.sum()) for one, patch in zip(left_out, patches, strict=False) if patch.last]
     every, added = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
         best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows)[0]
@@ -101,10 +104,10 @@ def _lasting(patches: list[_Patch]) -> list[_Patch]:
 
     What stands before a door or a window may be in one piece with it in some views.
     """
-    insides = [cells[mask] for _, cells, mask in patches]
-    besides = [cells[::2, ::2][~mask[::2, ::2]] for _, cells, mask in patches]
+    insides = [cells[mask] for cells, mask, _ in patches]
+    besides = [cells[::2, ::2][~mask[::2, ::2]] for cells, mask, _ in patches]
     found = []
-    for k, (picture, cells, mask) in enumerate(patches):
+    for k, (cells, mask, last) in enumerate(patches):
         if len(patches) > 1:
             inside, beside = (np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides))
             lasts = mask.copy()
@@ -112,7 +115,7 @@ def _lasting(patches: list[_Patch]) -> list[_Patch]:
             if lasts.sum() < _FEWEST:
                 continue
             mask = lasts  # noqa: PLW2901 - what is left of it
-        found.append((picture, cells, mask))
+        found.append(_Patch(cells, mask, last))
     return found
 
 
@@ -143,14 +146,14 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
                 continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
-        yield one.pictures[k], cells, mask
+        yield _Patch(cells, mask, last=k == len(one.pictures) - 1)
 
 
 def _piece(
     stands_out: NDArray[np.bool_], weights: NDArray[np.float32], middle: NDArray[np.float64]
 ) -> NDArray[np.bool_] | None:
     """Return the piece of a mask that weighs most, the nearer to a row and a column the more; None without any."""
-    import cv2  # noqa: PLC0415 - see `smal.features.picture`
+    import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
     away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)

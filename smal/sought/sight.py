@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
-from smal.features.picture import SHAPE
+from smal.features.resizing import SHAPE
 from smal.settings import SETTINGS
 
 SCORES: Final = np.linspace(0.0, 1.0, 201)  # What scores are tabulated for.
@@ -48,28 +48,14 @@ def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What is sought, what else there is, and what a score says.
+    """What is sought, what else there is, and what a score says."""
 
-    Parameters
-    ----------
-    sought, others : float16 arrays (n, 27), (m, 27)
-        Cells of what is sought, and of all else that was taught.
-    windows : int32 array (s, 2)
-        Rows and columns that it took, in cells of every second row and column.
-    far : float
-        Distance from which two cells are not alike at all.
-    log_ratio : float64 array (201,)
-        log p(score | in view) - log p(score | not) at `SCORES`, ascending.
-    size : float
-        Cells that spoke for it where the ways ended.
-    """
-
-    sought: Codes
+    sought: Codes  # Cells (n, 27) of what is sought, and (m, 27) of all else that was taught.
     others: Codes
-    windows: NDArray[np.int32]
-    far: float
-    log_ratio: NDArray[np.float64]
-    size: float
+    windows: NDArray[np.int32]  # (s, 2), rows and columns that it took, in cells of every second row and column.
+    far: float  # Distance from which two cells are not alike at all.
+    log_ratio: NDArray[np.float64]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    size: float  # Cells that spoke for it where the ways ended.
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""

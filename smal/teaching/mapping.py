@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.extraction import in_parallel
-from smal.features.picture import small
+from smal.features.resizing import small
 from smal.likelihood import evenly
 from smal.model import Model, VisualMap, packed, unit
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same

@@ -10,7 +10,7 @@ import pytest
 
 from smal import Model, Robot
 from smal.camera import Image
-from smal.features.picture import SHAPE
+from smal.features.resizing import SHAPE
 from smal.files.container import ModelError
 from smal.sought.learning import Taught, learn_sight
 from smal.sought.sight import Sight, Witness
