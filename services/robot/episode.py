@@ -1,13 +1,27 @@
-"""One episode: frame after frame, and how it ends. The one loop that services, experiments and Gymnasium share."""
+"""One episode: frame after frame, and what ends it. The one loop that services, experiments and Gymnasium share.
 
-from typing import Generic, TypeVar
+What ends an episode is all here. A frame does (`Episode.next_frame`): a collision, the goal of a run, the time. A word
+does (`Episode.end`): of the robot that it is found or not here, which the planner says (`smal.planning.Planner.said`),
+the policy tells (`schemas.action.Action.says`), and who began the run passes on (`services.cli.episodes.client`, the
+console's `Operator.end_mine`); or of the operator. So does without a word whoever ends it, begins another, or is gone.
+"""
 
-from schemas.episode import Outcome, Said
+from typing import Generic, NamedTuple, TypeVar
+
+from schemas.episode import Judge, Outcome, Said
 from schemas.rpc import ResetRequest
 from services.robot.body import Body, View
 from services.robot.task import Task
 
 V = TypeVar("V", bound=View)
+
+
+class Ended(NamedTuple):
+    """How an episode ended, as `schemas.episode.Episode` tells it."""
+
+    outcome: Outcome
+    judge: Judge | None = None
+    right: bool | None = None
 
 
 class Episode(Generic[V]):
@@ -34,7 +48,7 @@ class Episode(Generic[V]):
     def next_frame(self, *, by_hand: bool = False) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
 
-        A collision counts before the goal. A run ends as soon as its goal is reached, or, `until_said`, by `say`; a
+        A collision counts before the goal. A run ends as soon as its goal is reached, or, `until_said`, by `end`; a
         drive goes on until its driver has arrived, or the time is out. While a person has taken over, no time passes.
         Frame 0 ends nothing.
         """
@@ -53,17 +67,16 @@ class Episode(Generic[V]):
             self.outcome = "missed" if self.passed else "timeout"
         return self.view
 
-    def say(self, said: Said) -> bool | None:
-        """End with what the robot says; return whether it is so, None where nobody knows."""
-        gone = self._task.gone(self.view, self.request.goal)
-        if said == "not_here":
-            self.outcome = "not_here"
-            return gone
-        self.outcome = "found" if self.reached else "aborted" if gone is None else "false_goal"
-        return self.reached
+    def end(self, said: Said | None = None, *, told: bool = False) -> Ended:
+        """End with what the robot says, which the task judges; without a word; or as the operator told that it found.
 
-    def told(self) -> None:
-        """End with the operator's word that the goal is reached."""
-        if not self.reached:
+        Where nobody can judge, or nobody has said anything, it is found if the last frame shows it, and else aborted.
+        """
+        if told and not self.reached:
             self._task.told(self.view, self.request.goal)
-        self.outcome = "found"
+        gone = None if said is None else self._task.gone(self.view, self.request.goal)
+        if said == "not_here":
+            return Ended("not_here", right=gone)
+        if told or self.reached:
+            return Ended("found", "operator" if told else "task")
+        return Ended("aborted" if gone is None else "false_goal")

@@ -9,7 +9,7 @@ from schemas.base import NO_EPISODE, Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode as EpisodeEvent
-from schemas.episode import EventName, Judge, Outcome
+from schemas.episode import EventName, Outcome
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
@@ -19,7 +19,7 @@ from services.kit.node import ServiceError
 from services.robot.body import Body, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import now_s
-from services.robot.episode import Episode
+from services.robot.episode import Ended, Episode
 from services.robot.gate import Applied, CommandGate
 from services.robot.guard import guard_of
 from services.robot.loop import check_stopping
@@ -161,23 +161,16 @@ class EpisodeRunner(Generic[V]):
         driven = self.gate.taken_over or run.request.driver == "teleop"
         if request.found or (driven and request.session != run.request.session):
             self._unless(self.gate.not_theirs(request.session))
-        if request.found:
-            run.episode.told()
-            return self.end("found", "operator")
-        if request.said is None:
-            return self.end()
-        right = run.episode.say(request.said)
-        return self.end(run.episode.outcome, right=right if request.said == "not_here" else None)
+        return self.end(run.episode.end(None if request.found else request.said, told=request.found))
 
-    def end(self, outcome: Outcome | None = None, judge: Judge = "task", *, right: bool | None = None) -> list[Message]:
-        """End the running episode; without an outcome it is ``found`` if the last frame, which is taught, shows it."""
+    def end(self, ended: Ended | None = None) -> list[Message]:
+        """End the running episode; without anybody's word, if that is not given."""
         run = self.running
         if run is None:
             return []
         self.running = None
         run.pace.end()
-        outcome = outcome or ("found" if run.episode.reached else "aborted")
-        return [self._event(run, "ended", outcome, judge, right)]
+        return [self._event(run, "ended", ended or run.episode.end())]
 
     # -- what happens ---------------------------------------------------------------------------------------------
 
@@ -223,7 +216,7 @@ class EpisodeRunner(Generic[V]):
             yield from self.running.pace.poll(self, self.running)
         except Exception:
             # Half a frame cannot be answered, nor half a step made up for: nobody would ever go on.
-            yield from self.end("aborted")
+            yield from self.end(Ended("aborted"))
             raise
 
     def next_frame(self, run: Running[V]) -> Iterator[Message]:
@@ -236,7 +229,7 @@ class EpisodeRunner(Generic[V]):
             return
         if outcome in _ENDING_EVENTS:
             yield self._event(run, _ENDING_EVENTS[outcome])
-        yield from self.end(outcome)
+        yield from self.end(Ended(outcome, "task" if outcome == "found" else None))
 
     def _frame(self, run: Running[V]) -> Iterator[Message]:
         view, tick = run.episode.view, run.tick
@@ -286,14 +279,7 @@ class EpisodeRunner(Generic[V]):
         """Return what every message of the last frame begins with."""
         return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=run.stamp_ns)
 
-    def _event(
-        self,
-        run: Running[V],
-        name: EventName,
-        outcome: Outcome | None = None,
-        judge: Judge = "task",
-        right: bool | None = None,
-    ) -> EpisodeEvent:
+    def _event(self, run: Running[V], name: EventName, ended: Ended | None = None) -> EpisodeEvent:
         return EpisodeEvent.after(
             self.header(run),
             event=name,
@@ -302,9 +288,7 @@ class EpisodeRunner(Generic[V]):
             world=self.body.name,
             seed=run.request.seed,
             goal=run.request.goal,
-            outcome=outcome,
-            judge=judge if outcome == "found" else None,
-            right=right,
+            **({} if ended is None else ended._asdict()),
         )
 
     @staticmethod

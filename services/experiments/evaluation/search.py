@@ -20,6 +20,7 @@ from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import Degrader
 from services.experiments.evaluation.plan import Criterion
 from services.robot.clock import TICK_S
+from services.robot.episode import Ended
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
@@ -79,14 +80,16 @@ def search(
     driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
-    tells, right = hasattr(kind, "where"), None
+    tells = hasattr(kind, "where")
     poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
-    while True:
+    ended: Ended | None = None
+    while ended is None:
         tick, view = episode.tick, episode.view
         image = view.image if degrader is None else degrader.apply(tick, view.image)
         if picture_ticks and tick % picture_ticks == 0:
             pictures[tick] = image
         if episode.outcome is not None:
+            ended = Ended(episode.outcome)
             break
         sees: dict[str, Any] = {}
         if isinstance(driver, Robot) and view.depth is not None:
@@ -95,15 +98,14 @@ def search(
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
         if says and (said := _said(driver)) is not None:
-            right = episode.say(said)
+            ended = episode.end(said)
             break
         poses.append(episode.step(cast(AtomName, atom.name.lower())).pose)
         atoms.append(atom)
-    assert episode.outcome is not None  # noqa: S101 - it has ended
     way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
     made = np.array(atoms, dtype=np.int8)
     kidnapped = request.kidnap_tick or 0
-    return Search(episode.outcome, way, made, shortest_m, tuple(places), pictures, kidnapped, right)
+    return Search(ended.outcome, way, made, shortest_m, tuple(places), pictures, kidnapped, ended.right)
 
 
 def _said(driver: Driver) -> Said | None:
