@@ -1,1 +1,1 @@
-"""What crosses the wire, one message a file: read ``base``, any message, then ``codec`` and ``topics``."""
+"""What crosses the wire, messages by what they are about: read ``base``, any message, then ``codec`` and ``topics``."""

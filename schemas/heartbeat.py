@@ -1,10 +1,11 @@
-"""That a person, or a program that has episodes run, is still there."""
+"""That the robot, and who is responsible for what it does, are still there."""
 
 from typing import Annotated, ClassVar
 
 from pydantic import Field
 
 from schemas.base import Message, SessionId
+from schemas.command import StopCause
 
 
 class Heartbeat(Message):
@@ -25,3 +26,19 @@ class Heartbeat(Message):
     the robot has no answer to its recent ones it stands. None for a program, which is not missed."""
     present: bool = True
     """False says good-bye; whoever leaves so is not missed."""
+
+
+class Pulse(Message):
+    """Sign of life of the robot, which its operator answers; between two episodes that of the message is ``none``."""
+
+    topic: ClassVar[str] = "pulse"
+    max_bytes: ClassVar[int] = 1024
+
+    session: SessionId
+    """The robot's process."""
+    number: Annotated[int, Field(ge=1, lt=2**63)]
+    """Which one, for who answers it; each is one more than the last, from a number drawn at the start."""
+    emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Number of the latched stop, which its release has to name; 0 where none is."""
+    stop_cause: StopCause | None = None
+    """What latched it."""

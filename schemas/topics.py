@@ -7,21 +7,14 @@ from typing import Final, Literal, get_args
 
 from schemas.action import Action
 from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage, DepthImage, OverheadImage
 from schemas.command import Command, CommandApplied
-from schemas.compressed_image import CompressedImage
-from schemas.depth_image import DepthImage
 from schemas.episode import Episode
-from schemas.heartbeat import Heartbeat
-from schemas.imu import Imu
+from schemas.heartbeat import Heartbeat, Pulse
+from schemas.motion import Imu, Odometry, Pose, TrackedPose
 from schemas.observation import Observation
-from schemas.odometry import Odometry
-from schemas.overhead_image import OverheadImage
-from schemas.pose import Pose
-from schemas.pulse import Pulse
 from schemas.state import State
 from schemas.taught_map import TaughtMap
-from schemas.tracked_pose import TrackedPose
 
 ROOT: Final = "smal"
 #: How long, at least, a sender keeps what is recorded, so that a recorder which was away gets it afterwards.

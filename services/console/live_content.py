@@ -8,11 +8,10 @@ from typing import Final
 
 from schemas import topics
 from schemas.action import Action
-from schemas.compressed_image import CompressedImage
-from schemas.pose import Pose
+from schemas.camera import CompressedImage
+from schemas.motion import Pose, TrackedPose
 from schemas.rpc import Nothing, Status
 from schemas.state import State
-from schemas.tracked_pose import TrackedPose
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
 from services.console.newest_content import Board

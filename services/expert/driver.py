@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom
 from schemas.command import Command
+from schemas.motion import Pose
 from schemas.observation import Observation
-from schemas.pose import Pose
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 

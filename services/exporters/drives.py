@@ -10,8 +10,7 @@ import numpy as np
 
 from schemas.base import DIRECTIONS, Atom
 from schemas.command import CommandApplied
-from schemas.imu import Imu
-from schemas.odometry import Odometry
+from schemas.motion import Imu, Odometry
 from schemas.topics import IMU
 from services.importers.drive import Tally
 from services.importers.job import Format

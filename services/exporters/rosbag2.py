@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from services.exporters.drives import Drive
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally

@@ -5,8 +5,7 @@ import logging
 from pydantic import field_validator
 
 from schemas.array import Float32Array
-from schemas.compressed_image import CompressedImage
-from schemas.depth_image import DepthImage
+from schemas.camera import CompressedImage, DepthImage
 from schemas.observation import Observation
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError

@@ -9,7 +9,7 @@ from typing import IO, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
 from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg

@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from schemas.base import ATOMS, Message
+from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.odometry import Odometry
+from schemas.motion import Odometry
 from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
 from services.importers.job import Job
 from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, atoms_of, odometry, ticks

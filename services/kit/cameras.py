@@ -3,7 +3,7 @@
 from typing import Any
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from smal.camera import Camera
 
 

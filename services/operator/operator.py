@@ -15,8 +15,7 @@ from schemas import topics
 from schemas.base import NO_EPISODE, Atom, Strict
 from schemas.command import CommandApplied
 from schemas.episode import Episode, Said
-from schemas.heartbeat import Heartbeat
-from schemas.pulse import Pulse
+from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import RpcError
 from services.kit.errors import JobError

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from schemas.depth_image import DepthImage
-from schemas.odometry import Odometry
+from schemas.camera import DepthImage
+from schemas.motion import Odometry
 from smal.obstacles.clearance import Mount, Surroundings
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from schemas.array import Float32Array
 from schemas.command import CommandApplied
+from schemas.motion import Odometry
 from schemas.observation import Observation
-from schemas.odometry import Odometry
 from schemas.rpc import LoadReply
 from schemas.state import State
 from schemas.taught_map import TaughtMap

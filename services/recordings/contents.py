@@ -9,13 +9,12 @@ from typing import Final
 from mcap.records import McapRecord, Metadata
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.codec import printable
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
+from schemas.motion import Odometry
 from schemas.observation import Observation
-from schemas.odometry import Odometry
 from schemas.topics import JPEG, TOPICS, Topic
 from services.kit.cameras import camera_of
 from services.recordings.ledger import Ledger

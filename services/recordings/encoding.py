@@ -19,7 +19,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from schemas.base import Message
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
 from services.kit.jpeg import decode_jpeg
 
 CAMERA_FRAME: Final = "camera"  # Frame of the camera, for viewers: x to the right in the image, y down, z into it.

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Final
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.imu import Imu
+from schemas.motion import Imu, Odometry, Pose
 from schemas.observation import Observation
-from schemas.odometry import Odometry
-from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, mapped

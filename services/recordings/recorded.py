@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Source
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Outcome, Purpose
-from schemas.imu import Imu
-from schemas.odometry import Odometry
-from schemas.pose import Pose
+from schemas.motion import Imu, Odometry, Pose
 
 _STOP: Final = ATOMS.index("stop")
 

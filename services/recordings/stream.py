@@ -11,8 +11,8 @@ from mcap.records import Message as StoredMessage
 from pydantic import ValidationError
 
 from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
+from schemas.camera import CompressedImage
 from schemas.codec import describe
-from schemas.compressed_image import CompressedImage
 from schemas.topics import JPEG, Topic, topic_of
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, jpeg_size

@@ -33,15 +33,13 @@ from numpy.typing import NDArray
 
 from schemas.action import Action
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.odometry import Odometry
-from schemas.pose import Pose
+from schemas.motion import Odometry, Pose, TrackedPose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.topics import ROOT
-from schemas.tracked_pose import TrackedPose
 from services.recordings.encoding import CAMERA_FRAME, timestamp
 from smal.movement import placed, seen_from
 

@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from schemas.base import Message
-from schemas.imu import Imu, ImuSample
-from schemas.odometry import Odometry
+from schemas.motion import Imu, ImuSample, Odometry
 from services.robot.body import ImuReading, OdometryReading, Triple
 
 # Digits after the point: a micrometre and a microradian, far below every noise, and a third of the bytes in recordings.

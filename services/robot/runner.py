@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator
 from typing import Final, Generic, TypeVar
 
 from schemas.base import NO_EPISODE, Message
+from schemas.camera import CompressedImage
 from schemas.command import Command, CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode as EpisodeEvent
 from schemas.episode import EventName, Outcome
-from schemas.heartbeat import Heartbeat
-from schemas.pulse import Pulse
+from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size

@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from schemas.pulse import Pulse
+from schemas.heartbeat import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import RpcError

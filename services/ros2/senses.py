@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from schemas.base import ATOMS, Atom
-from schemas.compressed_image import CompressedImage
-from schemas.imu import MAX_SAMPLES
+from schemas.camera import CompressedImage
+from schemas.motion import MAX_SAMPLES
 from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.raw_image import LARGEST_BYTES, rgb_of
@@ -29,7 +29,7 @@ from services.ros2.wheels import Track, Wheels
 from smal.camera import Camera
 
 _KEPT: Final = 100  # Wheels that were read within this time of a frame are looked through for those of its moment.
-#: As `schemas.imu` and `schemas.compressed_image` have it; and far more than any base does.
+#: As `schemas.motion` and `schemas.camera` have it; and far more than any base does.
 _MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
 _MOST_COLUMNS, _MOST_ROWS = 4096, 3072
 #: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.

@@ -7,7 +7,7 @@ from services.robot.body import OdometryReading
 
 # Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
 _LEAP_M, _LEAP_RAD = 0.3, 0.3
-#: As `schemas.odometry` has it; and far more than any base does.
+#: As `schemas.motion` has it; and far more than any base does.
 _MOST_M, _MOST_RAD_S, _MOST_M_S = 1e6, 100.0, 100.0
 
 

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.overhead_image import OverheadImage
-from schemas.tracked_pose import TrackedPose
+from schemas.camera import OverheadImage
+from schemas.motion import TrackedPose
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
 from services.kit.settings import ServiceSettings

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.overhead_image import Calibration
+from schemas.camera import Calibration
 from services.tracker.tag_detection import find_markers
 
 #: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when

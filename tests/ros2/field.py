@@ -17,8 +17,8 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
+from schemas.motion import Pose as PoseMessage
 from schemas.observation import Observation
-from schemas.pose import Pose as PoseMessage
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording

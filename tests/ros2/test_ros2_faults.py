@@ -20,7 +20,7 @@ import pytest
 from schemas import topics
 from schemas.codec import decode
 from schemas.command import Command
-from schemas.odometry import Odometry
+from schemas.motion import Odometry
 from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import free_endpoint
 from services.kit.bus import Bus, Router, RpcError

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Message
+from schemas.camera import CompressedImage
 from schemas.codec import encode
-from schemas.compressed_image import CompressedImage
 from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError

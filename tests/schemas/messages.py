@@ -16,23 +16,16 @@ from pydantic.fields import FieldInfo
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import Message, Strict
-from schemas.camera_info import CameraInfo
+from schemas.camera import Calibration, CameraInfo, CompressedImage, DepthImage, OverheadImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command, CommandApplied
-from schemas.compressed_image import CompressedImage
-from schemas.depth_image import DepthImage
 from schemas.episode import Episode
-from schemas.heartbeat import Heartbeat
-from schemas.imu import Imu, ImuSample
+from schemas.heartbeat import Heartbeat, Pulse
+from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
 from schemas.observation import Observation
-from schemas.odometry import Odometry
-from schemas.overhead_image import Calibration, OverheadImage
-from schemas.pose import Pose
-from schemas.pulse import Pulse
 from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
-from schemas.tracked_pose import TrackedPose
 
 HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp_ns": 1_700_000_000_000_000_000}
 

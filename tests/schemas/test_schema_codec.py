@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.codec import DecodeError, decode, encode, encoding_of
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.imu import MAX_SAMPLES, Imu, ImuSample
+from schemas.motion import MAX_SAMPLES, Imu, ImuSample
 from schemas.observation import Observation
 from schemas.state import MAX_PLACES, Place, State
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message

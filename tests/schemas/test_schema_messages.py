@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.state import MAX_PLACES, State

@@ -11,9 +11,9 @@ import numpy as np
 
 from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
+from schemas.motion import Odometry
 from schemas.observation import Observation
-from schemas.odometry import Odometry
 from schemas.state import State
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.table import SERVICES

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas import topics
+from schemas.camera import CompressedImage, DepthImage
 from schemas.codec import decode
-from schemas.compressed_image import CompressedImage
-from schemas.depth_image import DepthImage
 from schemas.observation import Observation
 from services.features.service import FeaturesService
 from services.kit.bus import Bus

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from schemas import topics
-from schemas.pose import Pose
+from schemas.motion import Pose, TrackedPose
 from schemas.rpc import ResetRequest
-from schemas.tracked_pose import TrackedPose
 from services.cli.episodes.client import EpisodeClient
 from services.cli.options import Camera, Simulator
 from services.cli.stack import stack_for

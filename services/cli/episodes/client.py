@@ -14,11 +14,11 @@ from tqdm import tqdm
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, Outcome, Said
 from schemas.heartbeat import Heartbeat
-from schemas.pose import Pose
+from schemas.motion import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import Access
 from services.kit.bus import RpcError

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Message
-from schemas.depth_image import DepthImage, Mounting
-from schemas.overhead_image import Calibration, OverheadImage
-from schemas.pose import Pose as PoseMessage
+from schemas.camera import Calibration, DepthImage, Mounting, OverheadImage
+from schemas.motion import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from schemas.imu import MAX_SAMPLES
+from schemas.motion import MAX_SAMPLES
 from services.robot.body import ImuReading, OdometryReading
 from services.simulator.base import STEP_S, Motion, WheelSpeeds, move
 from services.simulator.robots import Drive

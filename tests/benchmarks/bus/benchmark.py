@@ -22,9 +22,9 @@ from tqdm import tqdm
 from schemas import topics
 from schemas.array import Float32Array
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.codec import encode
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.observation import Observation
 from schemas.topics import Topic
 from services.cli.stack import Stack, StackPlan, free_endpoint

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
-from schemas.compressed_image import CompressedImage
-from schemas.odometry import Odometry
+from schemas.camera import CameraInfo, CompressedImage
+from schemas.motion import Odometry
 from services.cli.adding import keep, versions
 from services.kit.jpeg import encode_jpeg
 from smal.model import Model

@@ -10,11 +10,10 @@ import pytest
 
 from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.episode import Outcome, Purpose
+from schemas.motion import Odometry
 from schemas.observation import Observation
-from schemas.odometry import Odometry
 from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
 from services.kit.jpeg import encode_jpeg

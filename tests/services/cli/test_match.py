@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
 from services.cli import match
 from services.experiments.matching import feature_cache, traverse
 from services.kit.jpeg import encode_jpeg

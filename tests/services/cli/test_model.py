@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from schemas.compressed_image import CompressedImage
-from schemas.odometry import Odometry
+from schemas.camera import CompressedImage
+from schemas.motion import Odometry
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
 from services.kit.jpeg import encode_jpeg

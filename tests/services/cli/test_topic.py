@@ -5,9 +5,9 @@ import json
 import pytest
 
 from schemas import topics
+from schemas.camera import CompressedImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.topics import TOPICS
 from services.cli.listening import Sample
 from services.kit.bus import Bus

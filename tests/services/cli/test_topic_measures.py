@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.camera import CompressedImage
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from services.cli import listening
 from services.cli.listening import Arrivals
 from services.kit.bus import Bus

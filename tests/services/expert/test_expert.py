@@ -10,8 +10,8 @@ from shapely import LineString, Point
 
 from schemas.array import Float32Array
 from schemas.base import Message
+from schemas.motion import Pose
 from schemas.observation import Observation
-from schemas.pose import Pose
 from schemas.rpc import ResetReply
 from services.expert.driver import ExpertService, RouteDriver
 from services.robot.clock import TICK_S

@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from schemas.base import ATOMS, Atom, Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.imu import Imu, ImuSample
-from schemas.odometry import Odometry
+from schemas.motion import Imu, ImuSample, Odometry
 from services.kit.jpeg import encode_jpeg
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.writer import EpisodeWriter

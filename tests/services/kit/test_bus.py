@@ -10,11 +10,11 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message, Strict
+from schemas.camera import DepthImage
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
-from schemas.depth_image import DepthImage
+from schemas.motion import Pose
 from schemas.observation import Observation
-from schemas.pose import Pose
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from services.kit.bus import HEARTBEAT_S, Bus, BusError, Router, RpcError

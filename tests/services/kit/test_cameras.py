@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo
 from services.kit.cameras import camera_info, camera_of, camera_of_ros
 from smal.camera import Camera, Lens
 from tests.schemas.messages import EXAMPLES

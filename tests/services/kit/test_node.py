@@ -18,7 +18,7 @@ from schemas import topics
 from schemas.base import Message
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
-from schemas.pose import Pose
+from schemas.motion import Pose
 from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
 from services.kit import process as service_process

@@ -15,9 +15,9 @@ import zenoh
 
 from schemas import topics
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.rpc import EndRequest, Failure, Nothing, Status
 from schemas.state import State
 from schemas.topics import TOPICS, rpc_key

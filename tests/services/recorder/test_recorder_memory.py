@@ -4,7 +4,7 @@ import gc
 import tracemalloc
 from pathlib import Path
 
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
 from schemas.rpc import Nothing
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.odometry import Odometry
+from schemas.motion import Odometry
 from services.kit.jpeg import encode_jpeg
 from services.recordings.writer import EpisodeWriter
 from tests import corridor

@@ -8,17 +8,13 @@ from numpy.typing import NDArray
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import ATOMS, SOURCES, Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome, Purpose
-from schemas.imu import Imu, ImuSample
+from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
 from schemas.observation import Observation
-from schemas.odometry import Odometry
-from schemas.pose import Pose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
-from schemas.tracked_pose import TrackedPose
 from services.kit.jpeg import encode_jpeg
 
 FINGERPRINT = "0123456789ab"

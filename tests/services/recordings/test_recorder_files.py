@@ -21,7 +21,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from schemas.base import Message
-from schemas.compressed_image import CompressedImage
+from schemas.camera import CompressedImage
 from schemas.topics import TOPICS, topic_of
 from services.recordings.encoding import payload_of, plain_json_schema
 from services.recordings.ledger import Ledger

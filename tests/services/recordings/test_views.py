@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.pose import Pose
+from schemas.motion import Pose
 from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of

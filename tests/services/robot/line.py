@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Atom, Message
-from schemas.depth_image import DepthImage
-from schemas.pose import Pose
+from schemas.camera import DepthImage
+from schemas.motion import Pose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg

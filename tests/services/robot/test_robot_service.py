@@ -9,7 +9,7 @@ import time
 import pytest
 
 from schemas.command import Command
-from schemas.pulse import Pulse
+from schemas.heartbeat import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, Nothing, ResetReply, ResetRequest
 from schemas.topics import APPLIED, PULSE
 from services.kit.bus import Bus, RpcError

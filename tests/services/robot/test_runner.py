@@ -5,13 +5,10 @@ from dataclasses import replace
 import pytest
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.imu import Imu
-from schemas.odometry import Odometry
-from schemas.pose import Pose
+from schemas.motion import Imu, Odometry, Pose
 from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S

@@ -3,14 +3,10 @@
 import pytest
 
 from schemas.base import Message
-from schemas.camera_info import CameraInfo
+from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
-from schemas.compressed_image import CompressedImage
-from schemas.depth_image import DepthImage
 from schemas.episode import Episode
-from schemas.imu import Imu
-from schemas.odometry import Odometry
-from schemas.pose import Pose
+from schemas.motion import Imu, Odometry, Pose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.cameras import camera_of

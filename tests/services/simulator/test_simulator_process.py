@@ -4,9 +4,9 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.codec import decode
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest
 from services.kit.bus import Bus, RpcError
 from tests.services.chain import process

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from schemas.overhead_image import Calibration
+from schemas.camera import Calibration
 from services.tracker.tag_tracking import Tag
 
 SUPERSAMPLING = 8  # What a pixel is averaged from, along each axis.

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from schemas.overhead_image import Calibration
+from schemas.camera import Calibration
 from services.tracker.tag_tracking import Tag, TagNotSeen, TagPose, fit_square, locate
 from tests.services.tracker.overhead_images import Shot, photograph
 

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from schemas import topics
+from schemas.camera import Calibration, OverheadImage
 from schemas.codec import decode
-from schemas.overhead_image import Calibration, OverheadImage
-from schemas.tracked_pose import TrackedPose
+from schemas.motion import TrackedPose
 from services.kit.bus import Bus
 from services.kit.jpeg import encode_jpeg
 from services.kit.node import Node, ServiceError

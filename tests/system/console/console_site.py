@@ -18,7 +18,7 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.pose import Pose
+from schemas.motion import Pose
 from schemas.rpc import Nothing, Status
 from services.cli.stack import Stack
 from services.expert.driver import RouteDriver

@@ -8,12 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.base import Message
+from schemas.camera import CompressedImage
 from schemas.command import Command
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, Purpose
+from schemas.motion import Odometry
+from schemas.motion import Pose as TruePose
 from schemas.observation import Observation
-from schemas.odometry import Odometry
-from schemas.pose import Pose as TruePose
 from schemas.rpc import ResetRequest, Scheme
 from services.experiments.evaluation.search import search
 from services.features.service import FeaturesService
