@@ -19,9 +19,9 @@ from schemas.base import Message
 from schemas.codec import DecodeError, decode, printable
 from schemas.topics import ROOT, key_of, topic_of
 from services.cli import options
+from services.experiments.words import number, table
 from services.kit.bus import Bus
 from services.kit.inbox import Inbox
-from services.kit.tables import number, table
 
 QUEUE: Final = 64  # Samples kept while the terminal is slower than the bus.
 CONNECT_S: Final = 2.0

@@ -12,10 +12,9 @@ from typer import Argument, Option
 from services.cli import outputs
 from services.cli.grouping import STYLE
 from services.cli.options import Json
-from services.experiments.words import remark
+from services.experiments.words import number, remark, table
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
-from services.kit.tables import number, table
 from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
 from services.recordings.dataset import find_recordings
 from services.recordings.repair import repair, usual_name

@@ -18,7 +18,7 @@ from services.cli.stack import flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of, most_ticks
-from smal.evaluation.success import wilson_interval
+from smal.evaluation.precision_recall import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 

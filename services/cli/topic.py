@@ -12,8 +12,8 @@ from schemas.topics import TOPICS, Topic, topic_of
 from services.cli import options
 from services.cli.grouping import STYLE, grouped
 from services.cli.listening import echo, hz, say
+from services.experiments.words import table
 from services.kit.errors import UsageError
-from services.kit.tables import table
 from services.table import givers, graph, takers
 
 app = typer.Typer(help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE)

@@ -15,8 +15,8 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.grouping import STYLE
+from services.experiments.words import table
 from services.kit.errors import UsageError
-from services.kit.tables import table
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, load_world
 from services.simulator.world.loading import Wishes, import_map

@@ -106,9 +106,12 @@ class Library:
         """Return a recording by its name."""
         return next((one for one in self.recordings() if one.name == name), None)
 
-    def model(self, name: str) -> LearnedModel | None:
-        """Return a model by its name."""
-        return next((one for one in self.models() if one.name == name), None)
+    def model(self, name: str) -> LearnedModel:
+        """Return a model that can be used, by its name; ServiceError where there is none."""
+        model = next((one for one in self.models() if one.name == name), None)
+        if model is None or model.useless:
+            raise ServiceError(f"{name}: {'no such model' if model is None else model.useless}")
+        return model
 
     def leads_to(self, model: LearnedModel) -> str:
         """Return where a run to the nearest goal leads, by the model, or else by the recordings that taught it."""

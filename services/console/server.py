@@ -50,7 +50,7 @@ class WebServer:
     def __init__(self, service: ConsoleService, board: Board, settings: ConsoleSettings) -> None:
         self._socket, self.address, token = listen(settings)
         # Who sends rubbish must not fill the disk with the log.
-        logging.getLogger("uvicorn.error").addFilter(_seldom)
+        logging.getLogger("uvicorn.error").addFilter(lambda _: _complaints.due())
         config = uvicorn.Config(
             Guard(Web(service, board).application(), token),
             ws=_Socket,
@@ -83,7 +83,3 @@ class WebServer:
         self._server.should_exit = True
         self._thread.join(2 * _FAREWELL_S)
         self._socket.close()
-
-
-def _seldom(_: logging.LogRecord) -> bool:
-    return _complaints.due()

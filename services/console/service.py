@@ -172,8 +172,6 @@ class ConsoleService:
 
     def _run(self, ask: Run) -> None:
         model = self.library.model(ask.model)
-        if model is None or model.useless:
-            raise ServiceError(f"{ask.model}: {'no such model' if model is None else model.useless}")
         goal = ask.goal if model.goals else None
         if goal is not None and goal not in model.goals:
             raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
@@ -228,8 +226,6 @@ class ConsoleService:
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
         if isinstance(ask, Add):
             model = self.library.model(ask.model)
-            if model is None or model.useless:
-                raise ServiceError(f"{ask.model}: {'no such model' if model is None else model.useless}")
             name, how, out = Path(model.name).stem, ("--add",), self.library.path(model.name)
             doing, done = f"Learning more for {name}", f"{name} has looked at these runs."
         else:

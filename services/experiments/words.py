@@ -1,7 +1,7 @@
-"""Words that pages and commands share."""
+"""Words, and tables of them, that pages and commands share."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from smal.features import FeatureSettings
 
@@ -25,3 +25,19 @@ def described_by(features: FeatureSettings) -> str:
 def remark(lines: Iterable[object]) -> None:
     """Say something on standard error, a line each."""
     sys.stderr.writelines(f"smal: {line}\n" for line in lines)
+
+
+def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
+    """Yield one line a row: the first ``left`` columns begin below each other, the others (numbers) end there."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (
+            f"{cell:{'<' if column < left else '>'}{width}}"
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        yield "  ".join(cells).rstrip()
+
+
+def number(value: float | None, scale: float = 1.0) -> str:
+    """Return ``scale * value`` with two decimals, or a dash for None."""
+    return "-" if value is None else f"{scale * value:.2f}"

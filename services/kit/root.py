@@ -7,7 +7,7 @@ from typing import IO, Annotated, Final
 from pydantic import AfterValidator
 
 from services.kit.settings import ServiceSettings
-from smal.files.regular_file import open_regular
+from smal.files.container import open_regular
 
 #: Folder below the root of the worlds that were made from maps: the console makes them, the simulator opens them.
 WORLDS: Final = "worlds"

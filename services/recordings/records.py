@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor, ZstdError
 
 from schemas.codec import printable
-from smal.files.regular_file import open_regular
+from smal.files.container import open_regular
 
 MAGIC: Final = MCAP0_MAGIC  # First and last bytes of every MCAP file.
 HEAD: Final = struct.Struct("<BQ")  # Of every record: what it is, and how many bytes follow.

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 from typing import Final
 
-from smal.files.regular_file import open_regular
+from smal.files.container import open_regular
 
 PARTIAL_SUFFIX: Final = ".partial"
 SYNC_PERIOD_S: Final = 1.0

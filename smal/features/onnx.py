@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from smal.features.modality import Modality, unit_length
 from smal.features.resizing import resized
-from smal.files.regular_file import open_regular
+from smal.files.container import open_regular
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

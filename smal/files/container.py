@@ -9,11 +9,13 @@ Arrays are not copied to memory but mapped: all processes of a machine share tho
 at is not read. A file is therefore replaced, never written to (`replacing`).
 """
 
+import errno
 import hashlib
 import json
 import math
 import mmap
 import os
+import stat
 import struct
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -167,3 +169,15 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     if at != len(body):
         raise ValueError("its arrays do not fill the file")
     return arrays
+
+
+def open_regular(path: Path, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
+    """Open a regular file, as `os.open` does, and return its descriptor; OSError for others. No FIFO is waited for."""
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, mode)
+    kind = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(kind):
+        return descriptor
+    os.close(descriptor)
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.EINVAL, "Not a regular file", str(path))

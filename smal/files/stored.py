@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from smal.features import FeatureSettings
 from smal.files import container
-from smal.files.container import ModelError, NoModelError
-from smal.files.regular_file import open_regular
+from smal.files.container import ModelError, NoModelError, open_regular
 
 FORMAT_VERSION = 7
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}

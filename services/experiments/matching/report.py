@@ -10,8 +10,7 @@ import numpy as np
 
 from schemas.codec import printable
 from services.experiments.matching.traverse import Traverse
-from services.experiments.words import counted, described_by
-from services.kit.tables import table
+from services.experiments.words import counted, described_by, table
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.reliability import Reliability, known_from_unknown

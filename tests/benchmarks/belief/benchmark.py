@@ -32,8 +32,8 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from smal.camera import STRAIGHT
 from smal.evaluation.ground_truth import Judgement
+from smal.evaluation.precision_recall import wilson_interval
 from smal.evaluation.reliability import Reliability
-from smal.evaluation.success import wilson_interval
 from smal.features import FeatureSettings
 from smal.filter import Belief, Filter, Newness
 from smal.model import Model

@@ -23,7 +23,7 @@ from services.experiments.evaluation.units import Learn, Query, Searches, Teach,
 from services.experiments.words import counted
 from services.kit.model_service import LEAST_TICKS
 from services.kit.version import program_version
-from smal.evaluation.success import wilson_interval
+from smal.evaluation.precision_recall import wilson_interval
 
 _DPI: Final = 130
 #: How searches end that do not find the victim, and what that is called.

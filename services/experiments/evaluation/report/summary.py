@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 from services.experiments.evaluation.plan import JUDGED_TICKS, Recognizer, Trial, WorldPlan
 from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import Intervals, PrecisionRecall, block_length, bootstrap, intervals_of
-from smal.evaluation.success import wilson_interval
+from smal.evaluation.precision_recall import (
+    Intervals,
+    PrecisionRecall,
+    block_length,
+    bootstrap,
+    intervals_of,
+    wilson_interval,
+)
 
 SOON_S: Final = 3.0  # Within which a kidnapped robot should know where it is.
 

@@ -10,7 +10,7 @@ from services.experiments.evaluation.report.page import write_page
 from services.experiments.evaluation.report.summary import Success, WorldResults, results_of
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
-from smal.evaluation.success import wilson_interval
+from smal.evaluation.precision_recall import wilson_interval
 from tests.services.experiments.evaluation.evaluated import SMALL, finished
 
 FIGURES = {
