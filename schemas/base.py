@@ -1,6 +1,6 @@
 """The fields that every message carries, and the rules that every message obeys."""
 
-from typing import Annotated, ClassVar, Final, Literal, Self, get_args
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,9 +19,40 @@ Tick = Annotated[int, Field(ge=0, le=MAX_TICK, description="Number of the camera
 Atom = Literal["forward", "backward", "left", "right", "stop"]
 Source = Literal["emergency_stop", "teleop", "expert", "policy"]
 ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)
-#: Ahead and counter-clockwise, as shares of a robot's speed and turn rate.
-DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
-    "forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1), "stop": (0, 0),
+
+
+STILL: Final = 0.1  # Below this share a robot stands: joysticks' dead zone.
+TURNING: Final = 0.5  # From this share of its turn rate on it turns: the nearer of all and nothing.
+
+
+class Velocity(NamedTuple):
+    """Linear, ahead, and angular, to the left: shares of a robot's own speed and turn rate, -1 to 1.
+
+    Who drives by keys, or by a map of the robot's own ways, need not know how fast it is, and none can ask too much.
+    """
+
+    linear: float
+    angular: float
+
+    @property
+    def keys(self) -> list[Atom]:
+        """The keys that it is made of: one goes so far as what any of them may not."""
+        return [atom for atom, key in KEYS.items() if self.linear * key.linear + self.angular * key.angular > 0.0]
+
+    def atom(self, still: float = STILL, turning: float = TURNING) -> Atom:
+        """Return the nearest atom."""
+        if max(map(abs, self)) < still:
+            return "stop"
+        if abs(self.linear) < still or abs(self.angular) >= turning:
+            return "left" if self.angular > 0.0 else "right"
+        return "forward" if self.linear > 0.0 else "backward"
+
+
+STANDING: Final = Velocity(0.0, 0.0)
+#: Keys are five velocities.
+KEYS: Final[dict[Atom, Velocity]] = {
+    "forward": Velocity(1.0, 0.0), "backward": Velocity(-1.0, 0.0), "left": Velocity(0.0, 1.0),
+    "right": Velocity(0.0, -1.0), "stop": STANDING,
 }  # fmt: skip
 #: From the highest priority to the lowest: the actuator obeys the first source that has a fresh command.
 SOURCES: Final[tuple[Source, ...]] = get_args(Source)

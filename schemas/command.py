@@ -1,21 +1,52 @@
 """Commands to the actuator, and what the actuator did."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from schemas.base import MAX_TICK, Atom, Message, SessionId, Source
+from schemas.base import ATOMS, KEYS, MAX_TICK, Atom, Message, SessionId, Source, Velocity
 
 #: Why the robot stands until it is armed: it was started and is not armed yet; an emergency stop; the operator fell
 #: silent; or what drives its wheels failed.
 StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "fault"]
 
 
-class Command(Message):
-    """One atom movement asked of the robot by one source."""
+Share = Annotated[float, Field(ge=-1, le=1)]
 
-    version: ClassVar[int] = 2
-    reads: ClassVar[tuple[int, ...]] = (1,)
+
+class _Moving(Message):
+    """How the robot moves; an `atom` at a fraction `speed` says it as well: a key, or a message of earlier versions."""
+
+    linear: Share
+    """Fraction of the robot's nominal speed that it goes ahead at; negative back."""
+    angular: Share
+    """Fraction of its nominal turn rate that it turns to the left at; negative to the right."""
+
+    @property
+    def velocity(self) -> Velocity:
+        """Both."""
+        return Velocity(self.linear, self.angular)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_key(cls, told: Any) -> Any:  # noqa: ANN401 - it may be anything
+        if not isinstance(told, dict) or told.keys() & {"linear", "angular"} or told.get("atom") not in ATOMS:
+            return told
+        atom, speed = told["atom"], told.get("speed", 1.0)
+        ahead = told.get("ahead", 0.0)  # How fast a car goes ahead in turning, of versions before.
+        if not all(isinstance(one, int | float) for one in (speed, ahead)) or not 0.0 <= speed <= 1.0:
+            raise ValueError(f"speed and ahead must be shares, got {speed!r:.20} and {ahead!r:.20}")
+        linear, angular = KEYS[atom]
+        gone = {"atom", "speed", "ahead"} - cls.model_fields.keys()
+        rest = {name: value for name, value in told.items() if name not in gone}
+        return rest | {"linear": linear * speed + ahead, "angular": angular * speed}
+
+
+class Command(_Moving):
+    """A velocity asked of the robot by one source."""
+
+    version: ClassVar[int] = 3
+    reads: ClassVar[tuple[int, ...]] = (1, 2)
     topic: ClassVar[str] = "command"
     max_bytes: ClassVar[int] = 1024
 
@@ -25,10 +56,11 @@ class Command(Message):
     """The process that asks; while one is heard the robot obeys no other of the same source."""
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Order of the commands that one source sends for one tick, from 0."""
-    atom: Atom
-    """The movement."""
-    speed: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """Fraction of the robot's nominal speed, 0 to 1."""
+
+    @property
+    def atom(self) -> Atom:
+        """The nearest key."""
+        return self.velocity.atom()
 
     @property
     def topic_name(self) -> str:
@@ -36,27 +68,24 @@ class Command(Message):
         return f"command/{self.source}"
 
 
-class CommandApplied(Message):
+class CommandApplied(_Moving):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 5
-    reads: ClassVar[tuple[int, ...]] = (2, 3, 4)
+    version: ClassVar[int] = 6
+    reads: ClassVar[tuple[int, ...]] = (2, 3, 4, 5)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Order within the tick, from 0; the last of a tick is what moved the robot on to the next frame."""
 
     atom: Atom
-    """The movement carried out."""
-    speed: Annotated[float, Field(ge=0, le=1)]
-    """Fraction of the nominal speed."""
-    ahead: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    """Fraction of the nominal speed that it goes ahead at in turning, as a car does: 0 of a turn on the spot."""
+    """The nearest of the five keys, for people and for the paper's scheme."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "obstacle", "silence", "taken_over", "emergency_stop"]
+    reason: Literal["command", "obstacle", "radius", "silence", "taken_over", "emergency_stop"]
     """Why: a fresh command; one that is carried out slower, or not, since something is in the way or nothing tells that
-    it is free; no fresh command from the driver, none from the person who has taken over, or a latched stop."""
+    it is free; one that turns more sharply than the robot can, and is carried out as sharply as it can; no fresh
+    command from the driver, none from the person who has taken over, or a latched stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release has to name; 0 where none is."""
     stop_cause: StopCause | None = None

@@ -95,7 +95,7 @@ def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.
 def check_zenoh() -> str:
     """Send a message from one client to another, through a router of this check's own."""
     endpoint, arrived = free_endpoint(), threading.Event()
-    message = Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop", sequence=0, atom="stop")
+    message = Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop", linear=0.0, angular=0.0)
     with ExitStack() as stack:
         stack.enter_context(closing(Router(endpoint)))
         sender, receiver = (stack.enter_context(closing(Bus("doctor", endpoint))) for _ in range(2))

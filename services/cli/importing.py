@@ -12,13 +12,14 @@ from typing import Annotated, Any, Final
 import typer
 from typer import Argument, Option
 
+from schemas.base import STILL, TURNING
 from schemas.codec import printable
 from services.cli import options, outputs
 from services.cli.child import tied
 from services.cli.progress import Bars
 from services.experiments.words import remark
 from services.importers.job import FORMATS, Job, Report, check_format
-from services.importers.ticks import QUANTILE, STILL, TURNING
+from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
 

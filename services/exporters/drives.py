@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from schemas.base import DIRECTIONS, Atom
+from schemas.base import Atom
 from schemas.command import CommandApplied
 from schemas.motion import Imu, Odometry
 from schemas.topics import IMU
@@ -119,9 +119,8 @@ class Drive:
         applied = self.episode.applied.get(tick)
         if applied is None:
             return None
-        ahead, left = DIRECTIONS[applied.atom]
-        forward = self.nominal.speed.value * (ahead * applied.speed + applied.ahead)
-        return round(forward, _DIGITS), round(left * self.nominal.turn_rate.value * applied.speed, _DIGITS)
+        linear, angular = applied.velocity
+        return round(self.nominal.speed.value * linear, _DIGITS), round(self.nominal.turn_rate.value * angular, _DIGITS)
 
 
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
@@ -190,9 +189,10 @@ def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: st
             if applied.atom not in atoms:
                 continue
             made.append((episode, applied))
-            if applied.speed > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry:
+            share = abs(applied.linear if "forward" in atoms else applied.angular)
+            if share > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry:
                 moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
-                steps.append(abs(moved.ahead if "forward" in atoms else moved.turn_rad) / applied.speed)
+                steps.append(abs(moved.ahead if "forward" in atoms else moved.turn_rad) / share)
     rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
     if rate > 0.0 or not made:
         return Rate(rate, "by its odometry" if made else "never done")

@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field
 
-from schemas.base import RobotId, Strict
+from schemas.base import STILL, TURNING, RobotId, Strict
 from schemas.episode import GoalName
-from services.importers.ticks import QUANTILE, STILL, TURNING
+from services.importers.ticks import QUANTILE
 from services.kit.errors import UsageError
 
 Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]

@@ -10,14 +10,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from schemas.base import ATOMS, Message
+from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
 from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
 from services.importers.job import Job
-from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, atoms_of, odometry, ticks
+from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, odometry, shares_of, ticks
 from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter
@@ -48,7 +48,7 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
         return None
     moves = Moves(drive.motion)
     tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(shown.times_s))
-    atoms, ahead = atoms_of(moves.velocities(shown.times_s), usual, job.still, job.turning)
+    shares = shares_of(moves.velocities(shown.times_s), usual)
     poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
     success = drive.success is not False if job.success is None else job.success
     name = _name(drive, shown, begin[0][1])
@@ -67,7 +67,7 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     try:
         writer.write(started)
         for row, jpeg in chain(begin, images):
-            cause, atom = header(row), ATOMS[atoms[row]]
+            cause, atom = header(row), shares[row].atom(job.still, job.turning)
             width, height = jpeg_size(jpeg) or (0, 0)
             writer.write(CompressedImage.after(cause, width=width, height=height, data=jpeg))
             if camera is not None and not made:
@@ -75,8 +75,8 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
             if poses is not None and not np.isnan(poses[row, 0]):
                 where = dict(zip(_POSE, poses[row].round(_DIGITS).tolist(), strict=True))
                 writer.write(Odometry.after(cause, **where))
-            done = {"atom": atom, "speed": float(atom != "stop"), "ahead": round(float(ahead[row]), _DIGITS)}
-            writer.write(CommandApplied.after(cause, source="teleop", reason="command", **done))
+            done = shares[row]._asdict() | {"atom": atom, "source": "teleop", "reason": "command"}
+            writer.write(CommandApplied.after(cause, **done))
             made[atom] += 1
         ended = {"outcome": "found", "judge": "operator"} if success else {"outcome": "aborted"}
         writer.write(Episode.after(cause, event="ended", **told, **ended))

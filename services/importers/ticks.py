@@ -3,9 +3,8 @@
 A tick shows the frame that is nearest to its time. What the robot did in it is how far it went until the next one:
 a velocity holds until the next, but not longer than a base would obey it.
 
-An atom is all or nothing: forward, backward, a turn, or a stop. How fast this robot usually drives and turns is
-measured on the source itself, so that one rule does for a toy car's throttle and for metres a second. A tick that does
-both is a turn where the turn is sharp, as one who has only keys would drive it, and keeps how fast it went ahead.
+How fast this robot usually drives and turns is measured on the source itself, so that one rule does for a toy car's
+throttle and for metres a second. A tick that does both is the atom of a turn where the turn is sharp.
 """
 
 import math
@@ -14,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import ATOMS, MAX_TICK
+from schemas.base import MAX_TICK, Velocity
 from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, ImportFailure, Tally
 from smal.movement import seen_from
 
@@ -29,8 +28,6 @@ _LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
 #: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
 #: fastest few are noise, or a hand that slipped.
 QUANTILE: Final = 0.95
-STILL: Final = 0.1  # Below this fraction of nominal velocities the robot stands: joysticks' dead zone.
-TURNING: Final = 0.5  # From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
 
 
 class Ticks(NamedTuple):
@@ -171,15 +168,6 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
     return Nominal(float(np.quantile(driving, quantile)), fast)
 
 
-def atoms_of(
-    velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
-) -> tuple[NDArray[np.int8], Array]:
-    """Return by velocities (n, 2) each tick's place in `ATOMS`, and how fast it goes ahead in a turn, -1 to 1, (n,)."""
-    linear, angular = (velocities / usual).T
-    crawls = np.abs(linear) < still
-    stands = crawls & (np.abs(angular) < still)
-    turns = (crawls | (np.abs(angular) >= turning)) & ~stands
-    drives = np.where(linear > 0.0, ATOMS.index("forward"), ATOMS.index("backward"))
-    atoms = np.where(turns, np.where(angular > 0.0, ATOMS.index("left"), ATOMS.index("right")), drives)
-    atoms[stands] = ATOMS.index("stop")
-    return atoms.astype(np.int8), np.where(turns, np.clip(linear, -1.0, 1.0), 0.0)
+def shares_of(velocities: Array, usual: Nominal) -> list[Velocity]:
+    """Return velocities (n, 2) as shares of what the robot usually does."""
+    return [Velocity(*share) for share in np.clip(velocities / usual, -1.0, 1.0).round(6).tolist()]

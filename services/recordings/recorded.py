@@ -78,7 +78,7 @@ class RecordedEpisode:
             ticks,
             np.stack([self.features[tick] for tick in known]),
             np.array([self._atom(tick) for tick in known], dtype=np.int8),
-            np.array([0.0 if one is None else one.ahead for one in made], dtype=np.float32),
+            np.array([0.0 if one is None else one.linear for one in made], dtype=np.float32),
             images if len(images) == len(known) else None,
             np.array(way) if len(way) == len(known) else None,
             at_goal=self._is_goal(known[-1]),

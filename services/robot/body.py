@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
+from schemas.base import Message, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from smal.camera import Camera
@@ -22,6 +22,22 @@ class OdometryReading(NamedTuple):
     heading_rad: float
     speed_m_s: float
     turn_rate_rad_s: float
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """How a robot can move: its nominal speeds, greater than 0, and the least radius of its way, above 0 of a car."""
+
+    speed_m_s: float
+    turn_rate_rad_s: float
+    radius_m: float = 0.0
+
+    def bounded(self, asked: Velocity) -> Velocity:
+        """Return the velocity that it can have in the place of another one: a car does not turn on the spot."""
+        if self.radius_m == 0.0:
+            return asked
+        most = abs(asked.linear) * self.speed_m_s / (self.radius_m * self.turn_rate_rad_s)
+        return asked._replace(angular=min(max(asked.angular, -most), most))
 
 
 Triple = tuple[float, float, float]  # Ahead, to the left, and up.
@@ -98,7 +114,7 @@ class Stops(Protocol):
 class Body(Stops, Protocol[V_co]):
     """Wheels and a camera; ``drive`` and ``stand`` return at once, 50 times a second on a thread of their own."""
 
-    speed_m_s: float  # Nominal speed of ``forward`` and ``backward``, greater than 0.
+    kinematics: Kinematics
 
     @property
     def camera(self) -> Camera | None:
@@ -108,8 +124,8 @@ class Body(Stops, Protocol[V_co]):
     def mount(self) -> Mount | None:
         """How its depth camera sits; without it nothing keeps it from running into things but itself."""
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""
+    def drive(self, velocity: Velocity) -> None:
+        """Go on with a velocity until told otherwise."""
 
     def stand(self) -> None:
         """Stop, and stay."""

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import Final, Literal
 
-from schemas.base import Atom, Source
+from schemas.base import STANDING, Source, Velocity
 from schemas.command import Command, StopCause
 from schemas.heartbeat import Heartbeat
+from services.robot.body import Kinematics
 from services.robot.guard import Guard
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
@@ -37,7 +38,7 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "obstacle", "silence", "taken_over", "emergency_stop"]
+Reason = Literal["command", "obstacle", "radius", "silence", "taken_over", "emergency_stop"]
 #: Whoever arms the robot has to know the last of these that has stopped it.
 _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
 
@@ -46,8 +47,7 @@ _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", 
 class Applied:
     """What the actuator does now, and which frame's command made it do so."""
 
-    atom: Atom
-    speed: float
+    velocity: Velocity
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
@@ -88,8 +88,9 @@ class CommandGate:
 
     def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
         self.max_age_s = max_age_s
-        #: What bounds the speed of whoever drives, where the robot sees what it may run into.
+        #: What bounds the speed of whoever drives, where the robot sees what it may run into; and how it can move.
         self.guard: Guard | None = None
+        self.kinematics = Kinematics(1.0, 1.0)
         self.attended = attended
         self._lock = Lock()
         self._stops = first_stop or 1 + secrets.randbits(48)
@@ -259,7 +260,7 @@ class CommandGate:
         refusal = self._check_sender(command, now_s)
         if refusal is not None:
             return refusal
-        if not 0.0 <= command.speed <= 1.0:  # NaN is not between them either
+        if not all(-1.0 <= share <= 1.0 for share in command.velocity):  # NaN is not between them either
             return "not finite"
         last = self._latest.get(command.source)
         if (
@@ -302,14 +303,22 @@ class CommandGate:
         with self._lock:
             if self.emergency_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
-                return Applied("stop", 0.0, cause, "emergency_stop")
+                return Applied(STANDING, cause, "emergency_stop")
             source: Source = "teleop" if self._taken_over else self._driver
             latest = self._latest.get(source)
             if latest is not None and (age_s := now_s - latest.captured_s) <= self.max_age_s:
-                command = latest.command
-                share = 1.0 if self.guard is None else self.guard.share(command.atom, now_s)
-                if share >= command.speed:
-                    return Applied(command.atom, command.speed, source, "command", command.tick, age_s)
-                atom = command.atom if share > 0.0 else "stop"
-                return Applied(atom, share, source, "obstacle", command.tick, age_s)
-            return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")
+                may, reason = bounded(latest.command.velocity, self.kinematics, self.guard, now_s)
+                return Applied(may, source, reason, latest.command.tick, age_s)
+            return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")
+
+
+def bounded(
+    asked: Velocity, kinematics: Kinematics, guard: Guard | None, now_s: float
+) -> tuple[Velocity, Literal["command", "obstacle", "radius"]]:
+    """Return how a robot moves that is asked to, and why: no more sharply than it can, nor into anything."""
+    may = kinematics.bounded(asked)
+    share = 1.0 if guard is None else guard.share(may, now_s)
+    if share < abs(may.linear):
+        # As sharply as it was asked to.
+        return Velocity(*(part * share / abs(may.linear) for part in may)), "obstacle"
+    return may, "command" if may == asked else "radius"

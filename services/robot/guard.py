@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom
+from schemas.base import Velocity
 from services.robot.body import Body, View
 from services.robot.clock import TICK_S
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
@@ -22,7 +22,7 @@ _STEPS: Final = 20  # Shares of the speed are told in so many steps: of each tha
 
 def guard_of(body: Body[View]) -> "Guard | None":
     """Return what guards a body; None where it has no depth camera."""
-    return None if body.mount is None else Guard(body.mount, body.speed_m_s, body.braking_s)
+    return None if body.mount is None else Guard(body.mount, body.kinematics.speed_m_s, body.braking_s)
 
 
 class Guard:
@@ -42,9 +42,9 @@ class Guard:
             self._granted_before, self._granted = self._granted, 0.0
             self._seen = captured_s, self._around.free_m(ahead=True), self._around.free_m(ahead=False)
 
-    def share(self, atom: Atom, now_s: float) -> float:
-        """Return the largest share of its speed, 0 to 1, at which it may make a movement."""
-        if atom not in ("forward", "backward"):
+    def share(self, velocity: Velocity, now_s: float) -> float:
+        """Return the largest share of its speed, 0 to 1, at which it may go on so."""
+        if velocity.linear == 0.0:
             return 1.0
         seen_s, ahead_m, back_m = self._seen
         age_s = now_s - seen_s
@@ -52,7 +52,7 @@ class Guard:
             return 0.0
         # What it may have gone since.
         gone_m = age_s * self._speed_m_s * max(self._granted, self._granted_before)
-        free_m = (ahead_m if atom == "forward" else back_m) - gone_m
+        free_m = (ahead_m if velocity.linear > 0.0 else back_m) - gone_m
         share = most_speed(free_m, self._speed_m_s, self._braking_s, TICK_S)
         share = math.floor(share * _STEPS) / _STEPS
         self._granted = max(self._granted, share)

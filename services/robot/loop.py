@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
+from schemas.base import STANDING
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.robot.body import Body, Stops, View
@@ -89,13 +90,13 @@ class ActuatorLoop:
         now = self._clock()
         self._gate.watch(now)
         applied = self._gate.applied(now)
-        if applied.atom == "stop":
+        if applied.velocity == STANDING:
             self._body.stand()
         else:
-            self._body.drive(applied.atom, applied.speed)
+            self._body.drive(applied.velocity)
         if applied.answered_tick not in (None, self._answered):
             self._answered, self.delay_s = applied.answered_tick, applied.age_s
-        what = (applied.atom, applied.speed, applied.source, applied.reason)
+        what = (applied.velocity, applied.source, applied.reason)
         if what != self._told:
             self._told = what
             self._tell(applied)

@@ -128,7 +128,7 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.
         check_stopping(self.body)
-        self.gate.guard = guard_of(self.body)
+        self.gate.guard, self.gate.kinematics = guard_of(self.body), self.body.kinematics
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
@@ -141,7 +141,7 @@ class EpisodeRunner(Generic[V]):
         reply = ResetReply(
             episode=name,
             world=self.body.name,
-            speed_m_s=self.body.speed_m_s,
+            speed_m_s=self.body.kinematics.speed_m_s,
             route=episode.beginning.route,
             found_m=episode.beginning.found_m,
             victim=episode.beginning.victim,
@@ -262,8 +262,8 @@ class EpisodeRunner(Generic[V]):
         return CommandApplied.after(
             self.header(run),
             sequence=sequence,
-            atom=applied.atom,
-            speed=applied.speed,
+            atom=applied.velocity.atom(),
+            **applied.velocity._asdict(),
             source=applied.source,
             reason=applied.reason,
             answered_tick=applied.answered_tick,

@@ -6,10 +6,10 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from schemas.base import DIRECTIONS, Atom, Message
+from schemas.base import STANDING, Message, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
-from services.robot.body import Beginning, ImuReading, OdometryReading
+from services.robot.body import Beginning, ImuReading, Kinematics, OdometryReading
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
@@ -61,7 +61,8 @@ class Ros2Body:
     """
 
     def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
-        self.name, self.speed_m_s = config.name, config.speed_m_s
+        self.name = config.name
+        self.kinematics = Kinematics(config.speed_m_s, config.turn_rate_rad_s, config.radius_m)
         self.watchdog_s, self.braking_s = config.watchdog_s, config.braking_s
         self._config = config
         self._camera = config.full(config.camera.topic)
@@ -75,7 +76,7 @@ class Ros2Body:
         self._since: Wheels | None = None
         self._last: Wheels | None = None
         self._lacked = False
-        self._asked: Atom = "stop"
+        self._asked = STANDING
 
     mount = None  # Its scanner and bumpers forbid movements, see `drive`.
 
@@ -84,22 +85,22 @@ class Ros2Body:
         """As the camera has told it."""
         return self._senses.camera
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        """Go on with a movement; stand where somebody who must be heard is silent. ServiceError if it is forbidden."""
-        why = self._senses.forbids(atom)
-        if why is not None:
-            self.stand()
-            raise ServiceError(f"{self.name} must not go {atom}: {why}; it stands until it is armed again")
-        self._asked = atom
+    def drive(self, velocity: Velocity) -> None:
+        """Go on with a velocity; stand where somebody who must be heard is silent. ServiceError if it is forbidden."""
+        for atom in velocity.keys:
+            why = self._senses.forbids(atom)
+            if why is not None:
+                self.stand()
+                raise ServiceError(f"{self.name} must not go {atom}: {why}; it stands until it is armed again")
+        self._asked = velocity
         if self._lacks() is not None:
             self._send(0.0, 0.0)
             return
-        ahead, turn = DIRECTIONS[atom]
-        self._send(ahead * speed * self._config.speed_m_s, turn * speed * self._config.turn_rate_rad_s)
+        self._send(velocity.linear * self._config.speed_m_s, velocity.angular * self._config.turn_rate_rad_s)
 
     def stand(self) -> None:
         """Stop, and stay."""
-        self._asked = "stop"
+        self._asked = STANDING
         self._send(0.0, 0.0)
 
     def _send(self, ahead_m_s: float, turn_rad_s: float) -> None:
@@ -107,7 +108,7 @@ class Ros2Body:
         self._link.send(ahead_m_s, turn_rad_s, None if offset_s is None else self._clock() - offset_s)
 
     def _lacks(self) -> str | None:
-        return self._link.lacks() or self._senses.silent(self._asked)
+        return self._link.lacks() or self._senses.silent(*self._asked.keys)
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""

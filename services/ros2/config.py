@@ -103,6 +103,7 @@ class Ros2Config(_Part):
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
     speed_m_s: Positive
     turn_rate_rad_s: Positive
+    radius_m: Annotated[float, Field(ge=0, le=100)] = 0.0  # Least radius of its way, of a car; 0: it turns on the spot.
     braking_s: Seconds  # From that speed to standing.
     #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
     watchdog_s: Positive

@@ -211,8 +211,8 @@ class Senses:
                     return f"{why} ({topic})"
         return None
 
-    def silent(self, atom: Atom = "stop") -> str | None:
-        """Say which silent topic, or way that no beam has seen, forbids a movement; None where nothing does."""
+    def silent(self, *atoms: Atom) -> str | None:
+        """Say which silent topic, or way that no beam has seen, forbids movements; None where nothing does."""
         now = self._clock()
         for topic, heard in self.inputs.items():
             if heard.silence_s is None:
@@ -222,7 +222,7 @@ class Senses:
                 return f"nothing has come from {topic}"
             if now - heard_s > heard.silence_s:
                 return f"nothing has come from {topic} for {now - heard_s:.1f} s"
-        return self.learning() or self._unseen.get(atom)
+        return self.learning() or next((self._unseen[atom] for atom in atoms if atom in self._unseen), None)
 
     def learning(self) -> str | None:
         """Say whose clock is not known yet, of the camera and those who must be heard; None where all are."""

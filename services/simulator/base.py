@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from schemas.base import DIRECTIONS, Atom
+from schemas.base import Velocity
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
 from services.simulator.world.place import Place, Pose, Solid
@@ -29,11 +29,11 @@ class WheelSpeeds(NamedTuple):
     right: float
 
 
-def wheel_speeds(atom: Atom, drive: Drive, speed: float = 1.0) -> WheelSpeeds:
-    """Return the wheel speeds that an atom movement commands at a fraction `speed`, 0 to 1, of the nominal speed."""
-    ahead, turn = DIRECTIONS[atom]
-    forward, half = ahead * drive.speed_m_s, turn * drive.turn_rate_rad_s * drive.track_m / 2
-    return WheelSpeeds(speed * (forward - half), speed * (forward + half))
+def wheel_speeds(velocity: Velocity, drive: Drive) -> WheelSpeeds:
+    """Return the wheel speeds that a velocity commands."""
+    ahead = velocity.linear * drive.speed_m_s
+    half = velocity.angular * drive.turn_rate_rad_s * drive.track_m / 2
+    return WheelSpeeds(ahead - half, ahead + half)
 
 
 def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> Pose:
@@ -57,14 +57,14 @@ class Actuator:
         self._tick = -1
         self._error = self._radius
 
-    def wheels(self, atom: Atom, speed: float, duration_s: float) -> WheelSpeeds:
+    def wheels(self, velocity: Velocity, duration_s: float) -> WheelSpeeds:
         """Return the speeds that the wheels really have for the next `duration_s`, and let that time pass."""
         tick = int(self._time_s / TICK_S + 1e-6)
         while self._tick < tick:
             self._tick += 1
             self._error = self._radius * (1.0 + self._drive.tick_sigma * self._rng.standard_normal(2))
         self._time_s += duration_s
-        wanted = wheel_speeds(atom, self._drive, speed)
+        wanted = wheel_speeds(velocity, self._drive)
         return WheelSpeeds(wanted.left * float(self._error[0]), wanted.right * float(self._error[1]))
 
 
@@ -95,9 +95,9 @@ class KinematicBase:
         self._pose = pose
         self._actuator = Actuator(self._drive, rng)
 
-    def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Go by the arc of the wheels' speeds for up to `STEP_S`, at a fraction `speed`, 0 to 1; obstacles stop it."""
-        wheels = self._actuator.wheels(atom, speed, duration_s)
+    def step(self, velocity: Velocity, duration_s: float) -> Motion:
+        """Go by the arc of the wheels' speeds for up to `STEP_S`; obstacles stop it."""
+        wheels = self._actuator.wheels(velocity, duration_s)
         collided = not self._advance(wheels, duration_s)
         if collided:
             for _ in range(_HALVINGS):

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Final
 
-from schemas.base import Atom
+from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.node import Detail, ServiceError
-from services.robot.body import Beginning
+from services.robot.body import Beginning, Kinematics
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
@@ -48,13 +48,14 @@ class SimulatedBody:
         self._lock = Lock()
         self._kidnap_tick: int | None = None
         self._realtime = False
-        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._order = STANDING
         self._ordered_s = self._moved_s = clock()
         self._enter(simulation)
 
     def _enter(self, simulation: Simulation) -> None:
         self.simulation, self.name = simulation, simulation.name
-        self.speed_m_s, self.camera = simulation.speed_m_s, Camera.of_field(FIELD_OF_VIEW_DEG)
+        drive, self.camera = simulation.world.robot.drive, Camera.of_field(FIELD_OF_VIEW_DEG)
+        self.kinematics = Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m)
         self.braking_s, self.mount = simulation.braking_s, simulation.mount
 
     def begin(self, request: ResetRequest) -> Beginning:
@@ -70,7 +71,7 @@ class SimulatedBody:
                 raise ServiceError(str(error)) from None
             self._kidnap_tick = request.kidnap_tick
             self._realtime = request.mode == "realtime"
-            self._order = ("stop", 0.0)
+            self._order = STANDING
             self._ordered_s = self._moved_s = self._clock()
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         lies = self.simulation.victim
@@ -84,35 +85,35 @@ class SimulatedBody:
         elif any(wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)):
             self._enter(self._worlds.open(*wished))
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        """Go on with a movement until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
+    def drive(self, velocity: Velocity) -> None:
+        """Go on with a velocity until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
         if not self._realtime:
             return
         with self._lock:
             now = self._clock()
             self._catch_up(now)
-            self._order, self._ordered_s = (atom, speed), now
+            self._order, self._ordered_s = velocity, now
 
     def stand(self) -> None:
         """Stop, and stay."""
-        self.drive("stop", 0.0)
+        self.drive(STANDING)
 
     def _catch_up(self, now_s: float) -> None:
         """Move as the last order and the watchdog have it."""
         stops_s = min(now_s, self._ordered_s + WATCHDOG_S)
         self._move_on(self._order, stops_s)
-        self._move_on(("stop", 0.0), min(now_s, stops_s + STOOD_S))
+        self._move_on(STANDING, min(now_s, stops_s + STOOD_S))
         if now_s - self._moved_s > STEP_S:
             self._moved_s = now_s  # it stands since: hours of suspension need no steps
 
-    def _move_on(self, order: tuple[Atom, float], until_s: float) -> None:
+    def _move_on(self, order: Velocity, until_s: float) -> None:
         while self._moved_s + STEP_S <= until_s:
             self._moved_s += STEP_S
-            self.simulation.advance(*order, STEP_S)
+            self.simulation.advance(order, STEP_S)
 
-    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+    def advance(self, velocity: Velocity, duration_s: float) -> None:
         """Move the robot in lockstep."""
-        self.simulation.advance(atom, speed, duration_s)
+        self.simulation.advance(velocity, duration_s)
 
     def look(self, tick: int) -> SimulatedView:
         """Return what is seen and felt now; at its tick the robot is carried away before."""

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from schemas.base import Atom, Message
+from schemas.base import KEYS, Atom, Message, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
+from services.robot.gate import bounded
 from services.robot.guard import guard_of
 from services.robot.pace import Running, Teller
 from services.simulator.body import SimulatedBody
@@ -25,15 +26,15 @@ class LockstepEpisode(Episode[SimulatedView]):
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
-        self._advance, self._guard = body.advance, guard_of(body)
+        self._wheels, self._guard = body, guard_of(body)
 
-    def step(self, atom: Atom) -> SimulatedView:
-        """Carry out a movement at nominal speed, or as its guard allows, until the next frame, and return that."""
-        now_s, share = self.tick * TICK_S, 1.0
+    def step(self, asked: Atom | Velocity) -> SimulatedView:
+        """Carry out a key or a velocity, or what the gate would let through, until the next frame, and return that."""
+        now_s = self.tick * TICK_S
         if self._guard is not None:
             self._guard.look(self.view.depth, self.view.odometry[:3], now_s)
-            share = self._guard.share(atom, now_s)
-        self._advance(atom if share > 0.0 else "stop", share, TICK_S)
+        wanted = KEYS[asked] if isinstance(asked, str) else asked
+        self._wheels.advance(bounded(wanted, self._wheels.kinematics, self._guard, now_s)[0], TICK_S)
         return self.next_frame()
 
 
@@ -77,7 +78,7 @@ class Lockstep:
             yield runner.tell(run, applied)
             if runner.gate.stop_cause is not None:
                 return  # it came while that was being said
-            self._body.advance(applied.atom, applied.speed, TICK_S)
+            self._body.advance(applied.velocity, TICK_S)
             yield from runner.next_frame(run)
             self._sent_s = self._clock()
             return

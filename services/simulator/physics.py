@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from schemas.base import Atom
+from schemas.base import Velocity
 from services.simulator.base import Actuator, Motion, WheelSpeeds
 from services.simulator.robots import Drive, RobotModel
 from services.simulator.scene.meshes import outline, quads, sides
@@ -212,9 +212,9 @@ class PhysicalBase:
         self._owed_s = 0.0
         self._actuator = Actuator(self._drive, rng)
 
-    def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Drive the wheels for a moment, towards the speeds that the atom movement asks for."""
-        wanted = self._actuator.wheels(atom, speed, duration_s)
+    def step(self, velocity: Velocity, duration_s: float) -> Motion:
+        """Drive the wheels for a moment, towards the speeds that the velocity asks for."""
+        wanted = self._actuator.wheels(velocity, duration_s)
         self._owed_s += duration_s
         # Durations add up to whole steps only as nearly as floating point has it.
         steps = int(self._owed_s / TIMESTEP_S + 1e-6)

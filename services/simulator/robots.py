@@ -11,7 +11,8 @@ class Drive:
     """The robot's wheels and how well they obey."""
 
     speed_m_s: float = 2.0  # Speed of `forward` and `backward`.
-    turn_rate_rad_s: float = 0.785  # Turning speed of `left` and `right`, on the spot.
+    turn_rate_rad_s: float = 0.785  # Turning speed of `left` and `right`.
+    radius_m: float = 0.0  # Least radius of its way: of a car, which does not turn on the spot.
     track_m: float = 0.6  # Distance between the wheels.
     wheel_radius_m: float = 0.2
     tick_sigma: float = 0.03  # Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.

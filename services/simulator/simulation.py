@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import LineString, Point
 
-from schemas.base import Atom
+from schemas.base import Velocity
 from schemas.episode import Purpose, Victim
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
@@ -123,11 +123,11 @@ class Simulation:
         """Return one of the episode's sources of chance; their numbers are part of every seed."""
         return np.random.default_rng([*self._seed, stream])
 
-    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
-        """Move the robot at a fraction `speed`, 0 to 1, of its nominal speed; an obstacle stops it where they touch."""
+    def advance(self, velocity: Velocity, duration_s: float) -> None:
+        """Move the robot; an obstacle stops it where they touch."""
         steps = max(1, math.ceil(duration_s / STEP_S - 1e-9))
         for _ in range(steps):
-            motion = self._base.step(atom, speed, duration_s / steps)
+            motion = self._base.step(velocity, duration_s / steps)
             self.pose = motion.pose
             for person in self.people:
                 person.step(duration_s / steps, self.pose, self.world.robot.radius_m)

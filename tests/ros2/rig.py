@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom
+from schemas.base import KEYS, Atom
 from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
 from services.ros2 import messages
@@ -114,7 +114,7 @@ class Rig:
     def may_go(self, atom: Atom) -> bool:
         """Whether the base is moved so."""
         try:
-            self.body.drive(atom, 1.0)
+            self.body.drive(KEYS[atom])
         except ServiceError:
             return False
         return self.air.sent[-1] != (0.0, 0.0)

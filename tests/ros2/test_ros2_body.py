@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.base import KEYS, Velocity
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S, CommandGate
@@ -30,11 +31,11 @@ def rig(tmp_path: Path) -> Rig:
     return Rig(tmp_path)
 
 
-def test_atoms_are_velocities(rig: Rig) -> None:
+def test_shares_become_velocities(rig: Rig) -> None:
     rig.begun()
-    for atom in ("forward", "backward", "left", "right", "stop"):
-        rig.body.drive(atom, 0.5)  # type: ignore[arg-type]
-    assert rig.air.sent == [(0.25, 0.0), (-0.25, 0.0), (0.0, 0.75), (0.0, -0.75), (0.0, 0.0)]
+    for share in ((0.5, 0.0), (-0.5, 0.5), (0.0, -0.5), (0.0, 0.0)):
+        rig.body.drive(Velocity(*share))
+    assert rig.air.sent == [(0.25, 0.0), (-0.25, 0.75), (0.0, -0.75), (0.0, 0.0)]
     assert rig.air.robot_s == pytest.approx(rig.clock.now_s + AHEAD_S)
 
 
@@ -58,7 +59,7 @@ def test_a_button_that_speaks_only_of_changes_must_have_spoken_once(tmp_path: Pa
     assert not rig.may_go("forward")
     rig.says("/button", data=True)
     with pytest.raises(ServiceError, match="it is told not to move"):
-        rig.body.drive("forward", 1.0)
+        rig.body.drive(KEYS["forward"])
     rig.says("/button", data=False)
     assert rig.may_go("forward")
     rig.clock.now_s += 3600
@@ -120,7 +121,7 @@ def test_hazards_forbid_what_would_make_them_worse(
     assert rig.body.look(1).contact == touched
     if "forward" not in allowed:
         with pytest.raises(ServiceError, match=r"must not go forward: .* it stands until it is armed again"):
-            rig.body.drive("forward", 1.0)
+            rig.body.drive(KEYS["forward"])
         assert rig.air.sent[-1] == (0.0, 0.0)
 
 

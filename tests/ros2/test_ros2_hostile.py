@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, Message
+from schemas.base import KEYS, Message
 from schemas.camera import CompressedImage
 from schemas.codec import encode
 from services.kit.cameras import camera_info
@@ -91,9 +91,9 @@ def test_whatever_it_says_there_is_a_frame_that_can_be_sent_and_a_command_that_i
         encode(odometry_message(HEADER, view.odometry))
         encode(imu_message(HEADER, view.imu))
         rig.body.detail()
-        for atom in ATOMS:
+        for key in KEYS.values():
             with suppress(ServiceError):
-                rig.body.drive(atom, 1.0)
+                rig.body.drive(key)
             assert abs(rig.air.sent[-1][0]) <= rig.config.speed_m_s
             stamp_s = rig.air.robot_s
             ROS.velocity(*rig.air.sent[-1], None if stamp_s is None else round(stamp_s * 1e9))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from schemas.base import KEYS
 from services.kit.node import ServiceError
 from tests.ros2.rig import SCAN, Rig
 
@@ -164,5 +165,5 @@ def test_what_is_too_near_to_be_measured_is_near(rig: Rig) -> None:
     ranges[3] = -INF
     after(rig, ranges)
     with pytest.raises(ServiceError, match=r"something is 0\.00 m ahead \(/scan\); it stands until it is armed again"):
-        rig.body.drive("forward", 1.0)
+        rig.body.drive(KEYS["forward"])
     assert rig.may_go("backward")

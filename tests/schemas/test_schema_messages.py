@@ -126,3 +126,18 @@ def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObj
         name, word = data.draw(st.sampled_from(choices)), "?" + data.draw(st.text(max_size=5))
         with pytest.raises(ValidationError):
             altered(cls, **{name: word})
+
+
+@pytest.mark.parametrize(
+    ("told", "velocity"),
+    [({"atom": "left", "speed": 0.5, "ahead": 0.25}, (0.25, 0.5)), ({"atom": "backward", "speed": 1.0}, (-1.0, 0.0))],
+)
+def test_what_was_recorded_when_commands_were_keys_is_read_as_velocities(
+    told: dict[str, object], velocity: tuple[float, float]
+) -> None:
+    fields = EXAMPLES[CommandApplied].model_dump(exclude={"linear", "angular"}) | told
+    read = CommandApplied.model_validate_json(json.dumps(fields))
+    assert (read.atom, read.velocity) == (told["atom"], velocity)
+    for wrong in ({"speed": 2.0}, {"speed": "fast"}, {"ahead": 2.5}, {"atom": "up"}, {"angular": 0.0}):
+        with pytest.raises(ValidationError):
+            CommandApplied.model_validate(fields | wrong)

@@ -6,7 +6,7 @@
 import time
 from collections.abc import Callable
 
-from schemas.base import Atom
+from schemas.base import STANDING, Velocity
 from schemas.topics import Topic
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.service import ROBOT, serve_robot
@@ -26,13 +26,13 @@ class FarBody(SimulatedBody):
         super().__init__(simulation, wanted=wanted)
         self._base = base
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        """Go on with a movement until told otherwise."""
-        self._base.order(atom, speed)
+    def drive(self, velocity: Velocity) -> None:
+        """Go on with a velocity until told otherwise."""
+        self._base.order(velocity)
 
     def _catch_up(self, _now_s: float) -> None:
         for _ in range(self._base.fetch()):
-            self.simulation.advance("stop", 0.0, STEP_S)
+            self.simulation.advance(STANDING, STEP_S)
 
 
 class Settings(SimulatorSettings):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from schemas.base import STANDING
 from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.cli.stack import Stack, StackPlan, free_endpoint
 from services.simulator.base import STEP_S
@@ -44,7 +45,7 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
         base.order("forward", 0.5)
         eventually(lambda: any(speeds()) and speeds()[-1] == 0.0)
         moving = [step for step in read_steps(log, 0.0) if step.speed_m_s]
-        told = [base.step("stop", 0.0, STEP_S) for _ in range(base.fetch())]
+        told = [base.step(STANDING, STEP_S) for _ in range(base.fetch())]
         base.put(start, rng)
         assert base.fetch() <= 1 / STEP_S  # of what was before, nothing is told
     assert WATCHDOG_S - STEP_S <= STEP_S * len(moving) <= WATCHDOG_S

@@ -20,7 +20,7 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from schemas.base import Atom
+from schemas.base import STANDING, Velocity
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.body import WATCHDOG_S
@@ -113,18 +113,18 @@ class Wheels:
         self._log = log
         self.due_s = (now_s() if begin_s is None else begin_s) + STEP_S  # When the next step is complete.
         self._motions: deque[Motion] = deque(maxlen=_KEPT)
-        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._order = STANDING
         self._ordered_s = 0.0
         self._stands_anywhere = True
 
     def take(self, message: dict[str, Any], at_s: float) -> dict[str, Any] | None:
         """Carry out an order, or answer a question."""
         if "order" in message:
-            self._order, self._ordered_s = tuple(message["order"]), at_s
+            self._order, self._ordered_s = Velocity(*message["order"]), at_s
             return None
         if "put" in message:
             self._base.put(Pose(*message["put"]), np.random.default_rng(message["seed"]))
-            self._order, self._stands_anywhere = ("stop", 0.0), False
+            self._order, self._stands_anywhere = STANDING, False
             self._motions.clear()
         told = [[m.pose.x, m.pose.y, m.pose.heading, *m.rolled_m, m.collided] for m in self._motions]
         self._motions.clear()
@@ -139,11 +139,11 @@ class Wheels:
 
     def _step(self) -> None:
         minded = self.due_s - self._ordered_s <= WATCHDOG_S
-        atom, speed = self._order if minded else ("stop", 0.0)
-        motion = self._base.step(atom, speed, STEP_S)
+        velocity = self._order if minded else STANDING
+        motion = self._base.step(velocity, STEP_S)
         self._motions.append(motion)
         speed_m_s = max(map(abs, motion.rolled_m)) / STEP_S
-        step = Step(self.due_s, self._ordered_s, speed_m_s, atom)
+        step = Step(self.due_s, self._ordered_s, speed_m_s, velocity.atom())
         self._log.write(json.dumps(astuple(step)) + "\n")
 
 
@@ -168,10 +168,10 @@ class FarBase:
         """Return 0: it stands at once."""
         return 0.0
 
-    def order(self, atom: Atom, speed: float) -> None:
+    def order(self, velocity: Velocity) -> None:
         """Have it drive from now on; an order for which a base that is not heard has no room is lost, as on a line."""
         with suppress(BlockingIOError):
-            self._orders.send(json.dumps({"order": [atom, speed]}).encode())
+            self._orders.send(json.dumps({"order": velocity}).encode())
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose."""
@@ -186,7 +186,7 @@ class FarBase:
         )
         return len(self._told)
 
-    def step(self, _atom: Atom, _speed: float, _duration_s: float) -> Motion:
+    def step(self, _velocity: Velocity, _duration_s: float) -> Motion:
         """Return the next of the steps that were fetched, whatever is ordered now."""
         return self._told.popleft()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from shapely import LineString, Point
 
 from schemas.array import Float32Array
-from schemas.base import Message
+from schemas.base import KEYS, Message
 from schemas.motion import Pose
 from schemas.observation import Observation
 from schemas.rpc import ResetReply
@@ -49,7 +49,7 @@ def follow(route: list[tuple[float, float]]) -> list[PlanarPose]:
 
 
 def drive_on(driver: RouteDriver, pose: PlanarPose) -> PlanarPose:
-    wheels = wheel_speeds(driver.key(pose.x, pose.y, pose.heading), DRIVE)
+    wheels = wheel_speeds(KEYS[driver.key(pose.x, pose.y, pose.heading)], DRIVE)
     return move(pose, wheels, DRIVE.track_m, TICK_S)
 
 

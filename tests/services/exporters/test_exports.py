@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.base import DIRECTIONS
+from schemas.base import KEYS
 from services.exporters.drives import FORMATS, Nominal, read, write
 from services.importers.drive import Tally
 from services.kit.cameras import camera_of
@@ -197,7 +197,7 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
             assert (place.x, place.y, place.z) == (x, y, 0.0)
             assert (turn.z, turn.w) == (math.sin(heading / 2), math.cos(heading / 2))
         assert (odometry.twist.twist.linear.x, odometry.twist.twist.angular.z) == (1.5, 0.25)
-        ahead, left = DIRECTIONS[MADE[tick]]
+        ahead, left = KEYS[MADE[tick]]
         assert command.twist.linear.x == pytest.approx(ahead * SPEED)
         assert command.twist.angular.z == pytest.approx(left * TURN_RATE, abs=1e-4)
     info, imu = by_topic["/camera/camera_info"][0], by_topic["/imu"][0]

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS
 from services.importers.drive import Drive, ImportFailure, Tally, motion_of
-from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, atoms_of, nominal, odometry, ticks
+from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, nominal, odometry, shares_of, ticks
 
 
 def shown(times_s: list[float]) -> tuple[list[int], list[int], Tally]:
@@ -124,21 +123,20 @@ def test_where_odometry_was_silent_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.2, 30.0])
-def test_atoms_are_shares_of_what_is_usual_and_a_turn_keeps_how_fast_it_goes_ahead(scale: float) -> None:
+def test_atoms_are_shares_of_what_is_usual_and_velocities_are_kept(scale: float) -> None:
     usual = nominal(scale * np.array([[1.0, 0.0], [1.0, 1.0], [1.0, -1.0]]))
     table = [
-        (1.0, 0.0, "forward", 0.0), (-1.0, 0.0, "backward", 0.0), (0.0, 1.0, "left", 0.0), (0.0, -1.0, "right", 0.0),
-        (0.0, 0.0, "stop", 0.0), (0.05, 0.05, "stop", 0.0), (1.0, 0.4, "forward", 0.0), (1.0, 0.6, "left", 1.0),
-        (0.6, -0.6, "right", 0.6), (0.0, 0.2, "left", 0.0), (0.2, 0.2, "forward", 0.0), (-0.5, -0.7, "right", -0.5),
-        (2.0, -1.0, "right", 1.0),
+        (1.0, 0.0, "forward"), (-1.0, 0.0, "backward"), (0.0, 1.0, "left"), (0.0, -1.0, "right"), (0.0, 0.0, "stop"),
+        (0.05, 0.05, "stop"), (1.0, 0.4, "forward"), (1.0, 0.6, "left"), (0.6, -0.6, "right"), (0.0, 0.2, "left"),
+        (0.2, 0.2, "forward"), (-0.5, -0.7, "right"), (1.5, -1.0, "right"),
     ]  # fmt: skip
-    atoms, ahead = atoms_of(scale * np.array([row[:2] for row in table]), usual)
-    assert [ATOMS[atom] for atom in atoms] == [row[2] for row in table]
-    assert ahead == pytest.approx([row[3] for row in table])
+    shares = shares_of(scale * np.array([row[:2] for row in table]), usual)
+    assert [share.atom() for share in shares] == [row[2] for row in table]
+    np.testing.assert_allclose(shares, np.clip([row[:2] for row in table], -1.0, 1.0), atol=1e-6)
 
 
 def test_noise_of_a_robot_that_never_turns_is_no_turn_and_one_that_never_drives_teaches_nothing() -> None:
     velocities = np.stack([np.ones(100), np.random.default_rng(1).normal(0.0, 0.01, 100)], axis=1)
-    assert {ATOMS[atom] for atom in atoms_of(velocities, nominal(velocities))[0]} == {"forward"}
+    assert {share.atom() for share in shares_of(velocities, nominal(velocities))} == {"forward"}
     with pytest.raises(ImportFailure, match="the robot never drives"):
         nominal(np.zeros((10, 2)))

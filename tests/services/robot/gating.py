@@ -1,6 +1,6 @@
 """Commands and signs of life for a gate, right or wrong."""
 
-from schemas.base import Atom, Source
+from schemas.base import KEYS, Atom, Source
 from schemas.command import Command
 from schemas.heartbeat import Heartbeat
 
@@ -12,13 +12,13 @@ def command(
     source: Source = "policy",
     atom: Atom = "forward",
     episode: str = "e",
-    speed: float = 1.0,
+    linear: float | None = None,
     session: str = "",
 ) -> Command:
     header = {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": 0}
     whole = Command(**header, source=source, session=session, sequence=sequence, atom=atom)
     # The schema would refuse what the gate has to refuse by itself.
-    return whole.model_copy(update={"speed": speed})
+    return whole.model_copy(update={"linear": KEYS[atom].linear if linear is None else linear})
 
 
 def beat(session: str, sequence: int, answers: int | None, *, present: bool = True) -> Heartbeat:

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
+from schemas.base import STANDING, Atom, Message, Velocity
 from schemas.camera import DepthImage
 from schemas.motion import Pose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
-from services.robot.body import Beginning, ImuReading, OdometryReading
+from services.robot.body import Beginning, ImuReading, Kinematics, OdometryReading
 from smal.camera import Camera
 from smal.obstacles.clearance import Mount
 
@@ -62,7 +62,7 @@ class LineBody:
     """Moves by the test's clock in real time, and by ``advance`` in lockstep."""
 
     name = "line"
-    speed_m_s = SPEED_M_S
+    kinematics = Kinematics(SPEED_M_S, 1.0)
     camera: Camera | None = Camera(0.6)
     mount: Mount | None = None
     watchdog_s = 0.2
@@ -82,30 +82,27 @@ class LineBody:
         self.orders: list[tuple[Atom, float]] = []
         self.made: Counter[Topic] = Counter()
         self.senses = True
-        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._order = STANDING
         self._at_s = clock()
 
     def begin(self, request: ResetRequest) -> Beginning:
         self.x = 30.0 if request.start == "anywhere" else 0.0
         self.moves.clear()
-        self._order, self._at_s = ("stop", 0.0), self.clock()
+        self._order, self._at_s = STANDING, self.clock()
         return Beginning(((0.0, 0.0), (self.goal, 0.0)), 5.0)
 
-    def drive(self, atom: Atom, speed: float) -> None:
+    def drive(self, velocity: Velocity) -> None:
         now = self.clock()
-        self._move(*self._order, now - self._at_s)
-        self._order, self._at_s = (atom, speed), now
-        self.orders.append(self._order)
+        self.advance(self._order, now - self._at_s)
+        self._order, self._at_s = velocity, now
+        self.orders.append((velocity.atom(), max(map(abs, velocity))))
 
     def stand(self) -> None:
-        self.drive("stop", 0.0)
+        self.drive(STANDING)
 
-    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
-        self._move(atom, speed, duration_s)
-
-    def _move(self, atom: Atom, speed: float, duration_s: float) -> None:
-        self.moves.append((atom, speed, duration_s))
-        self.x += {"forward": SPEED_M_S, "backward": -SPEED_M_S}.get(atom, 0.0) * speed * duration_s
+    def advance(self, velocity: Velocity, duration_s: float) -> None:
+        self.moves.append((velocity.atom(), max(map(abs, velocity)), duration_s))
+        self.x += velocity.linear * SPEED_M_S * duration_s
 
     def render(self, x: float) -> None:
         """Take a picture; for a body that fails, or takes its time."""

@@ -5,12 +5,13 @@ import threading
 
 import pytest
 
-from schemas.base import SOURCES, Source
+from schemas.base import KEYS, SOURCES, STANDING, Source
 from schemas.command import Command, StopCause
+from services.robot.body import Kinematics
 from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
-STAND = Applied("stop", 0.0, None, "silence")
+STAND = Applied(STANDING, None, "silence")
 THEIRS = "only the operator (at desk) may do that"
 
 
@@ -37,8 +38,8 @@ def gate() -> CommandGate:
 
 def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -> None:
     assert gate.offer(command(0), 10.1) is None
-    assert gate.applied(10.2) == Applied("forward", 1.0, "policy", "command", answered_tick=0)
-    assert gate.applied(10.0 + MAX_AGE_S).atom == "forward"
+    assert gate.applied(10.2) == Applied(KEYS["forward"], "policy", "command", answered_tick=0)
+    assert gate.applied(10.0 + MAX_AGE_S).velocity == KEYS["forward"]
     assert gate.applied(10.0 + MAX_AGE_S + 1e-6) == STAND
 
 
@@ -50,11 +51,11 @@ def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -
         (command(0, source="expert"), 10.1, "not the driver"),
         (command(1), 10.1, "unknown frame"),
         (command(0), 10.46, "stale"),
-        (command(0, speed=float("nan")), 10.1, "not finite"),
-        (command(0, speed=float("inf")), 10.1, "not finite"),
-        (command(0, speed=1.01), 10.1, "not finite"),
-        (command(0, speed=1.5), 10.1, "not finite"),
-        (command(0, speed=-0.01), 10.1, "not finite"),
+        (command(0, linear=float("nan")), 10.1, "not finite"),
+        (command(0, linear=float("inf")), 10.1, "not finite"),
+        (command(0, linear=1.01), 10.1, "not finite"),
+        (command(0, linear=1.5), 10.1, "not finite"),
+        (command(0, linear=-1.01), 10.1, "not finite"),
     ],
 )
 def test_refusals_are_named_counted_and_harmless(
@@ -116,12 +117,12 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
     gate.captured(3, 10.1)
     assert gate.offer(command(3, source=driver), 10.1) is None, "what it would do is heard, for lockstep"
     assert gate.answered(3)
-    assert gate.applied(10.2) == Applied("left", 1.0, "teleop", "command", answered_tick=0)
+    assert gate.applied(10.2) == Applied(KEYS["left"], "teleop", "command", answered_tick=0)
     # The link is lost, or the key let go: the driver does not go on by itself, however long that lasts.
     for now_s in (10.0 + MAX_AGE_S + 0.01, 11.0, 1000.0):
         gate.captured(round(now_s), now_s)
         gate.offer(command(round(now_s), source=driver), now_s)
-        assert gate.applied(now_s) == Applied("stop", 0.0, None, "taken_over")
+        assert gate.applied(now_s) == Applied(STANDING, None, "taken_over")
     assert gate.resume("e", 1000, "") is None
     assert not gate.taken_over
     assert gate.applied(1000.0) == STAND
@@ -159,7 +160,7 @@ def test_an_emergency_stop_holds_until_it_is_released(gate: CommandGate, tick: i
     assert gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0) is None
     gate.captured(1, 10.1)
     gate.offer(command(1), 10.1)
-    assert gate.applied(10.1) == Applied("stop", 0.0, "emergency_stop", "emergency_stop")
+    assert gate.applied(10.1) == Applied(STANDING, "emergency_stop", "emergency_stop")
     gate.begin("f", "policy")
     gate.captured(0, 10.2)
     assert gate.offer(command(0, episode="f"), 10.2) is None
@@ -175,7 +176,7 @@ def test_a_robot_that_was_started_moves_for_nobody_until_it_is_armed() -> None:
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     assert gate.offer(command(0), 10.0) is None, "what it would do is heard"
-    assert gate.applied(10.0) == Applied("stop", 0.0, None, "emergency_stop")
+    assert gate.applied(10.0) == Applied(STANDING, None, "emergency_stop")
     assert gate.arm(gate.emergency_stop, "") is None
     assert gate.stop_cause is None
 
@@ -210,7 +211,7 @@ def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandG
     assert gate.applied(10.0).source == ("emergency_stop" if cause == "emergency_stop" else None)
     assert gate.arm(2, "") is None
     assert gate.taken_over
-    assert gate.applied(10.0) == Applied("stop", 0.0, None, "taken_over")
+    assert gate.applied(10.0) == Applied(STANDING, None, "taken_over")
     assert gate.resume("e", 0, "") is None
     gate.captured(1, 10.1)
     gate.offer(command(1), 10.1)
@@ -344,7 +345,7 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate.captured(0, 10.0)
     gate.offer(command(0), 10.0)
     hear(gate, "o", 1, 10.05)
-    assert gate.applied(10.0).atom == "forward"
+    assert gate.applied(10.0).velocity == KEYS["forward"]
     hear(gate, "o", 2, 10.1, present=False)
     assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
 
@@ -355,7 +356,7 @@ def test_one_process_of_a_kind_commands_until_it_falls_silent(gate: CommandGate)
     assert gate.offer(command(1, session="a", sequence=1_000_000), 10.0) is None
     for other in ("0", "b"):
         assert gate.offer(command(2, session=other, atom="left"), 10.0) == "another session"
-    assert gate.applied(10.0).atom == "forward"
+    assert gate.applied(10.0).velocity == KEYS["forward"]
     assert gate.offer(command(2, session="a"), 10.0) is None, "no number locks the rightful sender out"
     late_s = 11.0
     gate.captured(12, late_s)
@@ -380,3 +381,18 @@ def test_how_old_the_command_is_that_moves_the_robot_is_told(gate: CommandGate) 
     gate.offer(command(0), 10.05)
     assert gate.applied(10.1).age_s == pytest.approx(0.1)
     assert gate.applied(10.2).age_s == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("asked", "goes", "reason"),
+    [((0.0, 1.0), (0.0, 0.0), "radius"), ((0.5, -1.0), (0.5, -0.5), "radius"), ((-1.0, 1.0), (-1.0, 1.0), "command")],
+)
+def test_a_car_turns_no_more_sharply_than_it_can_whoever_asks(
+    gate: CommandGate, asked: tuple[float, float], goes: tuple[float, float], reason: str
+) -> None:
+    gate.kinematics = Kinematics(2.0, 2.0 / 1.5, 1.5)
+    for source in ("policy", "teleop"):
+        wanted = command(0, source=source).model_copy(update={"linear": asked[0], "angular": asked[1]})  # type: ignore[arg-type]
+        assert gate.offer(wanted, 10.1) is None
+        applied = gate.applied(10.2)
+        assert (applied.velocity, applied.reason, applied.source) == (goes, reason, source)

@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from schemas.base import SOURCES, Atom, Source
+from schemas.base import SOURCES, STANDING, Atom, Source
 from schemas.command import Command, StopCause
 from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
@@ -171,12 +171,12 @@ class GateMachine(RuleBasedStateMachine):
         assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
         assert self.gate.emergency_stop == self.stop
         if self.stop:
-            assert (applied.atom, applied.speed, applied.reason) == ("stop", 0.0, "emergency_stop")
+            assert (applied.velocity, applied.reason) == (STANDING, "emergency_stop")
         elif not fresh:
-            assert applied == Applied("stop", 0.0, None, "taken_over" if self.taken_over else "silence")
+            assert applied == Applied(STANDING, None, "taken_over" if self.taken_over else "silence")
         else:
-            assert applied == Applied(fresh[0].atom, fresh[0].speed, who, "command", fresh[0].tick)
-        if applied.atom != "stop":
+            assert applied == Applied(fresh[0].velocity, who, "command", fresh[0].tick)
+        if applied.velocity != STANDING:
             assert not self.attended or self.operator is not None
 
     @invariant()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from schemas.base import Atom
+from schemas.base import KEYS, STANDING, Atom
 from services.robot.gate import CommandGate
 from services.robot.guard import MAX_LOOK_S, Guard
 from smal.movement import Atom as Key
@@ -33,10 +33,10 @@ def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, hig
         assert gate.offer(command(tick, source="teleop"), now_s) is None
         applied = gate.applied(now_s)
         reasons.add(applied.reason)
-        pose = moved(pose, Key[applied.atom.upper()], applied.speed)
+        pose = moved(pose, Key[applied.velocity.atom(still=0.0).upper()], applied.velocity.linear)
         assert not touches([wall], pose)
     assert reasons == {"command", "obstacle"}
-    assert (applied.atom, applied.speed) == ("stop", 0.0)
+    assert applied.velocity == STANDING
     assert touches([wall], (pose[0] + 0.6, pose[1], 0.0))  # it stands at the wall, and not far before it
 
 
@@ -45,19 +45,19 @@ def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.n
     here, ways = (0.0, 0.0, 0.0), ("forward", "backward")
     made = guard()
     made.look(shown, here, 0.0)
-    assert [made.share(atom, 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[arg-type]
+    assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[index]
     made.look(depth([], here), here, 1.0)
-    assert made.share("forward", 1.0) == 1.0
+    assert made.share(KEYS["forward"], 1.0) == 1.0
     made.look(shown, here, 1.2)
-    assert made.share("forward", 1.0 + MAX_LOOK_S) == 1.0
-    assert made.share("forward", 1.01 + MAX_LOOK_S) == 0.0
+    assert made.share(KEYS["forward"], 1.0 + MAX_LOOK_S) == 1.0
+    assert made.share(KEYS["forward"], 1.01 + MAX_LOOK_S) == 0.0
     turns: tuple[Atom, ...] = ("left", "right", "stop")
-    assert {made.share(atom, 9.0) for atom in turns} == {1.0}
+    assert {made.share(KEYS[atom], 9.0) for atom in turns} == {1.0}
 
 
 def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
     here, wall = (0.0, 0.0, 0.0), (1.2, -6.0, 1.6, 6.0, 2.0)
     made = guard()
     made.look(depth([wall], here), here, 0.0)
-    shares = [made.share("forward", 0.02 * k) for k in range(13)]
+    shares = [made.share(KEYS["forward"], 0.02 * k) for k in range(13)]
     assert shares[0] > shares[5] > shares[12]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from schemas.base import Atom
+from schemas.base import Velocity
 from schemas.command import Command
 from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
@@ -31,10 +31,10 @@ class Failing(LineBody):
 
     fails: frozenset[str] = frozenset()
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        if atom in self.fails:
+    def drive(self, velocity: Velocity) -> None:
+        if velocity.atom() in self.fails:
             raise OSError("the wheels do not answer")
-        super().drive(atom, speed)
+        super().drive(velocity)
 
 
 def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCaptureFixture) -> None:
@@ -88,12 +88,12 @@ def test_what_is_carried_out_is_told_when_it_changes() -> None:
             loop.step()
     gate.stop()
     loop.step()
-    assert [(one.atom, one.speed, one.reason) for one in told] == [
-        ("stop", 0.0, "silence"),
-        ("forward", 1.0, "command"),
-        ("forward", 0.5, "command"),
-        ("left", 0.5, "command"),
-        ("stop", 0.0, "emergency_stop"),
+    assert [(one.velocity, one.reason) for one in told] == [
+        ((0.0, 0.0), "silence"),
+        ((1.0, 0.0), "command"),
+        ((0.5, 0.0), "command"),
+        ((0.0, 0.5), "command"),
+        ((0.0, 0.0), "emergency_stop"),
     ]
 
 

@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass
 
-from schemas.base import Atom
+from schemas.base import Atom, Velocity
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.robot.clock import now_s
@@ -25,9 +25,9 @@ class Wheels(LineBody):
         super().__init__(now_s)
         self.told: list[tuple[float, Atom]] = []
 
-    def drive(self, atom: Atom, speed: float) -> None:
-        super().drive(atom, speed)
-        self.told.append((time.monotonic(), atom))
+    def drive(self, velocity: Velocity) -> None:
+        super().drive(velocity)
+        self.told.append((time.monotonic(), velocity.atom()))
 
     @property
     def driven(self) -> bool:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom
+from schemas.base import KEYS, Atom
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.sensors.readings import Tilt
@@ -63,5 +63,5 @@ def drive_to(simulation: Simulation, x: float, y: float, until: Callable[[], boo
         pose = simulation.pose
         if math.hypot(x - pose.x, y - pose.y) < 0.3 or simulation.collided or until():
             return
-        simulation.advance(key_to(pose, x, y), 1.0, 0.1)
+        simulation.advance(KEYS[key_to(pose, x, y)], 0.1)
     raise AssertionError(f"did not arrive at ({x}, {y})")

@@ -7,6 +7,7 @@ import pytest
 import shapely
 from scipy.ndimage import label
 
+from schemas.base import KEYS, STANDING
 from schemas.rpc import ResetRequest
 from services.expert.driver import RouteDriver
 from services.kit.node import ServiceError
@@ -65,7 +66,7 @@ def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(
     driver = RouteDriver(simulation.route().tolist(), simulation.speed_m_s, simulation.found_m)
     for _ in range(1500):
         pose = simulation.pose
-        simulation.advance(driver.key(pose.x, pose.y, pose.heading), 1.0, 0.1)
+        simulation.advance(KEYS[driver.key(pose.x, pose.y, pose.heading)], 0.1)
         if simulation.collided or driver.arrived(pose.x, pose.y):
             break
     assert simulation.collided
@@ -88,7 +89,7 @@ def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into
     simulation.reset(1, "run", people=3)
     first, passed = simulation.people[0], [simulation.people[0].pose]
     for _ in range(300):
-        simulation.advance("stop", 0.0, 0.1)
+        simulation.advance(STANDING, 0.1)
         passed.append(first.pose)
     away = [math.hypot(one.x - passed[0].x, one.y - passed[0].y) for one in passed]
     assert max(away) > 0.8
@@ -98,7 +99,7 @@ def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into
         simulation._base.put(at, np.random.default_rng(0))
         nearest = math.inf
         for _ in range(ticks):
-            simulation.advance("stop", 0.0, 0.1)
+            simulation.advance(STANDING, 0.1)
             here = simulation.people[0].pose
             nearest = min(nearest, math.hypot(here.x - at.x, here.y - at.y))
         return nearest

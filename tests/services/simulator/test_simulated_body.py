@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from schemas.base import Message
+from schemas.base import KEYS, Message, Velocity
 from schemas.rpc import ResetRequest
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
@@ -46,7 +46,7 @@ def test_it_goes_on_by_the_clock_until_it_is_told_otherwise() -> None:
     body = body_of(clock)
     start = start_of(body)
     for _ in range(10):
-        body.drive("forward", 0.5)
+        body.drive(Velocity(0.5, 0.0))
         clock.now_s += PERIOD_S
     body.stand()
     assert way_m(body, start) == pytest.approx(10 * PERIOD_S * 0.5 * PERFECT.speed_m_s)
@@ -60,9 +60,9 @@ def test_a_frozen_process_finds_the_robot_where_its_watchdog_stopped_it(frozen_s
     clock = Clock()
     body = body_of(clock)
     start = start_of(body)
-    body.drive("forward", 1.0)
+    body.drive(KEYS["forward"])
     clock.now_s += frozen_s
-    body.drive("forward", 1.0)
+    body.drive(KEYS["forward"])
     moved_s = min(frozen_s, WATCHDOG_S)
     assert way_m(body, start) == pytest.approx(moved_s * PERFECT.speed_m_s)
 
@@ -72,10 +72,10 @@ def test_in_lockstep_no_clock_moves_it() -> None:
     body = body_of(clock, "lockstep")
     start = start_of(body)
     for _ in range(10):
-        body.drive("forward", 1.0)
+        body.drive(KEYS["forward"])
         clock.now_s += PERIOD_S
     assert way_m(body, start) == 0.0
-    body.advance("forward", 1.0, 0.1)
+    body.advance(KEYS["forward"], 0.1)
     assert way_m(body, start) == pytest.approx(0.1 * PERFECT.speed_m_s)
 
 

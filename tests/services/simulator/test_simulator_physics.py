@@ -9,7 +9,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, Atom
+from schemas.base import ATOMS, KEYS, Atom, Velocity
 from services.robot.clock import TICK_S
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
@@ -39,7 +39,9 @@ def standing(base: Base, pose: Pose = Pose(0.0, 0.0, 0.0), seed: int = 0) -> Bas
 
 
 def drive(base: Base, atom: Atom, duration_s: float, speed: float = 1.0) -> list[Motion]:
-    return [base.step(atom, speed, 0.02) for _ in range(round(duration_s / 0.02))]
+    return [
+        base.step(Velocity(*(speed * share for share in KEYS[atom])), 0.02) for _ in range(round(duration_s / 0.02))
+    ]
 
 
 def way(begin: Pose, end: Pose) -> float:

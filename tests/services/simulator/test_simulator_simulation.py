@@ -8,7 +8,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, Atom
+from schemas.base import ATOMS, KEYS, Atom
 from services.simulator.base import KinematicBase
 from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
@@ -34,9 +34,9 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
     whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
     assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
     for atom in atoms:
-        whole.advance(atom, 1.0, 0.1)
+        whole.advance(KEYS[atom], 0.1)
         for _ in range(5):
-            sliced.advance(atom, 1.0, 0.02)
+            sliced.advance(KEYS[atom], 0.02)
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
     one, other = whole.look(), sliced.look()
     assert (one.odometry, one.imu) == (other.odometry, other.imu)
@@ -49,7 +49,7 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
     )
     for one in (simulation, again):
         one.reset(5, "run")
-        one.advance("forward", 1.0, 0.5)
+        one.advance(KEYS["forward"], 0.5)
     before, wheels = simulation.pose, simulation.look().odometry
     carried = simulation.carry_away()
     assert carried == simulation.pose == again.carry_away()
@@ -57,14 +57,14 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
     now = simulation.look().odometry
     assert (now.x_m, now.y_m, now.heading_rad) == (wheels.x_m, wheels.y_m, wheels.heading_rad)
     for one in (simulation, again):
-        one.advance("forward", 1.0, 0.2)
+        one.advance(KEYS["forward"], 0.2)
     assert simulation.pose == again.pose
     by_wheels = simulation.look().odometry
     moved = math.hypot(by_wheels.x_m - wheels.x_m, by_wheels.y_m - wheels.y_m)
     assert moved == pytest.approx(math.hypot(simulation.pose.x - carried.x, simulation.pose.y - carried.y), abs=0.1)
     assert moved > 0.1
     simulation.reset(5, "run")
-    simulation.advance("forward", 1.0, 0.5)
+    simulation.advance(KEYS["forward"], 0.5)
     assert simulation.pose == before, "the next episode is as if nobody had been carried"
 
 
@@ -74,7 +74,7 @@ def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     simulation = Simulation(YARD, StubCamera())
     simulation.reset(seed, "recovery")
     for atom in atoms:
-        simulation.advance(atom, 1.0, 0.4)
+        simulation.advance(KEYS[atom], 0.4)
         assert obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y) > YARD.robot.radius_m - 1e-9
 
 
