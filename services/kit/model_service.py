@@ -3,7 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Protocol, Self, TypeVar
+from typing import Annotated, Final, Protocol, Self, TypeVar, cast
 
 from pydantic import Field
 
@@ -71,12 +71,7 @@ def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: st
 
 def load_model(path: Path) -> AnyModel:
     """Read the model at a path; ModelError as of `Stored.read`."""
-    return _known(Stored.load(path))
-
-
-def _known(model: Stored) -> AnyModel:
-    assert isinstance(model, AnyModel)  # noqa: S101 - there is no third scheme
-    return model
+    return cast("AnyModel", Stored.load(path))  # There is no third scheme.
 
 
 @dataclass(frozen=True)
@@ -120,7 +115,7 @@ class LoadedModel:
         """Read the model that a call names; ServiceError when it is of no use, which says nothing of other files."""
         try:
             with open_below(root, request.model) as file:
-                model = _known(Stored.read(file, request.model))
+                model = cast("AnyModel", Stored.read(file, request.model))
         except (OSError, NoModelError) as error:
             _log.warning("model %r: %s", request.model, error)
             raise ServiceError(f"no model {printable(request.model)!r} below the root of this service") from None

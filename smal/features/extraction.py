@@ -47,7 +47,10 @@ def extract(
     if "depth" in settings.needs:
         if depth_mm is None:
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
-        _check_depth(depth_mm)
+        if depth_mm.dtype != np.uint16:
+            raise ValueError(f"a depth image must be an array of uint16 in millimetres, got {depth_mm.dtype}")
+        if depth_mm.ndim != 2 or depth_mm.size == 0:
+            raise ValueError(f"a depth image must have the shape (height, width), got {depth_mm.shape}")
         inputs["depth"] = np.ascontiguousarray(depth_mm)
     modalities = [modality_named(name) for name in settings.modalities]
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
@@ -63,10 +66,3 @@ def _check_image(image: NDArray[np.uint8]) -> None:
             f"an image must have at least {color.ROWS} rows and {color.COLUMNS} columns, "
             f"got {image.shape[0]} x {image.shape[1]}"
         )
-
-
-def _check_depth(depth_mm: NDArray[np.uint16]) -> None:
-    if depth_mm.dtype != np.uint16:
-        raise ValueError(f"a depth image must be an array of uint16 in millimetres, got {depth_mm.dtype}")
-    if depth_mm.ndim != 2 or depth_mm.size == 0:
-        raise ValueError(f"a depth image must have the shape (height, width), got {depth_mm.shape}")

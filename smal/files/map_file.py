@@ -69,8 +69,11 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.log_ratio) < 100.0).all()),
         "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
-        "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1 and all(map(_is_name, one.goals)),
-        "names": len(one.names) == len(one.goals) and all(map(_are_names, one.names)),
+        "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1
+        and {*map(type, one.goals)} <= {str}
+        and all(re.fullmatch(GOAL_NAME, name) for name in one.goals),
+        "names": len(one.names) == len(one.goals)
+        and all(parts and {*map(type, parts)} == {str} for parts in one.names),
         "stitched": one.stitched.shape == (joined, 2)
         and _within(one.stitched, count)
         and len(np.unique(one.stitched, axis=0)) == joined,
@@ -104,11 +107,3 @@ def _sound(array: object, axes: int, kind: str) -> bool:
         return False
     kinds = array.dtype.kind == kind and (kind == "i" or array.dtype.itemsize >= 4)
     return array.ndim == axes and kinds and bool(np.isfinite(array).all())
-
-
-def _is_name(given: object) -> bool:
-    return isinstance(given, str) and re.fullmatch(GOAL_NAME, given) is not None
-
-
-def _are_names(given: object) -> bool:
-    return isinstance(given, tuple) and bool(given) and all(isinstance(name, str) for name in given)

@@ -81,7 +81,10 @@ class WorkingSet:
                 if tolerance < 1e-3 * self._tolerance:
                     return
                 tolerance = finest if tolerance > finest else 0.3 * tolerance
-            self._grow(lacking)
+            # Add frames, and smooth as much as the violations ask for.
+            excess = (1.0 - 1.0 / self._worst) * self._problem.objective(self._inner.W)
+            self._epsilon = min(max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON)
+            self._set = np.union1d(self._set, lacking)
 
     def _frames(self, blocks: Columns) -> Columns:
         """Template frames of sequences."""
@@ -197,9 +200,3 @@ class WorkingSet:
             if problem.objective(candidate) <= ceiling:
                 return candidate
         return weights
-
-    def _grow(self, lacking: Columns) -> None:
-        """Add frames, and smooth as much as the violations ask for."""
-        excess = (1.0 - 1.0 / self._worst) * self._problem.objective(self._inner.W)
-        self._epsilon = min(max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON)
-        self._set = np.union1d(self._set, lacking)

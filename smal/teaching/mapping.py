@@ -109,21 +109,10 @@ def fit(
 ) -> Model:
     """Learn from images and what was done at each of them.
 
-    Parameters
-    ----------
-    drives : sequence of (images, atoms) or (images, atoms, odometry)
-        Of drives that reached the goal: images (height, width, 3) uint8 RGB, an `Atom` for each, and the pose of each
-        by the wheels (x, y, heading in radians), if there is any.
-    features : FeatureSettings, optional
-    goals : sequence of str, optional
-        Where each drive leads; all to one goal if not given.
-    camera : Camera, optional
-        Estimated from the images if not given.
-    tick_s : float
-        Time between two images.
+    `drives` reached the goal: (images, atoms) or (images, atoms, odometry) of each, images (height, width, 3) uint8
+    RGB, an `Atom` for each, and the pose of each by the wheels (x, y, heading in radians). `goals` is where each leads,
+    all to one goal if not given, `tick_s` the time between two images; the camera is estimated from them if not given.
 
-    Examples
-    --------
     >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
     >>> robot = smal.Robot(model)  # doctest: +SKIP
     >>> atom = robot.step(image)  # doctest: +SKIP

@@ -12,7 +12,7 @@ from schemas.state import Place, State
 from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
-from tests.services.chain import save_model, state
+from tests.services.chain import state
 
 
 @pytest.fixture(scope="module")
@@ -104,15 +104,6 @@ def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None
     # It has arrived, and stays; the next episode begins.
     assert made(policy.handle(belief(1, model)))[0] == "goal"
     assert made(policy.handle(belief(0, model, episode="next"))) == ("follow", 5, "forward")
-
-
-def test_it_stops_for_a_state_of_another_model(policy: PolicyService, model: Path, tmp_path: Path) -> None:
-    other = save_model(tmp_path / "other.smal")
-    (command,) = policy.handle(belief(0, other))
-    assert isinstance(command, Command)
-    assert command.atom == "stop"
-    assert policy.detail()["states_of_another_model"] == 1
-    assert made(policy.handle(belief(1, model)))[2] == "forward"
 
 
 @pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)

@@ -189,20 +189,6 @@ def test_what_ends_before_the_end_leaves_the_file_as_it_was(
     assert not Path("out.png").exists()
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
-def test_every_method_of_the_table_finds_its_way(
-    name: str, folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(match, "METHODS", METHODS)
-    written = matched(smal, "--method", name, "--truth", str(folders / "truth.csv"))
-    assert written["length"] == (METHODS[name].length if METHODS[name].any_length else None)
-    found = references_of(written)
-    assert len(found) == FRAMES
-    given = [(place, reference) for place, reference in enumerate(found) if reference is not None]
-    assert given
-    assert all(abs(place - reference) <= 2 for place, reference in given)
-
-
 def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
     """The references lack the first third."""
     monkeypatch.setattr(match, "METHODS", METHODS)
