@@ -1,12 +1,16 @@
-"""``smal world import``: a map in, a world file and a summary out; every mistake is one line."""
+"""``smal world``: a map in, a world file, a summary and views out; every mistake is one line."""
 
 import math
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+import shapely
 
+from services.cli.options import Camera
+from services.cli.world import render
 from services.simulator.world import World, load_world
 from services.simulator.world.route import obstacles_of, plan_route, route_length_m
 from tests.services.cli.conftest import Mistake, Smal
@@ -75,3 +79,20 @@ def test_a_wrong_wish_is_one_line(
     source = block_of_houses().write(tmp_path / "map.osm")
     assert line in mistake(status, "world", "import", source, "--out", tmp_path / "map.json", *options)
     assert not (tmp_path / "map.json").exists()
+
+
+@pytest.mark.rendering
+def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> None:
+    render("yard", tmp_path, views=3, camera=Camera(160, 120))
+    world = load_world("yard")
+    length = shapely.LineString(plan_route(world, (world.start.x, world.start.y))).length
+    names = sorted(path.name for path in tmp_path.glob("view-*.png"))
+    metres = [int(name.removesuffix("m.png").split("-")[2]) for name in names]
+    assert [name.split("-")[1] for name in names] == ["00", "01", "02"]
+    assert metres[0] == 0
+    assert length - 6 < metres[2] < length
+    images = [cv2.imread(str(tmp_path / name)) for name in names]
+    assert all(image is not None and image.shape == (120, 160, 3) and image.std() > 20 for image in images)
+    drawn = cv2.imread(str(tmp_path / "map.png"))
+    assert drawn is not None
+    assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 100
