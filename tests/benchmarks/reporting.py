@@ -15,7 +15,7 @@ import numpy as np
 
 from services.cli import outputs
 from services.cli.bench import THREADS
-from services.kit import tables
+from services.experiments import words
 from services.kit.errors import UsageError
 from smal.files.container import replacing
 
@@ -75,7 +75,7 @@ def table(title: str, rows: Sequence[Mapping[str, object]]) -> str:
     if not rows:
         return ""
     cells = [list(rows[0]), *([_shown(value) for value in row.values()] for row in rows)]
-    return "\n".join(["", title, *tables.table(cells), ""])
+    return "\n".join(["", title, *words.table(cells), ""])
 
 
 def _shown(value: object) -> str:
