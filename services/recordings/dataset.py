@@ -1,10 +1,10 @@
 """From recordings to demonstrations: which episodes teach, and what of them, but never a true pose."""
 
-import os
 from collections.abc import Callable, Collection, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -20,10 +20,11 @@ from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import decode_image, stamped_jpeg
 from services.recordings.reader import read_recording
 from services.recordings.recorded import Piece, RecordedEpisode, piece_name
-from services.recordings.records import Allowance
+from services.recordings.records import Allowance, copied
 from services.recordings.sink import first_of
 from services.recordings.stream import RecordingError, messages_of
 from smal.features import FeatureSettings, extract, select
+from smal.features.extraction import check_image, in_parallel
 from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration
 
@@ -83,8 +84,8 @@ class Teacher:
         self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
             if not self._episodes or episode.episode in self._episodes:
-                whole = {tick: one for tick, one in episode.features.items() if one.shape == (held.size,)}
-                episode.features = {tick: select(one, held, self._features) for tick, one in whole.items()}
+                whole = {tick: one for tick, one in episode.features.items() if one().shape == (held.size,)}
+                episode.features = {tick: partial(_chosen, one, held, self._features) for tick, one in whole.items()}
                 self._take(path, episode)
         if len(self.teaching.demonstrations) == taught:
             self._allowance.left = free  # nothing of it is kept
@@ -152,29 +153,39 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
 def _is_image(payload: memoryview) -> bool:
     """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        return is_jpeg(stamped_jpeg(bytes(payload))[1])
+        return is_jpeg(stamped_jpeg(copied(payload))[1])
     except ValueError:
         return False
 
 
 def _complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
-    """Compute missing features from the images, but for depth and for damaged images; return how many."""
+    """Have missing features made of the images, but for depth and for damaged images; return how many."""
     if "depth" in settings.needs:
         return 0
-
-    def compute(tick: int) -> NDArray[np.float32] | None:
-        try:
-            return extract(decode_image(bytes(episode.images[tick])), settings)
-        except ValueError:
-            return None
-
     missing = [tick for tick in episode.images if tick not in episode.features]
-    # OpenCV lets go of the interpreter's lock, so threads use every core.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        vectors = dict(zip(missing, pool.map(compute, missing), strict=True))
-    computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
-    episode.features.update(computed)
-    return len(computed)
+    whole = compress(missing, in_parallel(lambda tick: _is_whole(episode.images[tick]), missing))
+    made = {tick: partial(_described, episode.images[tick], settings) for tick in whole}
+    episode.features.update(made)
+    return len(made)
+
+
+def _is_whole(payload: memoryview) -> bool:
+    """Whether features can be made of a recorded image."""
+    try:
+        check_image(decode_image(copied(payload)))
+    except ValueError:
+        return False
+    return True
+
+
+def _described(payload: memoryview, settings: FeatureSettings) -> NDArray[np.float32]:
+    return extract(decode_image(copied(payload)), settings)
+
+
+def _chosen(
+    read: Callable[[], NDArray[np.float32]], held: FeatureSettings, wanted: FeatureSettings
+) -> NDArray[np.float32]:
+    return select(read(), held, wanted)
 
 
 def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:
@@ -213,7 +224,7 @@ class RecordedImages(Sequence[NDArray[np.uint8]]):
         if isinstance(index, slice):
             return RecordedImages(self.recorded[index], self._episode, self._decode)
         try:
-            return self._decode(bytes(self.recorded[index]))
+            return self._decode(copied(memoryview(self.recorded[index])))
         except ValueError as error:
             raise ValueError(f"an image of episode {self._episode} is damaged: {error}") from None
 

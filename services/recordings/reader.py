@@ -2,10 +2,13 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-from schemas.base import Message
+import numpy as np
+from numpy.typing import NDArray
+
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
@@ -13,8 +16,8 @@ from schemas.motion import Imu, Odometry, Pose
 from schemas.observation import Observation
 from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.records import MAGIC, Allowance, mapped
-from services.recordings.stream import RecordingError, messages_of
+from services.recordings.records import MAGIC, Allowance, copied, mapped
+from services.recordings.stream import RecordingError, Stored, messages_of
 
 USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)  # For teaching, and to be drawn.
 
@@ -56,7 +59,7 @@ def read_recording(
             episode.images.setdefault(stored.tick, stored.payload)
             continue
         try:
-            _take(episode, stored.message(), fingerprint)
+            _take(episode, stored, fingerprint)
         except ValueError:
             bad += 1
     episodes = tuple(episode for episode in found.values() if episode.purpose is not None)
@@ -67,8 +70,14 @@ def read_recording(
     return Recording(path, episodes, mapped(path)[-len(MAGIC) :] != MAGIC, bad)
 
 
-def _take(episode: RecordedEpisode, message: Message, fingerprint: str | None) -> None:
+def _features(payload: memoryview) -> NDArray[np.float32]:
+    """Return the features of a recorded observation."""
+    return Observation.model_validate_json(copied(payload)).features.to_numpy()
+
+
+def _take(episode: RecordedEpisode, stored: Stored, fingerprint: str | None) -> None:
     """Take what a message tells; of several of a tick the first."""
+    message = stored.message()
     tick = message.tick
     match message:
         case Episode():
@@ -77,7 +86,7 @@ def _take(episode: RecordedEpisode, message: Message, fingerprint: str | None) -
             if message.event == "ended":
                 episode.outcome, episode.end_tick = message.outcome, tick
         case Observation() if message.fingerprint == fingerprint:
-            episode.features.setdefault(tick, message.features.to_numpy())
+            episode.features.setdefault(tick, partial(_features, stored.payload))
         case CommandApplied():
             # Several in one tick: the last is what moved the robot on to the next frame.
             last = episode.applied.setdefault(tick, message)

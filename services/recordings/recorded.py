@@ -1,7 +1,7 @@
 """A recorded episode, the pieces of it that have no gap, and how demonstrations that are made of them are called."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -13,6 +13,7 @@ from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Outcome, Purpose
 from schemas.motion import Imu, Odometry, Pose
+from smal.teaching.demonstration import Made
 
 _STOP: Final = ATOMS.index("stop")
 
@@ -22,7 +23,7 @@ class Piece:
     """Successive frames of one episode without a gap."""
 
     ticks: NDArray[np.int64]  # (f,), each one more than the last.
-    features: NDArray[np.float32]  # (f, m), raw feature vectors.
+    features: Made  # (f, m), raw feature vectors.
     atoms: NDArray[np.int8]  # (f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
     ahead: NDArray[np.float32]  # (f,), fraction of the nominal speed at which the robot went ahead in turning then.
     images: tuple[memoryview, ...] | None  # As recorded (``encoding.decode_image``), one a frame; or None.
@@ -43,7 +44,8 @@ class RecordedEpisode:
     driver: Source | None = None
     outcome: Outcome | None = None
     end_tick: int | None = None
-    features: dict[int, NDArray[np.float32]] = field(default_factory=dict)  # Raw, of the wanted fingerprint.
+    #: Read or make the raw ones, of the wanted fingerprint: a drive's would fill memory.
+    features: dict[int, Callable[[], NDArray[np.float32]]] = field(default_factory=dict)
     images: dict[int, memoryview] = field(default_factory=dict)  # As recorded (for ``encoding.decode_image``).
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
@@ -76,7 +78,7 @@ class RecordedEpisode:
         way = [self.wheels(tick) for tick in known if tick in self.odometry]
         return Piece(
             ticks,
-            np.stack([self.features[tick] for tick in known]),
+            Made(len(known), lambda frame: self.features[known[frame]]()),
             np.array([self._atom(tick) for tick in known], dtype=np.int8),
             np.array([0.0 if one is None else one.linear for one in made], dtype=np.float32),
             images if len(images) == len(known) else None,

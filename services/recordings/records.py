@@ -39,6 +39,8 @@ _MOST_RATIO: Final = 256  # A file may unpack to so many times its size: all tha
 #: Least bytes of a packed record. A message has another time and number than the last one: with the strongest
 #: compression of Zstandard those of a robot that stands, with an exact clock, take 8.8.
 _LEAST_RECORD: Final = 4
+#: Bytes of a mapped file that may be in memory at once, and how much the system maps round each place that is read.
+_RESIDENT, _AROUND = 16 * 2**20, 2**16
 #: What is taken apart; the index and all else is passed over.
 _KINDS: Final[dict[int, type[Schema | Channel | Metadata]]] = {
     Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
@@ -100,12 +102,35 @@ class Bounds:
             raise McapError(f"a record for less than {_LEAST_RECORD} bytes of the file")
 
 
+class _Mapped(mmap.mmap):
+    """A file's bytes, and how much of it was read since all of it was last let go of."""
+
+    touched = 0
+
+
+def copied(payload: memoryview) -> bytes:
+    """Return recorded bytes, of a file that does not fill memory by being read."""
+    data = bytes(payload)
+    _let_go(payload, len(data) + _AROUND)
+    return data
+
+
+def _let_go(data: memoryview, touched: int) -> None:
+    """Let a mapped file out of memory whenever much of it was read; what is wanted again is read again."""
+    file = data.obj
+    if isinstance(file, _Mapped):
+        file.touched += touched
+        if file.touched > _RESIDENT:
+            file.touched = 0
+            file.madvise(mmap.MADV_DONTNEED)
+
+
 def mapped(path: Path) -> memoryview:
     """Return a file's bytes, of which only those are read that are looked at; OSError when it is no regular file."""
     descriptor = open_regular(path)
     try:
         empty = os.fstat(descriptor).st_size == 0
-        return memoryview(b"" if empty else mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
+        return memoryview(b"" if empty else _Mapped(descriptor, 0, access=mmap.ACCESS_READ))
     finally:
         os.close(descriptor)
 
@@ -120,6 +145,7 @@ def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[Mc
             return
         if opcode == Opcode.CHUNK:
             yield from inside(chunk_of(data[begin:end]), bounds)
+            _let_go(data, end - begin)
         elif (record := record_of(opcode, data[begin:end])) is not None:
             yield record
 

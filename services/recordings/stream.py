@@ -17,7 +17,7 @@ from schemas.topics import JPEG, Topic, topic_of
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
-from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, mapped, records
+from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, copied, mapped, records
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
 OBJECTS: Final = 2048  # Memory of a message that is kept beside its bytes: its object, and its numbers.
@@ -69,7 +69,7 @@ class Stored(NamedTuple):
         """Return what it says, with pixels if wanted; ValueError says why it is not what its channel says."""
         if self.topic is None:
             raise ValueError(f"{self.key} is no topic of ours")
-        payload = bytes(self.payload)
+        payload = copied(self.payload)
         try:
             message = self._image(payload) if self.topic is JPEG else self.topic.message.model_validate_json(payload)
         except ValidationError as error:

@@ -5,7 +5,7 @@ cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -34,16 +34,16 @@ class Centering:
             raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod
-    def fit(cls, raw: NDArray[Any] | Sequence[NDArray[Any]], settings: FeatureSettings) -> Self:
+    def fit(cls, raw: NDArray[Any] | Iterable[NDArray[Any]], settings: FeatureSettings) -> Self:
         """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
-        parts = [raw] if isinstance(raw, np.ndarray) else raw
-        wrong = [part.shape for part in parts if part.ndim != 2 or part.shape[1] != settings.size]
-        count = sum(part.shape[0] for part in parts)
-        if wrong or count == 0:
-            raise ValueError(f"the mean needs features (n, {settings.size}) with n >= 1, got the shapes {wrong}")
-        total = np.zeros(settings.size)
-        for part in parts:
+        total, count = np.zeros(settings.size), 0
+        for part in [raw] if isinstance(raw, np.ndarray) else raw:
+            if part.ndim != 2 or part.shape[1] != settings.size:
+                raise ValueError(f"the mean needs features (n, {settings.size}), got the shape {part.shape}")
             total += part.sum(axis=0, dtype=np.float64)
+            count += len(part)
+        if count == 0:
+            raise ValueError(f"the mean needs features (n, {settings.size}) with n >= 1, got none")
         return cls((total / count).astype(np.float32), settings)
 
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:

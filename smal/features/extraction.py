@@ -42,7 +42,7 @@ def extract(
     millimetres, 0 where nothing is in range. ValueError for an image of another type or shape or that is too small, and
     where a depth image is needed and missing.
     """
-    _check_image(image)
+    check_image(image)
     inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}
     if "depth" in settings.needs:
         if depth_mm is None:
@@ -56,7 +56,8 @@ def extract(
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
 
 
-def _check_image(image: NDArray[np.uint8]) -> None:
+def check_image(image: NDArray[np.uint8]) -> None:
+    """Raise ValueError if an image is none that `extract` takes."""
     if image.dtype != np.uint8:
         raise ValueError(f"an image must be an array of uint8, got {image.dtype}")
     if image.ndim != 3 or image.shape[2] != 3:

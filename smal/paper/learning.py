@@ -68,7 +68,7 @@ def learn(
     check_features(demonstrations, settings.features.size)
     length, lambdas = settings.sequence_length, settings.lambdas
     atoms, successful = [one.atoms for one in demonstrations], [one.successful for one in demonstrations]
-    raw = [one.features for one in demonstrations]
+    raw = [one.rows for one in demonstrations]
     centering = Centering.fit(raw, settings.features)
     frames = [centering.apply(each) for each in raw]
     progress("centering", 1, 1)

@@ -1,7 +1,7 @@
 """What a person teaches by: a drive with the camera, the movements that were made, and the wheels."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
+from smal.features.extraction import in_parallel
 from smal.files.map_file import GOAL_NAME
 
 USUAL_GOAL = "victim"  # Where drives lead that do not say so.
@@ -24,7 +25,8 @@ class Demonstration:
     """
 
     name: str  # Its episode.
-    features: NDArray[np.float32]  # (f, m) raw features (`smal.features.extract`), without dropped frames.
+    #: (f, m) raw features (`smal.features.extract`), without dropped frames; rows may be read when they are wanted.
+    features: NDArray[np.float32] | Sequence[NDArray[np.float32]]
     atoms: NDArray[np.int8]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
     successful: bool = True  # Whether it ended at the goal.
     recovery: bool = False  # Whether it began off the route, to show the way back to it.
@@ -38,10 +40,10 @@ class Demonstration:
     ahead: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
-        if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
+        shape = getattr(self.features, "shape", (len(self.features), None))
+        if len(shape) != 2 or self.atoms.shape != shape[:1]:
             raise ValueError(
-                f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: "
-                f"{self.features.shape} and {self.atoms.shape}"
+                f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: {shape} and {self.atoms.shape}"
             )
         frames = len(self.atoms)
         if self.images is not None and len(self.images) != frames:
@@ -54,31 +56,50 @@ class Demonstration:
         if self.odometry is not None and self.odometry.shape != (frames, 3):
             raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
 
+    @property
+    def rows(self) -> NDArray[np.float32]:
+        """All its features at once, (f, m)."""
+        return self.features if isinstance(self.features, np.ndarray) else np.stack(list(every(self.features)))
+
 
 def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
     """Raise ValueError if there is no demonstration, or one has not so many features a frame."""
     if not demonstrations:
         raise ValueError("there is no demonstration to learn from")
     for one in demonstrations:
-        if one.features.shape[1] != size:
+        if len(one.features) and len(one.features[0]) != size:
             raise ValueError(
-                f"demonstration {one.name}: {one.features.shape[1]} features a frame, the settings ask for {size}"
+                f"demonstration {one.name}: {len(one.features[0])} features a frame, the settings ask for {size}"
             )
 
 
-class Chain(Sequence[NDArray[Any]]):
-    """Sequences of arrays, such as images or features, as one; none is read or copied before it is asked for."""
+def every(arrays: NDArray[Any] | Sequence[NDArray[Any]]) -> Iterable[NDArray[Any]]:
+    """Yield arrays one after the other; those that are made when they are asked for are made on every core."""
+    return in_parallel(arrays.__getitem__, range(len(arrays)))
 
-    def __init__(self, parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> None:
-        self._parts = parts
-        self._ends = np.cumsum([len(part) for part in parts])
+
+class Made(Sequence[NDArray[Any]]):
+    """So many arrays, such as images or features, each made when it is asked for by its number."""
+
+    def __init__(self, count: int, make: Callable[[int], NDArray[Any]]) -> None:
+        self._count, self._make = count, make
 
     def __len__(self) -> int:
-        return int(self._ends[-1])
+        return self._count
 
-    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - the type of a sequence; numbers from 0 alone are asked
-        part = int(np.searchsorted(self._ends, index, side="right"))
-        return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - the type of a sequence; numbers alone are asked
+        return self._make(range(self._count)[index])
+
+
+def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:
+    """Return sequences of arrays as one; none is read or copied before it is asked for."""
+    ends = np.cumsum([len(part) for part in parts])
+
+    def of(index: int) -> NDArray[Any]:
+        part = int(np.searchsorted(ends, index, side="right"))
+        return np.asarray(parts[part][index - (int(ends[part - 1]) if part else 0)])
+
+    return Made(int(ends[-1]), of)
 
 
 def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple[str, ...], Demonstration]]:
@@ -97,9 +118,9 @@ def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple
         if kept[-1].successful and len(images) == len(kept):
             joined = replace(
                 kept[-1],
-                features=_together([part.features for part in kept]),
+                features=chained([part.features for part in kept]),
                 atoms=_together([part.atoms for part in kept]),
-                images=Chain(images),
+                images=chained(images),
                 odometry=_joined([part.odometry for part in kept]),
                 ahead=_joined([part.ahead for part in kept]),
             )
@@ -113,5 +134,5 @@ def _joined(parts: Sequence[NDArray[_T] | None]) -> NDArray[_T] | None:
 
 
 def _together(parts: Sequence[NDArray[_T]]) -> NDArray[_T]:
-    """Put arrays one after the other; features of an hour of driving are gigabytes, of which one copy is enough."""
+    """Put arrays one after the other."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

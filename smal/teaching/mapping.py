@@ -32,7 +32,15 @@ from smal.teaching.calibration import (
     likelihood_of_views,
     turn_of_views,
 )
-from smal.teaching.demonstration import USUAL_GOAL, Chain, Demonstration, check_features, drives_to_goals
+from smal.teaching.demonstration import (
+    USUAL_GOAL,
+    Demonstration,
+    Made,
+    chained,
+    check_features,
+    drives_to_goals,
+    every,
+)
 from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
 
@@ -64,7 +72,7 @@ def learn(
     if not whole:
         raise ValueError("no drive reached the goal and has images")
     taught = [drive for _, drive in whole]
-    centering = Centering.fit([one.features for one in taught], features)
+    centering = Centering.fit((row[None] for one in taught for row in every(one.features)), features)
     frames = _frames(taught, centering, tick_s)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
@@ -127,12 +135,16 @@ def demonstrations_of(
     goals: Sequence[str] | None = None,
     camera: Camera | None = None,
 ) -> list[Demonstration]:
-    """Describe the images of drives; see `fit`."""
+    """Return drives with what describes their images, made when it is wanted; see `fit`."""
+
+    def described(images: Sequence[Image]) -> Made:
+        return Made(len(images), lambda frame: extract(images[frame], features))
+
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     return [
         Demonstration(
             f"drive-{number}",
-            np.stack([extract(image, features) for image in images]),
+            described(images),
             np.asarray(atoms, dtype=np.int8),
             images=images,
             odometry=np.asarray(odometry[0], dtype=np.float64) if odometry else None,
@@ -145,8 +157,8 @@ def demonstrations_of(
 
 def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:
     """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
-    images = Chain([one.images for one in taught if one.images is not None])
-    features = Chain([one.features for one in taught])
+    images = chained([one.images for one in taught if one.images is not None])
+    features = chained([one.features for one in taught])
     camera = next((one.camera for one in taught if one.camera is not None), None)
     atoms = [one.atoms for one in taught]
 

@@ -157,7 +157,7 @@ def _recording(data: bytes) -> bool:
     assert any(episode.frames for episode in recording.episodes)
     for episode in recording.episodes:
         # As teaching does: vectors of another size are as good as none.
-        episode.features = {tick: v for tick, v in episode.features.items() if v.shape == (FEATURES,)}
+        episode.features = {tick: v for tick, v in episode.features.items() if v().shape == (FEATURES,)}
         assert sum(piece.ticks.size for piece in episode.pieces()) <= len(episode.features)
     return True
 

@@ -81,7 +81,7 @@ class NearestImitation:
 
     def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
         self._features, self._frames = features, frames
-        raw = [one.features for one in demonstrations]
+        raw = [one.rows for one in demonstrations]
         self._centering = Centering.fit(raw, features)
         self._drives = [self._centering.apply(each) for each in raw]
         self._atoms = np.concatenate([one.atoms for one in demonstrations])

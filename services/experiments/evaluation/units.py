@@ -201,8 +201,8 @@ class Recognize(Unit):
             if self.recognizer.eq9:
                 matches = recognition.recognize_states(_paper_model(*self.needed(Learn), folder), views)
             else:
-                centering = Centering.fit([one.demonstration.features for one in taught], FEATURES)
-                drives = [centering.apply(one.demonstration.features) for one in taught]
+                centering = Centering.fit([one.demonstration.rows for one in taught], FEATURES)
+                drives = [centering.apply(one.demonstration.rows) for one in taught]
                 matches = recognition.recognize_nearest(drives, centering.apply(views), self.recognizer.length)
             demonstrated = np.concatenate([one.poses for one in taught])
             found.append(recognition.judged(matches, demonstrated, held["poses"], self.criterion))

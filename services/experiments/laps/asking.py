@@ -107,8 +107,8 @@ def _smal(model: Model, asked: Demonstration) -> Answers:
 
 def _nearest(taught: Demonstration, window: int, asked: Demonstration) -> Answers:
     """Take the frame whose window, round the closed lap, has the largest sum of cosines; at first it is shorter."""
-    centering = Centering.fit(taught.features, JUDGED)
-    rows = centering.apply(asked.features) @ centering.apply(taught.features).T
+    centering = Centering.fit(taught.rows, JUDGED)
+    rows = centering.apply(asked.rows) @ centering.apply(taught.rows).T
     for_each = [np.pad(np.roll(rows, back, axis=1), ((back, 0), (0, 0)))[: len(rows)] for back in range(window)]
     return _only(np.sum(for_each, axis=0).argmax(axis=1))
 

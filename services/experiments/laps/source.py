@@ -46,7 +46,7 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
 
 def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[tuple[Demonstration, Lap]]:
     """Find laps in pieces of drives with the features `HELD`; of a tub, the median lap is made to turn once round."""
-    drives = [one for one in drives if one.images is not None]
+    drives = [replace(one, features=one.rows) for one in drives if one.images is not None]
     turns = [_turns(one) for one in drives]
     laps = find_laps(_frames(drives, turns)) if drives else []
     if len(laps) < 3:
@@ -69,7 +69,7 @@ def _turns(drive: Demonstration) -> NDArray[np.float64]:
 
 
 def _frames(drives: Sequence[Demonstration], turns: Sequence[NDArray[np.float64]]) -> list[Frames]:
-    raw, every = [select(one.features, HELD, _FINDING) for one in drives], np.concatenate(turns)
+    raw, every = [select(one.rows, HELD, _FINDING) for one in drives], np.concatenate(turns)
     centering, scale = Centering.fit(raw, _FINDING), math.sqrt(2.0 * _TURN_WEIGHT) / max(float(every.std()), 1e-9)
     both = zip(raw, turns, strict=True)
     return [np.column_stack([centering.apply(each), scale * (turn - every.mean())]) for each, turn in both]

@@ -12,6 +12,7 @@ of gradients of 51 views a keyframe.
 import resource
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -91,7 +92,8 @@ def learned(frames: int) -> dict[str, Any]:
     """Learn a drive of so many frames; return what the JSON file holds of it."""
     room, way = Room(), drive((3.5, 3.5, 0.0), [(SIDE_M, 90.0)] * (frames // 30 + 1), speed=0.75)
     images, atoms = [room.look(pose, *IMAGE) for pose in way.poses[:frames]], way.atoms[:frames]
-    drives = demonstrations_of([(images, atoms, way.poses[:frames])], _FEATURES)
+    (one,) = demonstrations_of([(images, atoms, way.poses[:frames])], _FEATURES)
+    drives = [replace(one, features=one.rows)]  # As recordings have them.
     began_s = time.process_time()
     mapped = learn(drives, _FEATURES).mapped
     cpu_s = time.process_time() - began_s

@@ -1,8 +1,10 @@
 """``smal learn``: which recordings teach, what is said of the others, and a model at the end."""
 
+import gc
 import json
 import math
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -214,6 +216,22 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     text = capsys.readouterr().out
     assert f"states          {model.states}\n" in text
     assert "keyframes" not in text
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path, described: bool) -> None:
+    """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
+    held = []
+    for frames in (20, 120):
+        sent = drive(f"drive-{frames}", frames=frames, features=FeatureSettings())
+        path = record(tmp_path, [m for m in sent if described or not isinstance(m, Observation)])
+        tracemalloc.start()
+        taught = teach(path, features=FeatureSettings()).teaching
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+        assert len(taught.demonstrations[0].rows) >= frames - 1
+    assert held[1] - held[0] < 100 * 8_000
 
 
 @pytest.mark.parametrize("kind", [CompressedImage, Odometry, Message])
