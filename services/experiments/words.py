@@ -11,10 +11,9 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
-def listed(names: Sequence[str], most: int = 10) -> str:
-    """Name some of them, and say how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"
+def listed(names: Sequence[str]) -> str:
+    """Name ten of them, and say how many more there are."""
+    return ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
 
 
 def described_by(features: FeatureSettings) -> str:

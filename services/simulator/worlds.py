@@ -34,8 +34,6 @@ class SimulatorSettings(RobotSettings, RootSettings):
     """Columns of the camera image."""
     camera_height: Annotated[int, Field(ge=24, le=3072)] = 768
     """Rows of the camera image."""
-    shadows: bool = True
-    """Whether the sun casts shadows; without them rendering is faster."""
     shake: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
     """How much the camera shakes while the robot drives: 0 not at all, 1 as on a floor that is not quite even; as is
     usual in the world if not given."""
@@ -72,7 +70,7 @@ class Worlds:
         if variation not in VARIATIONS:
             raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")
         of = self._settings
-        camera = CameraSettings(of.camera_width, of.camera_height, of.shadows)
+        camera = CameraSettings(of.camera_width, of.camera_height)
         try:
             simulation = open_simulation(
                 self._place(world), camera, base=of.base, shake=of.shake, variation=variation, depth=of.depth

@@ -34,14 +34,13 @@ _SMALL_DETAIL: Final = 3
 _TIERS: Final = 4
 
 
-def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
-    """Make the meshes, pictures and lights of a world, with ``shadows`` or without; takes seconds."""
+def build_scene(world: World, light: Daylight) -> Scene:
+    """Make the meshes, pictures and lights of a world; takes seconds."""
     terrain = world.place
     if isinstance(terrain, Room):
-        return room.build(terrain, light, shadows=shadows)
+        return room.build(terrain, light)
     # Where the sun is too weak for shadows to be seen, there are none.
-    shaded = shadows and max(light.sun) > 0.5
-    shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
+    shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if max(light.sun) > 0.5 else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
     # More sky shines from opposite the sun than from elsewhere, so that shaded walls keep their shape.

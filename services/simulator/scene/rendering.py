@@ -61,7 +61,7 @@ class SceneCamera:
         #: Focal length in pixels of the image.
         self.focal_px = settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
         self._seen_from: tuple[Pose, Tilt] | None = None
-        scene = build_scene(world, settings.light, shadows=settings.shadows)
+        scene = build_scene(world, settings.light)
         try:
             self._scene = sapien.Scene([sapien.render.RenderSystem()])
             self._scene.set_ambient_light(scene.ambient)

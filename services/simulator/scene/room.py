@@ -43,7 +43,7 @@ _SEED: Final = 11
 _LINO: Final = (150, 156, 156)
 
 
-def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
+def build(room: Room, light: Daylight) -> Scene:
     """Make the meshes and pictures of a room."""
     furniture = (piece for one in room.furniture for piece in furnish(one))
     hung = (piece for fitting in room.fittings for piece in hang(fitting, room))
@@ -60,7 +60,7 @@ def build(room: Room, light: Daylight, *, shadows: bool) -> Scene:
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
             Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
-            Surface(quads([corners], [UPRIGHT]), paint_floor(room, shadows=shadows)),
+            Surface(quads([corners], [UPRIGHT]), paint_floor(room)),
         ),
         victim=surfaces(bodies.body("nao")),
         decoys=tuple(surfaces(bodies.body(name)) for name in ("bottle", "cartons", "bin")),
@@ -89,7 +89,7 @@ def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
     return (Finish(fitting.kind, fitting.colour, fitting.variant), face), (_RIM[fitting.kind], rim)
 
 
-def paint_floor(room: Room, *, shadows: bool) -> NDArray[np.uint8]:
+def paint_floor(room: Room) -> NDArray[np.uint8]:
     """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it."""
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
     across = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * room.east_west_m
@@ -99,8 +99,6 @@ def paint_floor(room: Room, *, shadows: bool) -> NDArray[np.uint8]:
     grains: tuple[tuple[float, tuple[float, float]], ...] = ((0.045, (2, 2)), (0.03, (5, 14)), (0.015, (90, 90)))
     marble = 1.0 + sum(much * _sheet(rng, shape, grain_px) for much, grain_px in grains)
     plain = coloured(_LINO, tone * seam * marble)
-    if not shadows:
-        return plain
     shade = cv2.resize(floor_light(room), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     return as_picture(plain * np.asarray(shade, dtype=np.float64)[..., None])
 

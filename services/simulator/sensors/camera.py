@@ -40,11 +40,10 @@ VISIBLE_FRACTION: Final = 0.0005  # Fraction of the image that the victim must f
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The robot's camera: image size in pixels, shadows of the sun, and in what light."""
+    """The robot's camera: image size in pixels, and in what light."""
 
     width: int = 1024
     height: int = 768
-    shadows: bool = True
     light: Daylight = DAY.light
 
 

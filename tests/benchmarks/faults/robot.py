@@ -47,7 +47,7 @@ def serve() -> None:
     settings = read_settings(Settings, "simulator")
     configure_logging(settings.log_level)
     base = FarBase(settings.wheels)
-    camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
+    camera = CameraSettings(settings.camera_width, settings.camera_height)
     simulation = Simulation(load_world(settings.world), camera, base)
     serve_robot(
         settings,

@@ -28,13 +28,11 @@ _PEERS: Final = {
 VIEWS: Final = 6  # Camera images beside an example route.
 
 
-def _panels(
-    count: int, width: float, height: float, title: str, *, sharex: bool = False, sharey: bool = False
-) -> tuple[Figure, list[Axes]]:
+def _panels(count: int, width: float, height: float, title: str, *, sharey: bool = False) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels side by side, inches wide and high each."""
     drawn = Figure(figsize=(width * count, height))
     drawn.suptitle(title)
-    return drawn, list(drawn.subplots(1, count, squeeze=False, sharex=sharex, sharey=sharey)[0])
+    return drawn, list(drawn.subplots(1, count, squeeze=False, sharey=sharey)[0])
 
 
 def _views(degradations: Iterable[str]) -> dict[str, str]:
