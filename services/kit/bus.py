@@ -19,8 +19,15 @@ from services.kit.credentials import Credentials
 from services.kit.errors import JobError
 from services.kit.replay import Budget, Replay
 from services.kit.wire import BusError, Refused, Take, flaw
-from services.kit.zenoh_session import Router, open_client
-from services.kit.zenoh_settings import DEFAULT_ROUTER, check_credentials, host_and_port, quality, zenohd_configuration
+from services.kit.zenoh_session import (
+    DEFAULT_ROUTER,
+    Router,
+    check_credentials,
+    host_and_port,
+    open_client,
+    quality,
+    zenohd_configuration,
+)
 
 __all__ = [
     "DEFAULT_ROUTER",

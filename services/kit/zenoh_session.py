@@ -1,32 +1,205 @@
-"""Sessions of Zenoh: a router in this process, and clients of one. What Zenoh is told stands in ``zenoh_settings``."""
+"""Sessions of Zenoh: a router in this process, and clients of one; and all that Zenoh is told by settings.
+
+Where routers are, what they and clients take, and how each message travels.
+"""
 
 import json
 import os
+import re
 import socket
 import threading
 import time
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from schemas.topics import LANES
-from services.kit.credentials import Credentials, others_reach, why_refused
-from services.kit.wire import BusError
-from services.kit.zenoh_settings import (
-    CLIENT_THREADS,
-    DEFAULT_ROUTER,
-    MAX_SESSIONS,
-    ROUTER_THREADS,
-    check_credentials,
-    host_and_port,
-    named,
-    router_settings,
-    runtime,
-    settings_of,
-)
+from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
+from services.kit.access import KEPT_KEYS, access_control
+from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
+from services.table import roles
 
+DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
+#: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
+ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
+ATTEMPT_MS: Final = 500  # How long one attempt to reach the router lasts; between two attempts a signal is noticed.
+#: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
+_OVERHEAD_BYTES: Final = 1024
+LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
+LEASE_MS: Final = 2000  # After so long a silence a link is dead, and so is one that has not said who it is.
+#: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
+#: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
+#: lease. The rest is for 16 programs of people.
+MAX_SESSIONS: Final = 96
+#: Threads that take in what comes: one for each session, so that whoever sends more than its receivers take holds up
+#: themselves alone. A process on the bus has one more, for a robot's own router.
+ROUTER_THREADS: Final = MAX_SESSIONS
+CLIENT_THREADS: Final = len(LANES) + 1
+#: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
+MOST_CALLS_HZ: Final = 10_000
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
 _OPENING: Final = threading.Lock()
+
+
+class Quality(NamedTuple):
+    """How a message travels, in Zenoh's words: by which queue, whether it waits for room there, and whether at once."""
+
+    priority: str
+    congestion_control: str
+    express: bool
+
+
+_ORDINARY: Final = Quality("data_high", "drop", express=False)
+
+
+def quality(topic: Topic) -> Quality:
+    """Return how the messages of a topic travel.
+
+    What waits must not wait behind images: a slow link would then be closed for them. And nothing must wait behind what
+    is replayed. An emergency stop has a queue that nothing else comes into.
+    """
+    if topic.lane == "ordinary":
+        return Quality("interactive_low", "block", express=False) if topic.reliable else _ORDINARY
+    return Quality("real_time" if topic.lane == "stop" else "interactive_high", "drop", express=True)
+
+
+def _door() -> list[dict[str, object]]:
+    """Return how messages travel from the router on, whatever their senders want: the last rule that fits counts.
+
+    Who could choose would send with the priority of an emergency stop, or have every receiver that is slower than they
+    are sent away, for which Zenoh waits where a sender asks it to.
+    """
+    rules: list[tuple[list[str], list[str], dict[str, object]]] = [
+        # The answers have the priority of the question, and what is replayed must keep its own.
+        (["query"], _everything("**"), {"congestion_control": "drop"}),
+        (["put", "delete"], _everything("**"), _ORDINARY._asdict()),
+    ]
+    for how in sorted({quality(topic) for topic in TOPICS.values()} - {_ORDINARY}):
+        names = [topic.name for topic in TOPICS.values() if quality(topic) == how]
+        keys = [key for name in names for key in _everything(f"{ROOT}/*/{name}")]
+        rules.append((["put", "delete"], keys, how._asdict()))
+    return [
+        {"id": str(number), "messages": messages, "flows": ["ingress"], "key_exprs": keys, "overwrite": overwrite}
+        for number, (messages, keys, overwrite) in enumerate(rules)
+    ]
+
+
+def _bounds() -> list[dict[str, object]]:
+    """Return how often each session may make each call in a second; the router drops the rest as it comes in.
+
+    Each session is counted by itself: who floods a call keeps nobody else from it. Messages are not bounded so: Zenoh
+    drops what comes too soon after the last one, and of two that waited on a slow link it would drop the newer one.
+    """
+    served = sorted({name for role in roles().values() for name in role.serves})
+    rules = [{"key_expr": rpc_key("*", *name.split("/", 1)), "freq": MOST_CALLS_HZ} for name in served]
+    return [{"id": "calls", "messages": ["query"], "flows": ["ingress"], "rules": rules}]
+
+
+def _everything(key: str) -> list[str]:
+    """Return a key, and those of what its senders kept."""
+    return [key, f"{key}/{KEPT_KEYS}"]
+
+
+def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
+    """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
+    where = "listen" if mode == "router" else "connect"
+    if mode == "client":
+        endpoint = named(endpoint)
+    settings: dict[str, object] = {
+        "mode": mode,
+        f"{where}/endpoints": [endpoint],
+        # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
+        "scouting/multicast/enabled": False,
+        # A router would otherwise wait half a second for the scouting that is off.
+        "scouting/delay": 0,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,
+        # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
+        "transport/link/rx/max_message_size": LINK_BYTES,
+        # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
+        "timestamping/enabled": True,
+        # Images, maps and features take many fragments; a busy machine may not drain them within the default 50 ms.
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
+        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
+        # Episode events wait rather than be dropped. A client that does not read must not hold up everybody else for
+        # the default of 5 s: its connection is closed, and it may connect again.
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
+    }
+    if mode == "router":
+        settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
+        settings["low_pass_filter"] = [
+            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
+        ]
+        settings["qos/network"] = _door()
+        settings["downsampling"] = _bounds()
+    else:
+        # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
+        # `zenoh.open` blocks for ever where there is no router, deaf to signals.
+        settings["connect/timeout_ms"] = ATTEMPT_MS
+        settings["connect/exit_on_failure"] = False
+        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+    if credentials is not None:
+        settings |= {
+            "transport/link/tls/root_ca_certificate": str(credentials.ca),
+            f"transport/link/tls/{where}_certificate": str(credentials.certificate),
+            f"transport/link/tls/{where}_private_key": str(credentials.key),
+            "transport/link/tls/enable_mtls": True,
+            "transport/link/tls/verify_name_on_connect": True,
+            "transport/link/tls/close_link_on_expiration": True,
+        }
+    return settings
+
+
+def named(endpoint: str) -> str:
+    """Name what a client goes to: every address of this machine is one to listen on, which no certificate has."""
+    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
+
+
+def router_settings(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+    """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
+    settings = settings_of("router", endpoint, credentials)
+    if credentials is None:
+        return settings | {"adminspace": {"enabled": False}}
+    return settings | {
+        "access_control": access_control(robot),
+        "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+    }
+
+
+def zenohd_configuration(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+    """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
+    tree: dict[str, Any] = {}
+    for path, value in router_settings(endpoint, robot, credentials).items():
+        *folders, last = path.split("/")
+        at = tree
+        for folder in folders:
+            at = at.setdefault(folder, {})
+        at[last] = value
+    return tree
+
+
+def runtime(threads: int) -> str:
+    """Return what Zenoh's variable ``ZENOH_RUNTIME`` says of a process in which so many threads take in what comes."""
+    return f"(rx: (worker_threads: {threads}))"
+
+
+def host_and_port(endpoint: str) -> tuple[str, int]:
+    """Return host and port of a router; BusError for a malformed address, which Zenoh would try for ever."""
+    match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
+    if match is None or int(match[2]) > 65535:
+        form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
+        raise BusError(f"router address {endpoint[:100]!r}: expected {form}")
+    return match[1].strip("[]"), int(match[2])
+
+
+def check_credentials(endpoint: str, credentials: Credentials) -> None:
+    """Check that an address is encrypted where the credentials are a certificate, and only there; else a BusError."""
+    if encrypted(endpoint) and credentials is None:
+        raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
+    if credentials is not None and not encrypted(endpoint):
+        raise BusError(f"{endpoint} is not encrypted: with a certificate give an address that begins with tls/")
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:

@@ -6,22 +6,21 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from schemas import topics
-from schemas.base import NO_EPISODE, Atom, Strict
-from schemas.command import CommandApplied
-from schemas.episode import Episode, Said
+from schemas.base import NO_EPISODE, Atom, Source, Strict
+from schemas.command import CommandApplied, StopCause
+from schemas.episode import Episode, Outcome, Purpose, Said
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
-from services.operator.report import Report, told_of
 
 POLL_S: Final = 0.02  # How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
 RESET_S: Final = 60.0  # A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
@@ -33,6 +32,35 @@ SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; tw
 _PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
 #: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
 INSIST_S: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was last heard of the robot, and of its episode."""
+
+    at: float = 0.0  # When it last told of itself, by the operator's clock.
+    answers: bool = False
+    waiting: bool = False  # An episode was asked for, and has not begun yet.
+    emergency: bool = False  # An emergency stop was asked for here, and the robot was not armed since.
+    cause: StopCause | None = None  # Why the robot stands until it is armed.
+    episode: str | None = None  # The running episode; none where there is none.
+    tick: int = 0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
+    atom: Atom | None = None
+    source: Source | None = None
+    reason: str | None = None
+    refused: int = 0
+    purpose: Purpose | None = None  # How the episode was begun; None where nobody has told.
+    driver: Source | None = None
+    goal: str | None = None
+    world: str | None = None
+    outcome: Outcome | None = None  # How it ended.
+    right: bool | None = None  # Whether what it said is so, of "not here"; None where nobody knows.
+
+
+def told_of(event: Episode) -> str:
+    """Return how an episode ended, for people."""
+    rightly = {True: ", rightly", False: ", wrongly", None: ""}[event.right]
+    return (event.outcome or "").replace("_", " ") + rightly
 
 
 class Operator:

@@ -14,8 +14,7 @@ from schemas.rpc import Nothing, ResetRequest, Status
 from services.kit.errors import JobError
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.operator.operator import ANSWER_S, POLL_S, RESET_S, SILENCE_S, Operator
-from services.operator.report import Report
+from services.operator.operator import ANSWER_S, POLL_S, RESET_S, SILENCE_S, Operator, Report
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
 from services.teleop.terminal import Terminal, open_terminal
 

@@ -11,7 +11,7 @@ import zenoh
 from services.cli import certificates
 from services.kit.bus import Router
 from services.kit.credentials import Certificate, Credentials, credentials_in
-from services.kit.zenoh_settings import settings_of
+from services.kit.zenoh_session import settings_of
 
 ROBOT: Final = "rescuebot"
 

@@ -21,7 +21,7 @@ from schemas.topics import COMMANDS, LANES, TOPICS, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
 from services.kit.credentials import Credentials, credentials_in, why_refused
-from services.kit.zenoh_settings import LEASE_MS, MAX_SESSIONS, router_settings
+from services.kit.zenoh_session import LEASE_MS, MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
 from tests.services.waiting import eventually

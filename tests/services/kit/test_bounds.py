@@ -7,7 +7,7 @@ from typing import Any
 import zenoh
 
 from schemas.topics import COMMANDS, rpc_key
-from services.kit.zenoh_settings import MOST_CALLS_HZ, settings_of
+from services.kit.zenoh_session import MOST_CALLS_HZ, settings_of
 from services.table import roles
 from tests.services.secured import open_session
 from tests.services.waiting import eventually

@@ -25,7 +25,7 @@ from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES
-from services.kit.zenoh_settings import ROUTER_THREADS, runtime, zenohd_configuration
+from services.kit.zenoh_session import ROUTER_THREADS, runtime, zenohd_configuration
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
