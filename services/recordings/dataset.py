@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from services.recordings.stream import RecordingError, messages_of
 from smal.features import FeatureSettings, extract, select
 from smal.features.extraction import check_image, in_parallel
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration
+from smal.teaching.demonstration import Demonstration, Made
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
@@ -195,7 +195,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         atoms=_NUMBERS[piece.atoms],
         successful=piece.at_goal,
         recovery=episode.purpose == "recovery",
-        images=None if piece.images is None else RecordedImages(piece.images, episode.episode),
+        images=None if piece.images is None else recorded_images(piece.images, episode.episode),
         odometry=piece.odometry,
         episode=episode.episode,
         goal=episode.goal,
@@ -204,29 +204,20 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
     )
 
 
-class RecordedImages(Sequence[NDArray[np.uint8]]):
-    """Images as they were recorded, decoded when they are wanted."""
+def recorded_images(
+    recorded: Sequence[bytes | memoryview],
+    episode: str,
+    decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
+) -> Made:
+    """Return images as they were recorded, decoded when they are wanted; ValueError names a damaged one's episode."""
 
-    def __init__(
-        self,
-        recorded: Sequence[bytes | memoryview],
-        episode: str,
-        decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
-    ) -> None:
-        self.recorded = recorded
-        self._episode = episode
-        self._decode = decode
-
-    def __len__(self) -> int:
-        return len(self.recorded)
-
-    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
-        if isinstance(index, slice):
-            return RecordedImages(self.recorded[index], self._episode, self._decode)
+    def image(frame: int) -> NDArray[np.uint8]:
         try:
-            return self._decode(copied(memoryview(self.recorded[index])))
+            return decode(copied(memoryview(recorded[frame])))
         except ValueError as error:
-            raise ValueError(f"an image of episode {self._episode} is damaged: {error}") from None
+            raise ValueError(f"an image of episode {episode} is damaged: {error}") from None
+
+    return Made(len(recorded), image)
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:

@@ -87,8 +87,9 @@ class Made(Sequence[NDArray[Any]]):
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - the type of a sequence; numbers alone are asked
-        return self._make(range(self._count)[index])
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        chosen = range(self._count)[index]
+        return self._make(chosen) if isinstance(chosen, int) else Made(len(chosen), lambda k: self._make(chosen[k]))
 
 
 def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:

@@ -13,7 +13,7 @@ from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.kit.jpeg import decode_jpeg
-from services.recordings.dataset import RecordedImages
+from services.recordings.dataset import recorded_images
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
@@ -91,7 +91,7 @@ def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
     recovery = bool(held["recovery"])
     name = f"{'recovery' if recovery else 'drive'}-{held['seed']}"
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
-    images = RecordedImages(jpegs, name, decode_jpeg)
+    images = recorded_images(jpegs, name, decode_jpeg)
     made = Demonstration(
         name,
         held["features"],
