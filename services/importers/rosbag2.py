@@ -27,7 +27,7 @@ from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import Job
 from services.kit.cameras import camera_of_ros
-from services.kit.raw_image import ENCODINGS, rgb_of
+from services.kit.ros_message import ENCODINGS, rgb_of
 from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 

@@ -16,7 +16,7 @@ from schemas.camera import CompressedImage
 from schemas.motion import MAX_SAMPLES
 from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
-from services.kit.raw_image import LARGEST_BYTES, rgb_of
+from services.kit.ros_message import LARGEST_BYTES, rgb_of
 from services.kit.throttle import Throttle
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s

@@ -12,7 +12,7 @@ import zenoh.ext
 
 from schemas.codec import printable
 from services.kit.node import Detail, ServiceError
-from services.kit.raw_image import LARGEST_BYTES
+from services.kit.ros_message import LARGEST_BYTES
 from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages

@@ -13,7 +13,7 @@ import zenoh
 
 from services.cli.stack import free_endpoint
 from services.kit.node import ServiceError
-from services.kit.raw_image import LARGEST_BYTES
+from services.kit.ros_message import LARGEST_BYTES
 from services.ros2.config import read_config
 from services.ros2.messages import BOOL
 from services.ros2.senses import Senses

@@ -1,28 +1,46 @@
 """The page of an evaluation: one HTML file that needs nothing beside it, and beside it every figure and number."""
 
 import json
+import math
 import platform
-from collections.abc import Callable, Iterator, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from schemas.episode import Outcome
 from services.experiments import html
+from services.experiments.drawing import COLOURS, TEXT, look_at, styled
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drives import load_arrays
 from services.experiments.evaluation.errands import TASKS
-from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
-from services.experiments.evaluation.report import figures
-from services.experiments.evaluation.report.summary import SOON_S, Success, WorldResults, results_of
+from services.experiments.evaluation.plan import (
+    CONTROLLERS,
+    DEFAULT_LENGTH,
+    JUDGED_TICKS,
+    QUERY_SEED,
+    RUN_SEED,
+    TEACHING_SEED,
+    Plan,
+)
+from services.experiments.evaluation.report.summary import SOON_S, Recognized, Success, WorldResults, results_of
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import Learn, Query, Searches, Teach, code_fingerprint, units
 from services.experiments.words import counted
+from services.kit.jpeg import decode_jpeg
 from services.kit.model_service import LEAST_TICKS
 from services.kit.version import program_version
+from services.robot.clock import TICK_S
+from services.simulator.world import load_world
+from services.simulator.world.map_view import draw_map
 from smal.evaluation.precision_recall import wilson_interval
 
 _DPI: Final = 130
@@ -33,6 +51,12 @@ SHOWN: Final[dict[Outcome, str]] = {
 }  # fmt: skip
 
 Put = Callable[[str, Figure, str], str]  # Name, figure and caption (HTML) to HTML.
+#: Of who searches and who recognizes, beside ours and the single image.
+_PEERS: Final = {
+    "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "teach-and-repeat-told": "#b5651d",
+    "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
+}  # fmt: skip
+VIEWS: Final = 6  # Camera images beside an example route.
 
 
 def write_page(plan: Plan, results: Results) -> Path:
@@ -119,7 +143,7 @@ def _recognition(found: WorldResults, put: Put) -> Iterator[str]:
     )
     yield put(
         f"precision-recall-{name}",
-        figures.precision_recall(found.recognized, f"State recognition, {name}"),
+        precision_recall(found.recognized, f"State recognition, {name}"),
         "Precision over recall as the score's threshold falls, as in the paper's figures of precision-recall curves of "
         f"{scene} and of its parameter analysis. Closer to the top right is better.",
     )
@@ -141,14 +165,14 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
     if any(one.trial.condition == "as taught" for one in successes):
         yield put(
             f"drives-{name}",
-            figures.found_by_drives(successes, f"Searches that find the victim, {name}"),
+            found_by_drives(successes, f"Searches that find the victim, {name}"),
             "The same drives and starts for all; the paper's scheme has five recoveries a drive as well. Bars are "
             "Wilson's 95 % intervals. Starts were not used in teaching.",
         )
     if len({one.trial.length for one in successes if one.trial.controller == "paper"}) > 1:
         yield put(
             f"success-{name}",
-            figures.success_by_length(successes, f"Success over sequence length, {name}"),
+            success_by_length(successes, f"Success over sequence length, {name}"),
             "Share of searches that find the victim without a collision, over l, by the paper's scheme (its figure of "
             "success rates in its parameter analysis). With l = 1 it is the single image.",
         )
@@ -170,7 +194,7 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
         return
     yield put(
         f"route-{name}",
-        figures.example_route(found.world.world, load_arrays(examples[0]), f"A search in the world {name}"),
+        example_route(found.world.world, load_arrays(examples[0]), f"A search in the world {name}"),
         "The way of a successful search from a start that was not taught (arrow) to the victim (star), and what the "
         "camera saw at the numbered places (the paper's figures of route and observations).",
     )
@@ -232,3 +256,104 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         f"<p>Machine: {escape(platform.processor() or platform.machine())}, {escape(platform.system())}, Python "
         f"{platform.python_version()}. Version {program_version()}, code {code_fingerprint()[:12]}.</p>"
     )
+
+
+def _panels(count: int, width: float, height: float, title: str, *, sharey: bool = False) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels side by side, inches wide and high each."""
+    drawn = Figure(figsize=(width * count, height))
+    drawn.suptitle(title)
+    return drawn, list(drawn.subplots(1, count, squeeze=False, sharey=sharey)[0])
+
+
+def _views(degradations: Iterable[str]) -> dict[str, str]:
+    """Return each degradation once, with what is seen under it, no wider than its axes."""
+    return {
+        name: "clear view" if name == "clean" else textwrap.fill(DEGRADATIONS[name].meaning, 46)
+        for name in dict.fromkeys(degradations)
+    }
+
+
+@styled
+def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
+    """Draw Eq. 9, darker the longer its sequences, and the peers, dashed; a panel for each degradation."""
+    views, lengths = _views(one.degradation for one in found), {one.recognizer.length for one in found}
+    drawn, panels = _panels(len(views), 5.2, 5.4, title)
+    least = min((float(one.curve.precision.min(initial=1.0)) for one in found), default=0.0)
+    floor = max(0.0, math.floor(10.0 * least - 2.0) / 10.0)
+    for axes, (degradation, said) in zip(panels, views.items(), strict=True):
+        for one in (each for each in found if each.degradation == degradation):
+            recall = np.concatenate([[0.0], one.curve.recall])  # Steps, as the area counts them.
+            precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
+            label, length = f"{one.recognizer.title}  (area {one.curve.auc:.3f})", one.recognizer.length
+            shade = mpl.colormaps["viridis_r"](0.12 + 0.83 * sorted(lengths).index(length) / len(lengths))
+            colour, dashes = (shade, "-") if one.recognizer.eq9 else (_PEERS[f"nearest-{length}"], "--")
+            axes.step(recall[: precision.size], precision, where="pre", label=label, color=colour, ls=dashes, lw=2.2)
+        axes.set(xlim=(0, 1.015), ylim=(floor, 1.0 + 0.03 * (1.0 - floor)), xlabel="recall", ylabel="precision")
+        axes.set_title(said)
+        axes.legend(loc="lower left")
+    return drawn
+
+
+@styled
+def found_by_drives(found: Sequence[Success], title: str) -> Figure:
+    """Draw the share of searches that find the victim over the number of taught drives, for everybody."""
+    usual = [one for one in found if one.trial.condition == "as taught"]
+    counts = sorted({one.trial.drives for one in usual})
+    names = [name for name in CONTROLLERS if any(one.trial.controller == name for one in usual)]
+    drawn, (axes,) = _panels(1, 9.0, 4.6, title)
+    width = 0.84 / len(names)
+    for number, name in enumerate(names):
+        for one in usual:
+            if one.trial.controller != name or one.trial.length != DEFAULT_LENGTH:
+                continue
+            place = counts.index(one.trial.drives)
+            at = place + (number - (len(names) - 1) / 2) * width
+            axes.bar(at, one.rate, 0.9 * width, color=_PEERS[name], label=None if place else one.trial.title)
+            axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
+            axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=6)
+    axes.set_xticks(range(len(counts)), [str(count) for count in counts])
+    axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="searches that find the victim")
+    drawn.legend(loc="outside lower center", ncols=3)
+    return drawn
+
+
+@styled
+def success_by_length(found: Sequence[Success], title: str) -> Figure:
+    """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation."""
+    every = [one for one in found if one.trial.controller == "paper"]
+    most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
+    paper = sorted((one for one in every if one.trial.drives == most), key=lambda one: one.trial.length)
+    views, ticks = _views(one.trial.degradation for one in paper), sorted({one.trial.length for one in paper})
+    drawn, panels = _panels(len(views), 5.6, 4.2, title, sharey=True)
+    for axes, (degradation, said) in zip(panels, views.items(), strict=True):
+        each = [one for one in paper if one.trial.degradation == degradation]
+        rates, (low, high) = np.array([one.rate for one in each]), np.array([one.wilson_95 for one in each]).T
+        around, at = np.maximum([rates - low, high - rates], 0.0), [ticks.index(one.trial.length) for one in each]
+        axes.errorbar(at, rates, around, lw=2, capsize=4, elinewidth=1.2, color=_PEERS["paper"], marker="s")
+        axes.set_xticks(range(len(ticks)), [str(length) for length in ticks])
+        axes.set(ylim=(-0.03, 1.05), title=said, xlabel=f"sequence length l (frames), {most} drives")
+    panels[0].set_ylabel("searches that found the victim")
+    return drawn
+
+
+@styled
+def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> Figure:
+    """Draw the way of a search, its ``poses``, on the map, and what the camera saw along it, by ticks."""
+    poses, ticks = route["poses"], sorted(int(name) for name in route if name.isdigit())
+    chosen = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
+    drawn = Figure(figsize=(15.0, 8.1))
+    drawn.suptitle(title)
+    grid = drawn.add_gridspec(2, len(chosen), height_ratios=[3.2, 1.0])
+    above, there = drawn.add_subplot(grid[0, :]), load_world(world)
+    draw_map(there, above)
+    above.plot(*poses[:, :2].T, color=COLOURS[2], lw=2.4, zorder=4)
+    look_at(above, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)
+    for column, tick in enumerate(chosen):
+        above.annotate(str(column + 1), poses[tick, :2].tolist(), fontsize=9, ha="center", va="center", zorder=6,
+                       bbox={"boxstyle": "circle,pad=0.2", "fc": "white", "ec": COLOURS[2], "lw": 1.2})  # fmt: skip
+        axes = drawn.add_subplot(grid[1, column])
+        axes.imshow(decode_jpeg(route[str(tick)].tobytes()))
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"{column + 1}: after {tick * TICK_S:.0f} s")
+        axes.grid(visible=False)
+    return drawn
