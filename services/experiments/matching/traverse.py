@@ -11,8 +11,7 @@ from tqdm import tqdm
 
 from schemas.codec import printable
 from services.experiments.matching.feature_cache import FeatureCache, Features
-from services.experiments.matching.image_reading import Picture, loaded, quiet_opencv, read_color, read_depth
-from services.experiments.matching.sources import Source
+from services.experiments.matching.sources import Picture, Source, loaded, quiet_opencv, read_color, read_depth
 from services.experiments.words import listed, remark
 from services.kit.errors import JobError
 from smal.features import FeatureSettings, extract

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from schemas.codec import printable
-from services.experiments.matching.image_reading import loaded
-from services.experiments.matching.sources import Source
+from services.experiments.matching.sources import Source, loaded
 from services.kit.errors import UsageError
 from smal.evaluation.ground_truth import IntervalTruth
 

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.experiments.matching.image_reading import read_color, read_depth
-from services.experiments.matching.sources import natural_key, open_source
+from services.experiments.matching.sources import natural_key, open_source, read_color, read_depth
 from services.experiments.matching.traverse import describe_frames
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
