@@ -83,7 +83,7 @@ class Newness:
 
     def __init__(self, visual_map: VisualMap) -> None:
         self._map = visual_map
-        self._counted = np.zeros(len(visual_map.basis), dtype=np.float32)
+        self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used, self.step = 0.0, np.zeros(3)
 
     def of(self, centred: NDArray[np.float32]) -> float:
@@ -91,6 +91,9 @@ class Newness:
 
         Its components would not do: of what the map has never seen they hold little but noise, always new.
         """
+        if self._map.likelihood.correlation(float(centred @ self._last)) < self._map.next_correlation:
+            self._used = 0.0  # What has been told was of something else.
+        self._last = centred
         looks = self._map.likelihood.correlation(float(centred @ self._counted))
         same = min(looks, math.sqrt(looks * self._map.expected(self.step)))
         new = (1.0 - same) / (1.0 + same)

@@ -16,7 +16,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.camera import STRAIGHT
+from smal.camera import STEP_DEG, STRAIGHT
 from smal.features import Centering, FeatureSettings
 from smal.files.map_file import check_map, content_of_map, parts_of_map
 from smal.files.stored import Content, Stored, features_of, of_features
@@ -45,7 +45,7 @@ class VisualMap:
     views: NDArray[np.int8]
     blank: NDArray[np.float32]  # (r,) components of a picture that shows nothing, of unit length.
     aside: float  # How far the views from aside are from the keyframe, in the map's unit.
-    #: Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
+    #: Way ahead, and turn, after which the mean cosine of two views is half way down to that of unrelated ones.
     correlation_length: float
     correlation_rad: float
     log_ratio: NDArray[np.float64]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
@@ -175,14 +175,20 @@ class VisualMap:
         """Nominal speed, in the map's unit a second; 0 if nobody drove ahead."""
         return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
 
+    @property
+    def apart_rad(self) -> float:
+        """Turn by which two poses see another view: that between two virtual views at least."""
+        return max(self.correlation_rad, math.radians(STEP_DEG))
+
     def lengths(self, movement: Movement) -> float:
         """How much a movement changes the view, in correlation lengths."""
-        return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.correlation_rad))
+        return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.apart_rad))
 
     def expected(self, step: NDArray[np.float64]) -> float:
         """Return how far two views that are a step (ahead, left, turned) apart should say the same, 0 to 1."""
-        lengths = self.lengths(Movement(math.hypot(step[0], step[1]), math.remainder(step[2], math.tau)))
-        return math.pow(self.next_correlation, SETTINGS.views_a_length * lengths)
+        way = SETTINGS.views_a_length * math.hypot(step[0], step[1]) / self.correlation_length
+        turn = abs(math.remainder(step[2], math.tau)) / self.correlation_rad
+        return math.exp(-math.hypot(way * math.log(self.next_correlation), turn * self.gamma * math.log(2.0)))
 
     def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""

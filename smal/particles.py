@@ -66,7 +66,7 @@ class Particles:
         apart = self.poses[:, None] - self._map.key_poses[near]
         far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / length**2
         # A turn is covered by the virtual views: it counts for less than the place.
-        far += (wrapped(apart[..., 2]) / (3.0 * self._map.correlation_rad)) ** 2
+        far += (wrapped(apart[..., 2]) / (3.0 * self._map.apart_rad)) ** 2
         self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
         away = np.hypot(*(self.poses - self._map.key_poses[self.keyframes])[:, :2].T) > SETTINGS.elsewhere * length
         strayed = min(float(self.weights[away].sum()), 1.0 - 1e-6)
@@ -132,7 +132,7 @@ class Particles:
             np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0) / length,
         )
         turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
-        return found, beyond, turned_beyond * math.radians(STEP_DEG) / self._map.correlation_rad
+        return found, beyond, turned_beyond * math.radians(STEP_DEG) / self._map.apart_rad
 
     @classmethod
     def joined(cls, *sets: tuple["Particles", float]) -> "Particles":

@@ -87,10 +87,10 @@ class Settings:
     #: wrong place. Where the view is not like the one before it is as much likelier as that says.
     jump: float = 5e-3
     #: Views that show nothing of the place, since something hides it; with each new view, the probability that it shows
-    #: again, and that as much of it shows as in another light.
+    #: again, and that as much of it shows as in another light, which lasts for about fifty new views.
     hidden: float = 0.1
     appears: float = 0.5
-    light: float = 0.1
+    light: float = 0.02
     blind: float = 2.0  # Way without a view after which the wheels are believed half.
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
     located: float = 0.9

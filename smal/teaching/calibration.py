@@ -240,16 +240,16 @@ def _turns_undone(
     return np.hypot(*steps[:, :2].T), np.array(list(in_parallel(cosine, each)))
 
 
-def correlation_turn(views: NDArray[np.int8], unrelated: float) -> float:
-    """Return the turn (radians) after which views (k, 3, turns, r) are half as alike as they can be: a step at least.
+def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> float:
+    """Measure the turn (radians) after which a view is half as alike as it can be.
 
     Half way is to the mean cosine of unrelated views.
     """
-    some = unpacked(views[evenly(len(views), SETTINGS.most_frames), 1])
-    mean = np.einsum("kr,ktr->t", some[:, STRAIGHT], some) / len(some)
-    mean = (mean[STRAIGHT:] + mean[STRAIGHT::-1]) / 2.0
-    turn_deg = _half_way(TURNS_DEG[STRAIGHT:], mean, np.ones_like(mean), float(mean[0]), unrelated)
-    return math.radians(max(turn_deg, STEP_DEG))
+    some = evenly(len(frames.images), SETTINGS.pairs).tolist()
+    own, images = frames.centred(some), [frames.images[k] for k in some]
+    turned = [frames.describe(_far(camera).warp(image, turn_rad=turn) for image in images) for turn in _TURNS_RAD]
+    mean = np.array([1.0, *(float((own * views).sum(axis=1).mean()) for views in turned)])
+    return _half_way(np.array([0.0, *_TURNS_RAD]), mean, np.ones_like(mean), 1.0, unrelated)
 
 
 def _half_way(

@@ -94,7 +94,7 @@ def learn(
         blank=unit(frames.describe([np.full_like(frames.images[0], 128)])[0] @ basis),
         aside=aside,
         correlation_length=length,
-        correlation_rad=correlation_turn(views, unrelated),
+        correlation_rad=correlation_turn(frames, camera, unrelated),
         log_ratio=likelihood.log_ratio,
         gamma=likelihood.gamma,
         next_correlation=correlation,
