@@ -3,15 +3,15 @@
 The taught drives are a graph: keyframes, what follows each of them, and where drives meet (stitches). Dijkstra's
 algorithm gives every keyframe its cost to go, the time to the nearest goal, and which drive to follow from there. So
 drives are joined to ways that nobody drove in one piece, and a belief that is spread over drives wants one thing.
-The robot steers in the mean direction of its likely places, each weighted by its probability (after QMDP, Littman,
-Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look. What stands in the
-way it goes round (`smal.obstacles.avoidance`), where it has a depth camera.
+The robot steers to where its likely places aim, each weighted by its probability: by velocities, which are rolled out
+(`smal.obstacles.motions`), or by atoms in the mean direction. If these directions disagree, or the robot is lost, it
+turns to look. What stands in the way it goes round (`smal.obstacles.avoidance`), where it has a depth camera.
 """
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,12 @@ from smal.model import VisualMap, in_common_axes
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
+from smal.obstacles.motions import Chassis, Share, towards
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 
 Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search"]
 Said = Literal["found", "not_here"]
-_SIDES: Final = {Atom.LEFT: 1.0, Atom.RIGHT: -1.0, None: 0.0}
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Decision:
     kind: Kind
     atom: Atom
     heading_error_rad: float  # Mean direction to aim at less the heading.
+    #: What a robot does in the place of the atom that can be told velocities: linear and angular, as shares of its own.
+    motion: Share
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -106,7 +108,9 @@ class Planner:
         self._goal = chosen_goal(visual_map.goals, goal)
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = SETTINGS.lookahead_s * visual_map.speed
-        self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
+        car = turns_ahead(visual_map.movements)
+        self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if car else {Atom.FORWARD}
+        self._chassis = Chassis(visual_map.speed, self._turn_rad / visual_map.tick_s, car)
         self._plan(frozenset())
         self.reset()
 
@@ -133,6 +137,7 @@ class Planner:
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
+        self._motion: Share = 0.0, 0.0
         self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
         self._toward_rad: float | None = None
         if self._tried:
@@ -152,14 +157,15 @@ class Planner:
         """Say what to do until the next frame.
 
         `elapsed_s` is the time since the frame before, a taught tick if not given; `delay_s` that from the frame until
-        what is decided moves the robot, which until then goes on turning, if it turns. `seen` says whether what is
+        what is decided moves the robot, which until then goes on as before. `seen` says whether what is
         sought is in view: it is found where it is as near as where the ways ended; a robot that has arrived, or nearly,
         goes up to it. Where nobody can tell, a robot that has arrived says that it has found it.
         Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
         elapsed_s = min(elapsed_s or self._map.tick_s, SETTINGS.stands_after_s)
-        directions, left_to_go, to_end = self._directions(belief)
+        aims: NDArray[np.float64] | None
+        aims, directions, left_to_go, to_end = self._aims(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
         mean = complex((say * np.exp(1j * directions)).sum()) / max(float(say.sum()), 1e-12)
@@ -187,6 +193,7 @@ class Planner:
             kind = "goal"
         elif self.arrived or self._toward_rad is not None:
             kind, error_rad = "search", self._toward_rad or 0.0
+            aims = None if self._toward_rad is None else towards(np.full(say.shape, error_rad), self._ahead)
         elif clear and (looked or not ended):
             kind = "follow"
         elif not looked:
@@ -194,19 +201,22 @@ class Planner:
         else:
             kind = "guess" if has_way or lost else "dead_end"
             self.said = "not_here" if self._tried and kind == "dead_end" else None
-        if not self._map.odometry or Atom.LEFT in self._going:
+        if not self._map.odometry or self._chassis.car:
             around = None
         if around is not None and has_way and kind in ("follow", "guess"):
             step_m = self._map.speed * self._map.tick_s
             round_rad = way_round(around, self._way_ahead(belief, around.reach_m), self._turn_rad, step_m, error_rad)
+            aims = aims if round_rad == error_rad else None  # Round things it goes turn by turn: they are near.
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
-        to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * _SIDES[self._turning]
+        to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * self._motion[1]
         atom = self._atom(kind, to_turn_rad, elapsed_s)
         if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
-            kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
-        return Decision(kind, atom, error_rad)
+            kind, atom, aims = (kind, self._turning, None) if self._turning else ("blocked", Atom.STOP, None)
+        steers = kind in ("follow", "guess", "search")
+        self._motion = self._chassis.choose(atom, aims if steers else None, say + 1e-9, self._motion, delay_s)
+        return Decision(kind, atom, error_rad, self._motion)
 
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
@@ -228,7 +238,7 @@ class Planner:
         self._searched_s += elapsed_s
         around_s = math.radians(SETTINGS.search_deg) / self._turn_rad * self._map.tick_s
         # One that turns ahead would leave the place.
-        if self._searched_s < (SETTINGS.stands_s if Atom.LEFT in self._going else around_s):
+        if self._searched_s < (SETTINGS.stands_s if self._chassis.car else around_s):
             return
         self._plan(self._tried | self._ends)
         self.arrived, self._searched_s, self._neared_s = False, 0.0, 0.0
@@ -256,7 +266,7 @@ class Planner:
             self._turning = None
             return Atom.STOP
         if kind == "search" and self._toward_rad is None:
-            self._turning = None if Atom.LEFT in self._going else Atom.LEFT
+            self._turning = None if self._chassis.car else Atom.LEFT
             return self._turning or Atom.STOP
         if kind == "look_around":
             return self._look(to_turn_rad, elapsed_s)
@@ -275,7 +285,7 @@ class Planner:
     def _look(self, to_turn_rad: float, elapsed_s: float) -> Atom:
         """Turn to the side of a direction, then to the other; a car does so in bends, and once round in a circle."""
         before = self._looked_rad
-        self._looked_rad += self._turn_rad * elapsed_s / self._map.tick_s
+        self._looked_rad += self._chassis.of_atom(Atom.LEFT)[1] * self._turn_rad * elapsed_s / self._map.tick_s
         if self._turning is None:
             self._turning = Atom.LEFT if to_turn_rad >= 0.0 else Atom.RIGHT
         if before < math.radians(SETTINGS.look_aside_deg) <= self._looked_rad:
@@ -302,8 +312,8 @@ class Planner:
         target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
         return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 
-    def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""
+    def _aims(self, belief: Belief) -> tuple[NDArray[np.float64], ...]:
+        """Return what each particle aims at, ahead and left (p, 2); in which direction, the way left, and the end's."""
         taught = self._map
         guide = self._guide[belief.keyframes]
         key, drive = taught.keyframes[guide], taught.key_drives[guide]
@@ -316,7 +326,10 @@ class Planner:
         aim_ahead, aim_left, aim_turned = seen_from(taught.poses[target], taught.poses[key]).T
         x, y = aim_ahead - ahead, aim_left - left
         # Near its end a way has a heading, but no point ahead any more.
-        near = np.hypot(x, y) < 0.3 * self._ahead
+        away = np.hypot(x, y)
+        near = away < 0.3 * self._ahead
         aim = np.where(near, aim_turned, np.arctan2(y, x))
         last_ahead, last_left, _ = seen_from(taught.poses[end - 1], taught.poses[key]).T
-        return wrapped(aim - turned), taught.arc[end - 1] - along, np.hypot(last_ahead - ahead, last_left - left)
+        to_end = np.hypot(last_ahead - ahead, last_left - left)
+        aim = wrapped(aim - turned)
+        return towards(aim, away), aim, taught.arc[end - 1] - along, to_end

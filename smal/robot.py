@@ -14,6 +14,7 @@ from smal.filter import Belief, Filter
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.obstacles.clearance import Mount, Surroundings
+from smal.obstacles.motions import Share
 from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse, Witness
@@ -75,7 +76,7 @@ class Localizer:
         self,
         raw_features: NDArray[Any],
         odometry: Sequence[float] | None = None,
-        atoms: Sequence[Atom] = (),
+        atoms: Sequence[Atom | Share] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
         """Take the features (m,) of one frame, of `smal.features.extract`.
@@ -96,7 +97,10 @@ class Localizer:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
         elif atoms:
             ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
-            ahead, turn = self._map.movements[list(atoms)].mean(axis=0) * ticks
+            table = self._map.movements
+            full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
+            made = [np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms]
+            ahead, turn = np.mean(made, axis=0) * ticks
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, noise)
         self._since_near += abs(movement.ahead)
@@ -125,7 +129,8 @@ class Robot:
         """Forget everything, for a new episode."""
         self._localizer.reset()
         self._planner.reset()
-        self._atom = Atom.STOP
+        #: What it has made since the last image: the atom of `step`, or what its owner says, such as `decision.motion`.
+        self.made: Atom | Share = Atom.STOP
         self._around: Surroundings | None = None
 
     def step(
@@ -143,7 +148,7 @@ class Robot:
         with it, and odometry, the robot goes round what stands in its way.
         """
         raw = extract(image, self._localizer.features)
-        self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
+        self.belief = self._localizer.observe(raw, odometry, [self.made], elapsed_s)
         seen = self._localizer.seen(small(image), self.belief)
         if odometry is None:
             self._around = None
@@ -153,8 +158,8 @@ class Robot:
         elif self._around is not None:
             self._around.move(odometry)
         self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen, around=self._around)
-        self._atom = self.decision.atom
-        return self._atom
+        self.made = self.decision.atom
+        return self.decision.atom
 
     @property
     def where(self) -> Place:

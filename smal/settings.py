@@ -110,11 +110,13 @@ class Settings:
     places: int = 64
     #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
     lookahead_s: float = 0.7
+    restless_s: float = 0.01  # What it is worth not to change the turn rate from one extreme to the other, times two.
     wide_deg: float = 25.0  # Directions that differ by more about their mean are none to drive in.
     #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
     #: once round and a view more. Then it drives by its best guess, before it looks again.
     look_aside_deg: float = 45.0
     look_deg: float = 490.0
+    look_speed: float = 0.5  # Share of its speed at which a car does so, in as sharp a bend as it can.
     guess_s: float = 2.0
     #: What going over to another drive must save: how two drives stand to each other is less certain than either.
     go_over_s: float = 2.0

@@ -6,7 +6,7 @@ from statistics import median
 from typing import Final
 
 from schemas.action import Action
-from schemas.base import Message
+from schemas.base import Message, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
@@ -110,7 +110,7 @@ class _ByFilter:
         seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
         decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around)
-        atom = decision.atom.name.lower()
+        velocity = Velocity(*decision.motion)
         known = state.places[0].keyframe if state.status == "recognized" else None
         things = () if around is None else tuple(map(tuple, around.things(SHOWN).round(2).tolist()))
         return [
@@ -118,12 +118,12 @@ class _ByFilter:
                 state,
                 kind=decision.kind,
                 state=known,
-                atoms=(atom,),
+                atoms=(velocity.atom(),),
                 arrived=self._planner.arrived,
                 says=self._planner.said,
                 obstacles=things,
             ),
-            Command.after(state, source="policy", atom=atom),
+            Command.after(state, source="policy", **velocity._asdict()),
         ]
 
 

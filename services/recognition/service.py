@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.array import Float32Array
+from schemas.base import Velocity
 from schemas.command import CommandApplied
 from schemas.motion import Odometry
 from schemas.observation import Observation
@@ -67,12 +68,18 @@ class RecognitionService:
             self._applied[applied.episode, applied.tick] = applied
         _forget(self._applied)
 
-    def _atoms(self, episode: str, since: int, until: int) -> list[Atom]:
-        """Return what the actuator did between two frames; where that is not known, what it did before."""
-        atoms = [Atom.STOP]
+    def _atoms(self, episode: str, since: int, until: int) -> list[Atom | Velocity]:
+        """Return what the actuator did between two frames; where that is not known, what it did before.
+
+        The policy's velocities are shares of what the map was taught by; those of others are of the robot.
+        """
+        atoms: list[Atom | Velocity] = [Atom.STOP]
         for tick in range(since, until):
             applied = self._applied.get((episode, tick))
-            atoms.append(atoms[-1] if applied is None else Atom[applied.atom.upper()])
+            if applied is None:
+                atoms.append(atoms[-1])
+            else:
+                atoms.append(applied.velocity if applied.source == "policy" else Atom[applied.atom.upper()])
         return atoms[1:]
 
     def handle(self, observation: Observation) -> State | None:
@@ -141,7 +148,7 @@ class _ByFilter:
         self._stamp_ns: int | None = None
 
     def observe(
-        self, observation: Observation, odometry: Pose | None, atoms: Sequence[Atom], *, behind: bool
+        self, observation: Observation, odometry: Pose | None, atoms: Sequence[Atom | Velocity], *, behind: bool
     ) -> State | None:
         if behind:
             return None
@@ -180,7 +187,7 @@ class _ByPaper:
         yield from ()
 
     def observe(
-        self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom], *, behind: bool
+        self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom | Velocity], *, behind: bool
     ) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
         first = self._length - 1

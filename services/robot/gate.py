@@ -319,6 +319,6 @@ def bounded(
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
     if share < abs(may.linear):
-        # As sharply as it was asked to.
-        return Velocity(*(part * share / abs(may.linear) for part in may)), "obstacle"
+        # It may turn all the same; a car as far as it still drives.
+        return kinematics.bounded(may._replace(linear=math.copysign(share, may.linear))), "obstacle"
     return may, "command" if may == asked else "radius"

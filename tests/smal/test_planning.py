@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -233,12 +234,33 @@ def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
     """Until its decision moves the robot it goes on turning: without that it would turn too far, and back again."""
-    turns = Atom.LEFT if side > 0.0 else Atom.RIGHT
-    for delay_s, then in ((0.0, turns), (0.6 * STRAIGHT.tick_s, Atom.FORWARD), (9.0, Atom.FORWARD)):
+    turns = []
+    for delay_s in (0.0, 0.1, 0.3):
         planner = Planner(STRAIGHT)
-        first = planner.decide(belief((10, 0.0, 0.0, -8.0 * side)), delay_s=delay_s)
-        assert first.atom is turns, "a robot that does not turn yet turns no less"
-        assert planner.decide(belief((10, 0.0, 0.0, -4.0 * side)), delay_s=delay_s).atom is then
+        planner.decide(belief((10, 0.0, 0.0, -20.0 * side)), delay_s=delay_s)
+        turns.append(side * planner.decide(belief((10, 0.0, 0.0, -6.0 * side)), delay_s=delay_s).motion[1])
+    assert turns[0] > turns[1] > 0.0 > turns[2]
+
+
+@pytest.mark.parametrize("car", [False, True])
+def test_who_can_be_told_velocities_comes_back_to_the_way_without_a_stop(car: bool) -> None:
+    """A car turns no more sharply than it can, and goes ahead in turning; the other turns where it looks back."""
+    table = STRAIGHT.movements.copy()
+    table[[Atom.LEFT, Atom.RIGHT], 0] = 0.05 if car else 0.0
+    planner, (x, y, turned) = Planner(replace(STRAIGHT, movements=table)), (1.0, 0.1, math.radians(15.0))
+    for _ in range(60):
+        key = round(x / 0.1)
+        linear, angular = planner.decide(belief((key, x - key / 10.0, y, math.degrees(turned)))).motion
+        assert linear > 0.2
+        assert not car or abs(angular) <= linear
+        x, y = x + 0.05 * linear * math.cos(turned), y + 0.05 * linear * math.sin(turned)
+        turned += angular * math.radians(4.5)
+    assert abs(y) < 0.01
+    unsure = belief((10, 0.0, 0.0, 15.0), (11, 0.0, 0.0, -15.0), weights=(0.5, 0.5))
+    sure = belief((10, 0.0, 0.0, 0.0))
+    assert 0.0 < planner.decide(unsure).motion[0] < planner.decide(sure).motion[0]
+    back = planner.decide(belief((10, 0.0, 0.0, 120.0))).motion
+    assert (back[0] > 0.0) == car
 
 
 @pytest.mark.parametrize("ahead", [0.0, -0.3, -0.6])

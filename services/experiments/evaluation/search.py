@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from schemas.base import KEYS, Velocity
 from schemas.base import Atom as AtomName
 from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
@@ -100,8 +101,11 @@ def search(
         if says and (said := _said(driver)) is not None:
             ended = episode.end(said)
             break
-        poses.append(episode.step(cast(AtomName, atom.name.lower())).pose)
-        atoms.append(atom)
+        asked = KEYS[cast(AtomName, atom.name.lower())]
+        if isinstance(driver, Robot):
+            driver.made = asked = Velocity(*driver.decision.motion)
+        poses.append(episode.step(asked).pose)
+        atoms.append(Atom[asked.atom().upper()])
     way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
     made = np.array(atoms, dtype=np.int8)
     kidnapped = request.kidnap_tick or 0
