@@ -128,6 +128,7 @@ class ResetReply(Strict):
     episode: EpisodeId  # Its id.
     world: str  # Name of the world; of a real robot's body where there is none.
     speed_m_s: Annotated[float, Field(gt=0)]  # The robot's nominal speed.
+    car: bool = False  # Whether it cannot turn on the spot.
     #: Way points from the start to the victim, metres, for the scripted expert; none where the way is not known.
     route: tuple[tuple[float, float], ...] = ()
     found_m: Annotated[float, Field(gt=0)] | None = None  # How near the victim counts as found, if it is seen.

@@ -23,7 +23,7 @@ from smal.model import VisualMap, in_common_axes
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
-from smal.obstacles.motions import Chassis, Share, towards
+from smal.obstacles.motions import Chassis, Floats, Share, towards
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 
@@ -164,7 +164,6 @@ class Planner:
         """
         # A robot that hears nothing stands.
         elapsed_s = min(elapsed_s or self._map.tick_s, SETTINGS.stands_after_s)
-        aims: NDArray[np.float64] | None
         aims, directions, left_to_go, to_end = self._aims(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -206,16 +205,18 @@ class Planner:
         if around is not None and has_way and kind in ("follow", "guess"):
             step_m = self._map.speed * self._map.tick_s
             round_rad = way_round(around, self._way_ahead(belief, around.reach_m), self._turn_rad, step_m, error_rad)
-            aims = aims if round_rad == error_rad else None  # Round things it goes turn by turn: they are near.
+            aims = aims if round_rad == error_rad else None  # Round things it goes turn by turn.
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * self._motion[1]
         atom = self._atom(kind, to_turn_rad, elapsed_s)
-        if around is not None and atom is Atom.FORWARD and around.free_m(ahead=True) == 0.0:
+        free_m = math.inf if around is None else around.free_m(ahead=True)
+        if atom is Atom.FORWARD and free_m == 0.0:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
-            kind, atom, aims = (kind, self._turning, None) if self._turning else ("blocked", Atom.STOP, None)
-        steers = kind in ("follow", "guess", "search")
-        self._motion = self._chassis.choose(atom, aims if steers else None, say + 1e-9, self._motion, delay_s)
+            kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
+        # Before things that are near it goes turn by turn, too.
+        aims = aims if free_m > self._ahead and kind in ("follow", "guess", "search") else None
+        self._motion = self._chassis.choose(atom, aims, say + 1e-9, self._motion, delay_s)
         return Decision(kind, atom, error_rad, self._motion)
 
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
@@ -312,7 +313,7 @@ class Planner:
         target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
         return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 
-    def _aims(self, belief: Belief) -> tuple[NDArray[np.float64], ...]:
+    def _aims(self, belief: Belief) -> tuple[Floats | None, Floats, Floats, Floats]:
         """Return what each particle aims at, ahead and left (p, 2); in which direction, the way left, and the end's."""
         taught = self._map
         guide = self._guide[belief.keyframes]

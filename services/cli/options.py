@@ -116,7 +116,9 @@ class Simulator:
 
     camera: CameraSize = None
     shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")] = None
-    base: Annotated[BaseKind | None, Option(help="Driven wheels (physics), or exact arcs. [default: physics]")] = None
+    base: Annotated[
+        BaseKind | None, Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]")
+    ] = None
     variation: Annotated[
         str | None,
         Option(parser=_variation, metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom
+from schemas.base import KEYS, Atom, Velocity
 from schemas.command import Command
 from schemas.motion import Pose
 from schemas.observation import Observation
@@ -27,10 +27,13 @@ ARRIVED_FRACTION: Final = 0.5
 class RouteDriver:
     """Follows a route (way points in metres, at least two) with the keys forward, left and right.
 
-    `speed_m_s` is the robot's nominal speed; `found_m` is how near the route's end, the victim, counts as found.
+    `speed_m_s` is the robot's nominal speed; `found_m` is how near the route's end, the victim, counts as found. A
+    `car` goes on ahead in turning.
     """
 
-    def __init__(self, route: Sequence[tuple[float, float]], speed_m_s: float, found_m: float) -> None:
+    def __init__(
+        self, route: Sequence[tuple[float, float]], speed_m_s: float, found_m: float, *, car: bool = False
+    ) -> None:
         if len(route) < 2:
             raise ValueError("a route needs at least two way points")
         self._points = np.asarray(route, dtype=np.float64)
@@ -40,10 +43,16 @@ class RouteDriver:
         self._arrived_m = ARRIVED_FRACTION * found_m
         self._progress_m = 0.0
         self._turning: Atom | None = None
+        self._car = car
 
     def arrived(self, x: float, y: float) -> bool:
         """Whether the robot has come close enough to the route's end."""
         return math.dist((x, y), self._points[-1]) <= self._arrived_m
+
+    def velocity(self, x: float, y: float, heading: float) -> Velocity:
+        """Return what the key is at a pose."""
+        key = KEYS[self.key(x, y, heading)]
+        return key._replace(linear=1.0) if self._car else key
 
     def key(self, x: float, y: float, heading: float) -> Atom:
         """Return the key to hold at a pose (metres, radians counter-clockwise from east)."""
@@ -91,7 +100,7 @@ class ExpertService:
         if reset.found_m is None or len(reset.route) < 2:
             raise JobError(f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop")
         self._episode = reset.episode
-        self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m)
+        self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m, car=reset.car)
         self._pose = self._observation = None
         self._last = None
         self.arrived = False
@@ -117,6 +126,6 @@ class ExpertService:
             self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
             if self.arrived:
                 return None
-            atom = self._driver.key(pose.x_m, pose.y_m, pose.heading_rad)
-            self._last = Command.after(pose, source="expert", atom=atom)
+            velocity = self._driver.velocity(pose.x_m, pose.y_m, pose.heading_rad)
+            self._last = Command.after(pose, source="expert", **velocity._asdict())
         return self._last

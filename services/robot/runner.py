@@ -142,6 +142,7 @@ class EpisodeRunner(Generic[V]):
             episode=name,
             world=self.body.name,
             speed_m_s=self.body.kinematics.speed_m_s,
+            car=self.body.kinematics.radius_m > 0.0,
             route=episode.beginning.route,
             found_m=episode.beginning.found_m,
             victim=episode.beginning.victim,

@@ -1,9 +1,11 @@
 """The robots that can be simulated, by the table `robots`: bodies, wheels, and where the camera sits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from services.simulator.tables import table
+
+_CAR_M: Final = 1.5
 
 
 @dataclass(frozen=True)
@@ -17,6 +19,11 @@ class Drive:
     wheel_radius_m: float = 0.2
     tick_sigma: float = 0.03  # Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
     radius_sigma: float = 0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
+
+    @property
+    def car(self) -> "Drive":
+        """The same that steers as a small car does."""
+        return replace(self, radius_m=_CAR_M, turn_rate_rad_s=self.speed_m_s / _CAR_M)
 
 
 class CameraMount(NamedTuple):

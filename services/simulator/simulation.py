@@ -61,7 +61,7 @@ class Simulation:
         #: How its depth camera sits, if it has one: where its other camera does.
         sits, radius_m = world.robot.camera, world.robot.radius_m
         self.mount = Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m) if depth else None
-        self._base = base or KinematicBase(world.place)
+        self._base = base or KinematicBase(world.place, world.robot.drive)
         self.braking_s = self._base.braking_s
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
         self.reset(0, "drive")

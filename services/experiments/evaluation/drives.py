@@ -49,16 +49,17 @@ def views_of_expert(
         route += plan_route(replace(world, victim=Spot(*place, 0.0)), here).tolist()[:-1]
         here = place
     route += plan_route(world, here).tolist()
-    expert = RouteDriver(route, simulation.speed_m_s, simulation.found_m)
+    car = world.robot.drive.radius_m > 0.0
+    expert = RouteDriver(route, simulation.speed_m_s, simulation.found_m, car=car)
     while True:
         view = episode.view
         if episode.outcome is not None or expert.arrived(view.pose.x, view.pose.y):
             there = episode.outcome == "found" or (episode.outcome is None and episode.reached)
             yield view, Atom.STOP if there else None
             return
-        key = expert.key(view.pose.x, view.pose.y, view.pose.heading)
-        yield view, Atom[key.upper()]
-        episode.step(key)
+        velocity = expert.velocity(view.pose.x, view.pose.y, view.pose.heading)
+        yield view, Atom[velocity.atom().upper()]
+        episode.step(velocity)
 
 
 def drive(

@@ -1,7 +1,7 @@
 """What every world is, indoors or out: a place in local metres (x east, y north) with a task in it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias, TypeVar
 
 from pydantic import ConfigDict, Field
@@ -11,7 +11,7 @@ from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from services.kit.errors import JobError
-from services.simulator.robots import RobotModel
+from services.simulator.robots import Drive, RobotModel
 
 if TYPE_CHECKING:
     from services.simulator.world.room import Room
@@ -108,6 +108,7 @@ class World:
     place: Place
     start: Pose
     victim: Pose
+    drive: Drive | None = None  # Of the robot; that of the place's if not given.
 
     @property
     def name(self) -> str:
@@ -117,7 +118,7 @@ class World:
     @property
     def robot(self) -> RobotModel:
         """The robot that drives here."""
-        return self.place.robot
+        return self.place.robot if self.drive is None else replace(self.place.robot, drive=self.drive)
 
     @property
     def scale(self) -> Scale:

@@ -9,14 +9,15 @@ from hypothesis import strategies as st
 from shapely import LineString, Point
 
 from schemas.array import Float32Array
-from schemas.base import KEYS, Message
+from schemas.base import Message
 from schemas.motion import Pose
 from schemas.observation import Observation
 from schemas.rpc import ResetReply
 from services.expert.driver import ExpertService, RouteDriver
+from services.robot.body import Kinematics
 from services.robot.clock import TICK_S
 from services.simulator.base import move, wheel_speeds
-from services.simulator.robots import RESCUEBOT
+from services.simulator.robots import RESCUEBOT, Drive
 from services.simulator.world.place import Pose as PlanarPose
 
 DRIVE = RESCUEBOT.drive
@@ -35,32 +36,35 @@ def routes(draw: st.DrawFn, sharpest_deg: float) -> list[tuple[float, float]]:
     return points
 
 
-def follow(route: list[tuple[float, float]]) -> list[PlanarPose]:
+def follow(route: list[tuple[float, float]], *, car: bool = False) -> list[PlanarPose]:
     """Drive a route with exact wheels from its start, at first turned to its first stretch."""
-    driver = RouteDriver(route, DRIVE.speed_m_s, FOUND_M)
+    driver = RouteDriver(route, DRIVE.speed_m_s, FOUND_M, car=car)
     (x, y), (to_x, to_y) = route[:2]
     poses = [PlanarPose(x, y, math.atan2(to_y - y, to_x - x))]
     # Twice the time that the way alone takes leaves plenty for turning on the spot.
     most = 100 + round(2 * LineString(route).length / (DRIVE.speed_m_s * TICK_S))
     while not driver.arrived(poses[-1].x, poses[-1].y):
         assert len(poses) < most, "the driver does not arrive"
-        poses.append(drive_on(driver, poses[-1]))
+        poses.append(drive_on(driver, poses[-1], DRIVE.car if car else DRIVE))
     return poses
 
 
-def drive_on(driver: RouteDriver, pose: PlanarPose) -> PlanarPose:
-    wheels = wheel_speeds(KEYS[driver.key(pose.x, pose.y, pose.heading)], DRIVE)
-    return move(pose, wheels, DRIVE.track_m, TICK_S)
+def drive_on(driver: RouteDriver, pose: PlanarPose, drive: Drive = DRIVE) -> PlanarPose:
+    wanted = driver.velocity(pose.x, pose.y, pose.heading)
+    assert wanted == Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m).bounded(wanted)
+    return move(pose, wheel_speeds(wanted, drive), drive.track_m, TICK_S)
 
 
 # Looking 2.5 m ahead cuts corners: by half a metre at bends that follow on each other, most at a right angle.
-@pytest.mark.parametrize(("sharpest_deg", "most_m"), [(35.0, 0.6), (110.0, 0.9)])
-def test_driver_keeps_to_its_route(sharpest_deg: float, most_m: float) -> None:
+@pytest.mark.parametrize(
+    ("sharpest_deg", "most_m", "car"), [(35.0, 0.6, False), (110.0, 0.9, False), (35.0, 1.0, True)]
+)
+def test_driver_keeps_to_its_route(sharpest_deg: float, most_m: float, car: bool) -> None:
     @settings(max_examples=15, deadline=None)
     @given(routes(sharpest_deg))
     def check(route: list[tuple[float, float]]) -> None:
         line = LineString(route)
-        poses = follow(route)
+        poses = follow(route, car=car)
         assert max(line.distance(Point(pose.x, pose.y)) for pose in poses) <= most_m
         assert math.dist((poses[-1].x, poses[-1].y), route[-1]) <= FOUND_M / 2
 

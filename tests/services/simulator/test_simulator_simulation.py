@@ -1,6 +1,7 @@
 """Without pixels: where the robot may go, ways to the victim, variations; episodes repeat, walls stop the robot."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, KEYS, Atom
+from schemas.base import ATOMS, KEYS, Atom, Velocity
+from schemas.rpc import ResetRequest
+from services.robot.clock import TICK_S
 from services.simulator.base import KinematicBase
+from services.simulator.lockstep import LockstepEpisode
 from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
@@ -162,3 +166,16 @@ def test_moved_things_leave_the_way_free(name: str, seed: int) -> None:
 
 
 SOLID = {name: solid(world) for name, world in WORLDS.items()}
+
+
+def test_a_car_turns_by_no_less_than_it_can_and_never_on_the_spot() -> None:
+    simulation = Simulation(replace(YARD, drive=PERFECT.car), StubCamera())
+    episode = LockstepEpisode(simulation, ResetRequest(seed=1))
+    start = simulation.pose
+    episode.step("left")
+    assert simulation.pose == start
+    episode.step(Velocity(0.5, 1.0))
+    turned = math.remainder(simulation.pose.heading - start.heading, math.tau)
+    chord_m = math.hypot(simulation.pose.x - start.x, simulation.pose.y - start.y)
+    assert chord_m == pytest.approx(2.0 * 1.5 * math.sin(turned / 2.0))
+    assert chord_m == pytest.approx(0.5 * PERFECT.speed_m_s * TICK_S, rel=0.01)
