@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.base import STANDING
+from schemas.base import STANDING, Velocity
 from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.cli.stack import Stack, StackPlan, free_endpoint
 from services.simulator.base import STEP_S
@@ -42,7 +42,7 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
         base, rng = FarBase(address), np.random.default_rng(1)
         start = load_world("yard").start
         base.put(start, rng)
-        base.order("forward", 0.5)
+        base.order(Velocity(0.5, 0.0))
         eventually(lambda: any(speeds()) and speeds()[-1] == 0.0)
         moving = [step for step in read_steps(log, 0.0) if step.speed_m_s]
         told = [base.step(STANDING, STEP_S) for _ in range(base.fetch())]

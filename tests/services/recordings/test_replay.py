@@ -14,7 +14,7 @@ import pytest
 import smal
 from schemas import topics
 from schemas.action import Action
-from schemas.base import Message
+from schemas.base import Message, Velocity
 from schemas.codec import decode
 from schemas.command import Command
 from schemas.episode import Episode
@@ -99,17 +99,18 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
     return run
 
 
-def decided(path: Path, model: Model) -> list[tuple[str, str, smal.Belief]]:
-    """Return what the library does on the recorded frames: atom, kind of decision, belief."""
+def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]:
+    """Return what the library does on the recorded frames: velocity, kind of decision, belief."""
     (recorded,) = read_recording(path).episodes
     stamps = {tick: stamp_ns for tick, stamp_ns in stamps_of(path).items() if tick in recorded.images}
     robot, decisions, last_ns = smal.Robot(model), [], None
     for tick in sorted(recorded.images):
         elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
         image = decode_image(bytes(recorded.images[tick]))
-        atom = robot.step(image, recorded.wheels(tick), elapsed_s)
+        robot.step(image, recorded.wheels(tick), elapsed_s)
+        robot.made = robot.decision.motion
         last_ns = stamps[tick]
-        decisions.append((atom.name.lower(), robot.decision.kind, robot.belief))
+        decisions.append((Velocity(*robot.made), robot.decision.kind, robot.belief))
     return decisions
 
 
@@ -137,19 +138,19 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
     # A command is urgent: it overtakes what it was decided by.
     for topic in (topics.STATE, topics.ACTION, topics.COMMANDS["policy"]):
         heard.wait(topic, last)
-    for tick, (atom, kind, belief) in enumerate(expected):
+    for tick, (velocity, kind, belief) in enumerate(expected):
         command, action, state = (heard.said[name][tick] for name in ("command/policy", "action", "state"))
         assert isinstance(command, Command)
         assert isinstance(action, Action)
         assert isinstance(state, State)
-        assert (command.atom, action.kind, tick) == (atom, kind, tick)
+        assert (command.velocity, action.kind, tick) == (velocity, kind, tick)
         assert (command.episode, command.robot) == ("replay-1", ROBOT)
         places = belief.summary()
         assert [place.keyframe for place in state.places] == places.keyframes.tolist()
         np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
         assert state.lost == min(belief.lost, 1.0)
     assert list(heard.said["map"]) == [0]
-    return [atom for atom, _, _ in expected]
+    return [velocity.atom() for velocity, _, _ in expected]
 
 
 def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(

@@ -54,10 +54,11 @@ def test_places_that_look_otherwise_get_a_look_with_which_that_day_is_likelier()
     assert 0 < len(grown.mapped.looks) <= count
     assert looks_of(grown.mapped) == 1
     np.testing.assert_array_equal(grown.mapped.views[:count], taught.views)
-    that_day = compared(model(), grown, [run(7, 0.6, -0.05)])
-    assert that_day.gain > 0.05
-    assert that_day.better
-    assert not compared(grown, model(), [run(7, 0.6, -0.05)]).better
+    that_day = [run(7, 0.6, aside) for aside in (-0.05, 0.0, 0.1)]
+    verdict = compared(model(), grown, that_day)
+    assert verdict.gain > 0.05
+    assert verdict.better
+    assert not compared(grown, model(), that_day).better
     assert compared(model(), grown, [run(0, 0.0)]).better
 
 
@@ -69,7 +70,7 @@ def test_the_taught_day_teaches_nothing_new() -> None:
 
 
 def test_the_other_half_of_the_runs_decides() -> None:
-    better, verdict = lived(model(), [run(7, 0.6), run(7, 0.6, -0.05)])
+    better, verdict = lived(model(), [run(7, 0.6, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
     assert verdict.better
     assert len(better.mapped.looks) > 0
     with pytest.raises(ValueError, match="two runs or more"):
