@@ -37,7 +37,9 @@ class Velocity(NamedTuple):
     @property
     def keys(self) -> list[Atom]:
         """The keys that it is made of: one goes so far as what any of them may not."""
-        return [atom for atom, key in KEYS.items() if self.linear * key.linear + self.angular * key.angular > 0.0]
+        # Hardly a bend, in driving: all that sees straight ahead sees it.
+        angular = 0.0 if self.linear and abs(self.angular) < STILL else self.angular
+        return [atom for atom, key in KEYS.items() if self.linear * key.linear + angular * key.angular > 0.0]
 
     def atom(self, still: float = STILL, turning: float = TURNING) -> Atom:
         """Return the nearest atom."""

@@ -30,8 +30,10 @@ class _Moving(Message):
     @model_validator(mode="before")
     @classmethod
     def _of_key(cls, told: Any) -> Any:  # noqa: ANN401 - it may be anything
-        if not isinstance(told, dict) or told.keys() & {"linear", "angular"} or told.get("atom") not in ATOMS:
+        if not isinstance(told, dict) or told.keys() & {"linear", "angular"} or "atom" not in told:
             return told
+        if told["atom"] not in ATOMS:
+            raise ValueError(f"atom must be one of {', '.join(ATOMS)}, got {told['atom']!r:.20}")
         atom, speed = told["atom"], told.get("speed", 1.0)
         ahead = told.get("ahead", 0.0)  # How fast a car goes ahead in turning, of versions before.
         if not all(isinstance(one, int | float) for one in (speed, ahead)) or not 0.0 <= speed <= 1.0:

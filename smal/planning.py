@@ -23,7 +23,7 @@ from smal.model import VisualMap, in_common_axes
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
-from smal.obstacles.motions import Chassis, Floats, Share, towards
+from smal.obstacles.motions import Chassis, Floats, Share
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 
@@ -163,8 +163,8 @@ class Planner:
         Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
-        elapsed_s = min(elapsed_s or self._map.tick_s, SETTINGS.stands_after_s)
-        aims, directions, left_to_go, to_end = self._aims(belief)
+        elapsed_s, delay_s = (min(t, SETTINGS.stands_after_s) for t in (elapsed_s or self._map.tick_s, delay_s))
+        directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
         mean = complex((say * np.exp(1j * directions)).sum()) / max(float(say.sum()), 1e-12)
@@ -192,7 +192,7 @@ class Planner:
             kind = "goal"
         elif self.arrived or self._toward_rad is not None:
             kind, error_rad = "search", self._toward_rad or 0.0
-            aims = None if self._toward_rad is None else towards(np.full(say.shape, error_rad), self._ahead)
+            directions = np.full(say.shape, error_rad)
         elif clear and (looked or not ended):
             kind = "follow"
         elif not looked:
@@ -202,20 +202,20 @@ class Planner:
             self.said = "not_here" if self._tried and kind == "dead_end" else None
         if not self._map.odometry or self._chassis.car:
             around = None
+        wanted_rad = error_rad
         if around is not None and has_way and kind in ("follow", "guess"):
-            step_m = self._map.speed * self._map.tick_s
-            round_rad = way_round(around, self._way_ahead(belief, around.reach_m), self._turn_rad, step_m, error_rad)
-            aims = aims if round_rad == error_rad else None  # Round things it goes turn by turn.
+            way, step_m = self._way_ahead(belief, around.reach_m), self._map.speed * self._map.tick_s
+            round_rad = way_round(around, way, self._turn_rad, step_m, error_rad)
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * self._motion[1]
-        atom = self._atom(kind, to_turn_rad, elapsed_s)
-        free_m = math.inf if around is None else around.free_m(ahead=True)
+        atom, free_m = self._atom(kind, to_turn_rad, elapsed_s), around.free_m(ahead=True) if around else math.inf
         if atom is Atom.FORWARD and free_m == 0.0:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
-        # Before things that are near it goes turn by turn, too.
-        aims = aims if free_m > self._ahead and kind in ("follow", "guess", "search") else None
+        # Round things, and before those that are near, it goes turn by turn.
+        drives = kind in ("follow", "guess") or (kind == "search" and self._toward_rad is not None)
+        aims = directions if drives and error_rad == wanted_rad and free_m > self._ahead else None
         self._motion = self._chassis.choose(atom, aims, say + 1e-9, self._motion, delay_s)
         return Decision(kind, atom, error_rad, self._motion)
 
@@ -273,7 +273,7 @@ class Planner:
             return self._look(to_turn_rad, elapsed_s)
         atom = self._steer(to_turn_rad, elapsed_s)
         if kind == "search":  # Half as long as it may go ahead it may turn.
-            self._neared_s += elapsed_s if atom in self._going else elapsed_s / 2.0
+            self._neared_s += elapsed_s * (1.0 + max(float(atom in self._going), self._motion[0])) / 2.0
         elif kind == "guess":
             self._guessed_s += elapsed_s
         elif atom in self._going:
@@ -313,8 +313,8 @@ class Planner:
         target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
         return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
 
-    def _aims(self, belief: Belief) -> tuple[Floats | None, Floats, Floats, Floats]:
-        """Return what each particle aims at, ahead and left (p, 2); in which direction, the way left, and the end's."""
+    def _directions(self, belief: Belief) -> tuple[Floats, Floats, Floats]:
+        """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""
         taught = self._map
         guide = self._guide[belief.keyframes]
         key, drive = taught.keyframes[guide], taught.key_drives[guide]
@@ -327,10 +327,7 @@ class Planner:
         aim_ahead, aim_left, aim_turned = seen_from(taught.poses[target], taught.poses[key]).T
         x, y = aim_ahead - ahead, aim_left - left
         # Near its end a way has a heading, but no point ahead any more.
-        away = np.hypot(x, y)
-        near = away < 0.3 * self._ahead
+        near = np.hypot(x, y) < 0.3 * self._ahead
         aim = np.where(near, aim_turned, np.arctan2(y, x))
         last_ahead, last_left, _ = seen_from(taught.poses[end - 1], taught.poses[key]).T
-        to_end = np.hypot(last_ahead - ahead, last_left - left)
-        aim = wrapped(aim - turned)
-        return towards(aim, away), aim, taught.arc[end - 1] - along, to_end
+        return wrapped(aim - turned), taught.arc[end - 1] - along, np.hypot(last_ahead - ahead, last_left - left)

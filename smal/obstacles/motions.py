@@ -19,11 +19,6 @@ Share = tuple[float, float]  # Linear, ahead, and angular, to the left: of the r
 _KEYS: Final[dict[Atom, Share]] = {Atom.FORWARD: (1.0, 0.0), Atom.LEFT: (0.0, 1.0), Atom.RIGHT: (0.0, -1.0)}
 
 
-def towards(direction_rad: Floats, away: Floats | float) -> Floats:
-    """Return places (p, 2), ahead and left, that lie in directions (p,), so far away."""
-    return np.stack([away * np.cos(direction_rad), away * np.sin(direction_rad)], axis=1)
-
-
 class Chassis(NamedTuple):
     """How a robot moves: ways in the map's unit a second, and radians a second; a car does not turn on the spot."""
 
@@ -42,13 +37,16 @@ class Chassis(NamedTuple):
         linear, angular = _KEYS.get(atom, (0.0, 0.0))
         return (SETTINGS.look_speed, SETTINGS.look_speed * angular) if self.car and angular else (linear, angular)
 
-    def choose(self, atom: Atom, aims: Floats | None, weights: Floats, last: Share, delay_s: float) -> Share:
-        """Return the best velocity for places that aim so far ahead and left (p, 2), by their weights (p,).
+    def choose(self, atom: Atom, direction_rad: Floats | None, weights: Floats, last: Share, delay_s: float) -> Share:
+        """Return the best velocity for places that aim in such directions (p,), by their weights (p,).
 
-        Without aims it is what the atom is.
+        Without any, and where nobody drove ahead, it is what the atom is. They aim ahead of where the robot is when
+        this begins, also beyond the end of the way: nearer, full speed would lead too far.
         """
-        if aims is None:
+        if direction_rad is None or self.speed <= 0.0:
             return self.of_atom(atom)
+        away = self.speed * (SETTINGS.lookahead_s + delay_s * abs(last[0]))
+        aims = np.stack([away * np.cos(direction_rad), away * np.sin(direction_rad)], axis=1)
         shares = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(-1.0, 1.0, 41))
         linear, angular = (share.ravel() for share in shares)
         # Who stands sees nothing new.

@@ -13,12 +13,16 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
     """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
     It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
-    most: who pauses between keys, or is slow, does not make the robot so. Of an atom that was never made: a turn is
+    most: who pauses between keys, or is slow, does not make the robot so. A robot that turns on the spot in one drive
+    was driven in bends in those where a turn leads ahead. Of an atom that was never made: a turn is
     that to the other side, backward the opposite of forward, and a car that never drove straight on does so as fast as
     it turns.
     """
     each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
     most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)
+    turns = [Atom.LEFT, Atom.RIGHT]
+    spot = (np.abs(each[:, turns, 0]) < 0.1 * np.abs(each[:, [Atom.FORWARD], 0])) & (each[:, turns, 1] != 0.0)
+    most[:, turns] -= np.where(spot.any(axis=0) & ~spot, np.inf, 0.0)
     return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
 
 

@@ -155,11 +155,10 @@ def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], 
     """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
     pose, movement = np.array(start), STILL
     for _ in range(frames):
-        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).atom
+        linear, angular = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).motion
         if planner.said:
             break
-        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
-        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
+        after = np.array(from_beside(tuple(pose), linear * SPEED * TICK, 0.0, angular * TURN_RAD_S * TICK))
         movement, pose = Movement.between(pose, after), after
     return pose
 

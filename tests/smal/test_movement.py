@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.movement import Atom, Movement, dead_reckoning, wrapped
+from smal.movement import Atom, Movement, dead_reckoning, turns_ahead, wrapped
 from smal.teaching.movements import atom_movements
 
 COORDINATE = st.floats(-50.0, 50.0)
@@ -85,6 +85,15 @@ def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
     np.testing.assert_array_equal(found[missing], found[made] * sign)
     assert not found[Atom.STOP].any()
+
+
+def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
+    spot = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.08), (0.0, -0.08)])
+    bends = spot + np.array([(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.2, -0.03), (0.2, 0.03)])
+    atoms = np.repeat(list(Atom), 20).astype(np.int8)
+    found = atom_movements([dead_reckoning(atoms, bends), dead_reckoning(atoms, spot)], [atoms, atoms])
+    np.testing.assert_allclose(found, spot, atol=1e-9)
+    assert turns_ahead(atom_movements([dead_reckoning(atoms, bends)], [atoms]))
 
 
 def test_a_slow_person_does_not_make_the_robot_slow() -> None:
