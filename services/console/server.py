@@ -82,4 +82,5 @@ class WebServer:
         """Stop listening."""
         self._server.should_exit = True
         self._thread.join(2 * _FAREWELL_S)
-        self._socket.close()
+        if not self._thread.is_alive():  # its loop would fail under a socket that is closed
+            self._socket.close()

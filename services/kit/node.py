@@ -197,6 +197,10 @@ class Node:
         """Whether a message of a topic has come that is not yet handled."""
         return self._inbox.waiting().get(topic.name, 0) > 0
 
+    def idle(self) -> bool:
+        """Whether all that has come is handled."""
+        return not any(self._inbox.waiting().values())
+
     def every(self, period_s: float, handler: Callable[[], object]) -> None:
         """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
         self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))

@@ -223,7 +223,8 @@ class RecorderService:
         now_s = self._clock()
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
-        while self._early.oldest_s() > EARLY_S:
+        # Where this machine is slow, the beginning may have come and wait.
+        while self._node.idle() and self._early.oldest_s() > EARLY_S:
             self._early.take(0.0)
 
     def look_after_files(self) -> None:

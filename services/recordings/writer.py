@@ -90,10 +90,14 @@ class EpisodeWriter:
 
     def flush(self) -> None:
         """Write what waits; raises as `write`."""
+        before = self._sink.tell()
         try:
             self._file.flush()
         except OSError as error:
             self.problem = error.strerror or str(error)
+            # A chunk is one write, and its index others: where only that has no room, a leftover has the messages.
+            if self._sink.tell() > before:
+                self._written = self.messages
             raise
         self._written, self._bytes, self._first_ns = self.messages, 0, sys.maxsize
 

@@ -16,7 +16,7 @@ from services.kit.bus import Bus, RpcError
 T = TypeVar("T")
 
 
-def eventually(get: Callable[[], T], timeout_s: float = 30.0) -> T:
+def eventually(get: Callable[[], T], timeout_s: float = 100.0) -> T:
     """Call ``get`` until it returns something true; fail after ``timeout_s``."""
     deadline = time.monotonic() + timeout_s
     while not (value := get()):
@@ -41,7 +41,7 @@ def ready(client: Bus, service: str) -> Status:
         status = status_of(client, service)
         return status if status is not None and status.state == "ready" else None
 
-    return eventually(get, timeout_s=30.0)
+    return eventually(get)
 
 
 def introduce(client: Bus, service: str, *messages: Message) -> None:

@@ -283,6 +283,23 @@ class FullDisk(Sink):
 
     def write(self, data: bytes) -> None:
         if self.tell() + len(data) > self.room:
-            super().write(data[: max(0, self.room - self.tell())])
+            os.write(self._descriptor, data[: max(0, self.room - self.tell())])
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         super().write(data)
+
+
+def test_a_full_disk_is_told_how_many_messages_it_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the disk ends: within a chunk, or within the index behind it."""
+    messages = list(episode("full", frames=25))
+    whole = memoryview(leave(tmp_path, messages).read_bytes())
+    end = next(head.end for head in heads(whole, len(MAGIC)) if head.opcode == Opcode.CHUNK)
+    monkeypatch.setattr("services.recordings.writer.Sink", FullDisk)
+    for room in (end - 1, end, end + 50):
+        monkeypatch.setattr(FullDisk, "room", room)
+        writer = EpisodeWriter.begin(tmp_path, messages[0])
+        with pytest.raises(OSError, match="No space left"):
+            list(map(writer.write, messages))
+        sealed = seal_leftover(writer.seal()).path
+        kept = len(read_all(sealed)) if sealed else 0
+        assert kept + writer.waiting == writer.messages
+        assert bool(kept) == (room >= end)

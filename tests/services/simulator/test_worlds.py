@@ -80,7 +80,6 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: li
     assert str(body.detail()["variations"]).split(", ") == list(VARIATIONS)
 
 
-@pytest.mark.timeout(20)
 @pytest.mark.parametrize(
     ("make", "why"),
     [
