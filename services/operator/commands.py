@@ -2,10 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Final
 
-from schemas.base import NO_EPISODE, Atom, Message, Source
+from schemas.base import KEYS, NO_EPISODE, Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
+
+#: How fast a car, which cannot turn on the spot, drives ahead by a turn key: of its nominal speed.
+TURNS_AT: Final = 0.5
 
 
 class Commands:
@@ -14,6 +18,8 @@ class Commands:
     While a key is held, every heartbeat is answered by its movement; a change is sent at once. When it is released one
     ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated until the robot says that it
     stands, and ends when it was armed; one that is pressed after that was asked for stays.
+    A robot that cannot turn so sharply tells so, and is a car: from then on a turn key drives it ahead, slowly, in as
+    narrow a bend as its gate lets it.
 
     ``robot`` is whom it is for before anything was heard of the robot; ``clock`` gives seconds.
     """
@@ -32,6 +38,7 @@ class Commands:
         self.stop: int | None = None
         self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
+        self._car = False  # Whether it turns only in driving, as far as it has told in this episode.
         self._sent: Atom | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
@@ -57,6 +64,7 @@ class Commands:
             self._sequences.clear()
         self.applied = self.heard = applied
         self.stop = applied.emergency_stop
+        self._car = self._car or applied.reason == "radius"
         if self.emergency:
             return self.insist()
         if self.held is not None and applied.tick != self._answered:
@@ -125,7 +133,7 @@ class Commands:
     def _enter(self, episode: str) -> None:
         if episode != self.episode:
             self.episode = episode
-            self._answered = -1
+            self._answered, self._car = -1, False
             self.no_episode()
 
     def _drive(self) -> Command | None:
@@ -136,6 +144,9 @@ class Commands:
         return self._command("teleop", self._sent or "stop")
 
     def _command(self, source: Source, atom: Atom) -> Command:
-        command = Command.after(self.heard, source=source, sequence=self._sequences[source], atom=atom)
+        linear, angular = KEYS[atom]
+        linear = TURNS_AT if self._car and angular else linear
+        fields = {"source": source, "sequence": self._sequences[source], "linear": linear, "angular": angular}
+        command = Command.after(self.heard, **fields)
         self._sequences[source] += 1
         return command

@@ -185,7 +185,7 @@ def _robot(robot: Report, now_s: float) -> list[str]:
     reasons = {
         "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
         "obstacle": "something is in the way, or not known to be free",
-        "radius": "a car turns only as sharply as it can, and while it drives",
+        "radius": "a car turns while it drives, no more sharply than it can",
         "silence": "nobody drives",
         "taken_over": "you have taken over; r resumes",
         "emergency_stop": _CAUSES[robot.cause],

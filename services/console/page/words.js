@@ -61,7 +61,7 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
   if (robot.reason === "obstacle") {
     return ["warn", "It stands, or goes slower: something is in the way, or nothing tells that it is free"];
   }
-  if (robot.reason === "radius") return ["warn", "A car turns only as sharply as it can, and while it drives"];
+  if (robot.reason === "radius") return ["good", "A car turns while it drives, no more sharply than it can"];
   const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
   return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];
 }

@@ -6,10 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.base import KEYS, STANDING, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.commands import Commands
-from services.robot.gate import CommandGate
+from services.robot.body import Kinematics
+from services.robot.gate import CommandGate, bounded
 
 
 class Operator:
@@ -22,7 +24,7 @@ class Operator:
     def beat(
         self, tick: int, reason: str = "silence", episode: str = "e", stop: int = 7
     ) -> tuple[str, str, int, int] | None:
-        source = {"silence": None, "emergency_stop": "emergency_stop", "command": "teleop"}[reason]
+        source = {"silence": None, "emergency_stop": "emergency_stop"}.get(reason, "teleop")
         return brief(self.service.handle(applied(tick, reason, source, episode, stop)))
 
 
@@ -58,6 +60,28 @@ def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operato
     assert brief(operator.service.press("forward", math.inf)) == ("teleop", "forward", 3, 0)
     assert operator.beat(4) == ("teleop", "forward", 4, 0)
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
+
+
+def test_a_turn_key_drives_a_car_in_a_bend_and_turns_any_other_robot_on_the_spot(operator: Operator) -> None:
+    car = Kinematics(speed_m_s=1.0, turn_rate_rad_s=1.0, radius_m=2.0)
+
+    def asked(command: Command | None) -> Velocity:
+        assert command is not None
+        return command.velocity
+
+    operator.beat(3)
+    on_the_spot = asked(operator.service.press("left", math.inf))
+    may, reason = bounded(on_the_spot, car, None, 0.0)
+    assert (on_the_spot, may, reason) == (KEYS["left"], STANDING, "radius")
+    bend = asked(operator.service.handle(applied(4, reason, "teleop")))
+    assert bounded(bend, car, None, 0.0)[0] == (0.5, 0.25), "slowly, as narrow as two metres"
+    assert asked(operator.service.press("backward", math.inf)) == KEYS["backward"]
+    assert asked(operator.service.release()) == STANDING
+    assert asked(operator.service.press("right", math.inf)) == (0.5, -1.0), "it knows by now"
+    operator.service.handle(applied(5, "radius", "teleop"))
+    operator.service.on_event(event("started", "another"))
+    operator.beat(0, episode="another")
+    assert asked(operator.service.press("left", math.inf)) == KEYS["left"], "the next one may be another robot"
 
 
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
