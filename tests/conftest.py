@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from hypothesis import settings
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.command import run_smal
+from tests.services.waiting import stalls
 from tests.sharing import FIRST, Sharing, made_once
 
 if TYPE_CHECKING:
@@ -90,6 +91,13 @@ def taught_paper(taught: Path) -> Path:
         done = run_smal("learn", taught / "drives", "--scheme", "paper", "--out", model)
         assert done.returncode == 0, done.stderr
     return model
+
+
+@pytest.fixture
+def lost_s() -> Iterator[Callable[[float], float]]:
+    """Give what a busy machine adds to a time, in all since another one; see `stalls`."""
+    with stalls() as lost_s:
+        yield lost_s
 
 
 @pytest.fixture(scope="module")

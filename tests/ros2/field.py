@@ -34,7 +34,7 @@ from services.simulator.world.task import sample_start
 from services.table import stack_services
 from tests.ros2.truth import Truth
 
-STARTED_S = 60.0
+STARTED_S = 100.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Person:
     def __post_init__(self) -> None:
         self.client.watch_poses()
         self.client.node.subscribe(topics.OBSERVATION, self._drive, depth=4)
-        self.client.node.bus.wait_connected(5.0)
+        self.client.node.bus.wait_connected(100.0)
 
     def _drive(self, observation: Observation) -> Message | None:
         truth = self.place.truth
@@ -183,7 +183,7 @@ class Person:
         bus = self.client.node.bus
         for service in ("recognition", "policy"):
             request = LoadRequest(model=name_for(bus, service, model, "--model"))
-            bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+            bus.call(service, "load", request, LoadReply, timeout_s=100.0)
 
     def run(self, seed: int, max_ticks: int) -> EpisodeRecord:
         """Let it search by itself."""

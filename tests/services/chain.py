@@ -100,7 +100,7 @@ def save_model(path: Path, frames: int = 18) -> Path:
 
 @contextmanager
 def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a service as a process; it must end with status 0 within five seconds of SIGTERM."""
+    """Run a service as a process; it must end with status 0 at SIGTERM."""
     child = subprocess.Popen(
         [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags], stderr=subprocess.PIPE, text=True
     )
@@ -109,7 +109,7 @@ def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Pop
     finally:
         child.send_signal(signal.SIGTERM)
         try:
-            status = child.wait(30.0)
+            status = child.wait(100.0)
         finally:
             child.kill()
     assert status == 0, child.stderr.read() if child.stderr else ""

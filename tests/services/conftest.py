@@ -48,7 +48,7 @@ def settings(router_endpoint: str) -> ServiceSettings:
 def client(router_endpoint: str) -> Iterator[Bus]:
     """Connect a client to publish and call with."""
     bus = Bus("rescuebot", router_endpoint)
-    bus.wait_connected(30.0)
+    bus.wait_connected(100.0)
     yield bus
     bus.close()
 
@@ -67,6 +67,6 @@ def run_node(router_endpoint: str) -> Iterator[RunNode]:
     yield run
     for node, thread in running:
         node.stop()
-        thread.join(30.0)
+        thread.join(100.0)
         assert not thread.is_alive(), f"{node.name} did not stop"
         node.close()

@@ -1,7 +1,9 @@
 """Waiting for events, never for a fixed time."""
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import pytest
@@ -24,6 +26,29 @@ def eventually(get: Callable[[], T], timeout_s: float = 100.0) -> T:
             pytest.fail(f"nothing true within {timeout_s} s from {get}")
         time.sleep(0.005)
     return value
+
+
+@contextmanager
+def stalls() -> Iterator[Callable[[float], float]]:
+    """Give for how long, in all since a time, this machine held up a thread that had nothing to do but to wake.
+
+    What is promised within a time is late by that here, and nobody's fault: on a quiet machine, some milliseconds.
+    """
+    times, ended = [time.monotonic()], threading.Event()
+
+    def wake() -> None:
+        while not ended.wait(0.005):
+            times.append(time.monotonic())
+
+    def lost_s(since_s: float) -> float:
+        woken = [one for one in times if one >= since_s]
+        return time.monotonic() - since_s - 0.005 * len(woken)
+
+    thread = threading.Thread(target=wake, daemon=True)
+    thread.start()
+    yield lost_s
+    ended.set()
+    thread.join()
 
 
 def status_of(client: Bus, service: str) -> Status | None:

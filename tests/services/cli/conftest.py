@@ -84,7 +84,7 @@ class Listening:
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), True)
         self.process.send_signal(signal.SIGINT)
-        out, err = self.process.communicate(timeout=60.0)
+        out, err = self.process.communicate(timeout=100.0)
         return self.process.returncode, out, err
 
 

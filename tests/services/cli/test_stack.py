@@ -71,8 +71,15 @@ def test_a_service_that_hangs_in_starting_is_named(
     robot: str, free_endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Whoever waits is told, and in the end it is given up."""
-    monkeypatch.setattr(stack, "PATIENCE_S", 3.0)
-    monkeypatch.setattr(stack, "_TELL_S", 0.5)
+    monkeypatch.setattr(stack, "_TELL_S", 0.1)
+    warn = stack._log.warning
+
+    def tell(*said: object) -> None:
+        warn(*said)
+        if "waiting for ever" in str(said):
+            monkeypatch.setattr(stack, "PATIENCE_S", 0.0)
+
+    monkeypatch.setattr(stack._log, "warning", tell)
     hanging = {"recorder": "tests.services.cli.hanging"}
     with (
         pytest.raises(JobError) as caught,
@@ -123,9 +130,9 @@ def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Sig
             assert parent.stdout.readline() == "ready\n"
             assert len(processes_of(name)) == 2
         else:
-            eventually(lambda: processes_of(name), timeout_s=60.0)
+            eventually(lambda: processes_of(name))
         parent.send_signal(number)
-        status = parent.wait(60.0)
+        status = parent.wait(100.0)
         eventually(lambda: not processes_of(name))
         if number != signal.SIGKILL:
             assert (status, parent.stderr.read()) == (130, "smal: interrupted\n")

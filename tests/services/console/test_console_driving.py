@@ -21,7 +21,7 @@ from tests.services.console.page import Page
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
-OpenPage = Callable[[], Page]
+OpenPage, Lost = Callable[[], Page], Callable[[float], float]
 #: Where the test is about something else: a busy machine may have the robot stand for a moment, and no longer.
 unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
@@ -72,16 +72,16 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     assert (status, picture[:2]) == (200, b"\xff\xd8")
 
 
-def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot) -> None:
+def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot, lost_s: Lost) -> None:
     driving.held = None
     let_go_s = time.monotonic()
     eventually(lambda: not robot.wheels.driven)
-    assert robot.wheels.stands_s - let_go_s <= STAND_WITHIN_S
+    assert robot.wheels.stands_s - let_go_s <= STAND_WITHIN_S + lost_s(let_go_s)
     assert robot.gate.stop_cause is None, "whoever drives is still there"
 
 
 @pytest.mark.parametrize("how", ["vanished", "silent"])
-def test_a_page_that_is_gone_stands_the_robot(driving: Page, robot: Robot, how: str) -> None:
+def test_a_page_that_is_gone_stands_the_robot(driving: Page, robot: Robot, lost_s: Lost, how: str) -> None:
     """Cut off without a word, or still connected but asleep."""
     gone_s = time.monotonic()
     if how == "vanished":
@@ -89,7 +89,7 @@ def test_a_page_that_is_gone_stands_the_robot(driving: Page, robot: Robot, how: 
     else:
         driving.answers = False
     eventually(lambda: not robot.wheels.driven)
-    assert robot.wheels.stands_s - gone_s <= STAND_WITHIN_S
+    assert robot.wheels.stands_s - gone_s <= STAND_WITHIN_S + lost_s(gone_s)
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
 
 
@@ -157,7 +157,7 @@ def test_an_emergency_stop_overtakes_a_flood(
         eventually(lambda: robot.gate.stop_cause == "emergency_stop")
     finally:
         flooding = False
-        flooder.join(5.0)
+        flooder.join(100.0)
 
 
 @unattended
@@ -189,7 +189,7 @@ def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page:
     eventually(lambda: other.beats)
 
 
-def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost) -> None:
     """Whoever drives also by the socket that they drive by, where all places to watch are taken."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
@@ -199,7 +199,7 @@ def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_pag
         pressed_s = time.monotonic()
         other.stop() if who == "a watcher" else driving.say(do="stop")
         eventually(lambda: robot.gate.stop_cause == "emergency_stop" and not robot.wheels.driven)
-        assert robot.wheels.stands_s - pressed_s <= STAND_WITHIN_S
+        assert robot.wheels.stands_s - pressed_s <= STAND_WITHIN_S + lost_s(pressed_s)
         eventually(lambda: other.robot(emergency=True, cause="emergency_stop"))
         driving.let_go()
         eventually(lambda: driving.robot(cause="emergency_stop"))
@@ -242,7 +242,7 @@ def test_nothing_begins_for_who_has_left_before_it_could(
 
     def start(_: RecordRequest) -> None:
         asked.set()
-        assert goes_on.wait(20.0)
+        assert goes_on.wait(100.0)
 
     slow = Node("recorder", settings)
     slow.serve("start", RecordRequest, start)

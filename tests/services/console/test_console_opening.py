@@ -28,7 +28,7 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
 
     def open_world(request: ResetRequest) -> Beginning:
         asked.set()
-        assert goes_on.wait(20.0)
+        assert goes_on.wait(100.0)
         return begin(request)
 
     monkeypatch.setattr(robot.wheels, "begin", open_world)

@@ -79,7 +79,7 @@ def test_inbox_wakes_a_reader_from_another_thread() -> None:
     inbox.open("queue", 1)
     writer = threading.Timer(0.02, inbox.put, ("queue", "item", 1))
     writer.start()
-    assert taken(inbox, timeout_s=5.0) == ("queue", "item")
+    assert taken(inbox, timeout_s=100.0) == ("queue", "item")
     writer.join()
 
 

@@ -161,13 +161,13 @@ def test_status_is_answered_while_a_handler_is_busy(node: Node, run_node: RunNod
 
     def work(_received: Command) -> None:
         begun.set()
-        finish.wait(10.0)
+        finish.wait()
 
     node.subscribe(TELEOP, work)
     node.detail = lambda: {"model": "campus"}
     run_node(node)
     send_raw(node, TELEOP, encode(command(1)), encoding_of(Command))
-    assert begun.wait(30.0)
+    assert begun.wait(100.0)
     try:
         assert status(client).detail == {"model": "campus"}
     finally:
@@ -183,7 +183,7 @@ def test_spin_until_something_holds_or_time_is_over(node: Node) -> None:
         node.subscribe(TELEOP, lambda received: handled.append(received.tick))
         assert not node.spin(until=lambda: bool(handled), timeout_s=0.02)
         send_raw(node, TELEOP, encode(command(4)), encoding_of(Command))
-        assert node.spin(until=lambda: bool(handled), timeout_s=30.0)
+        assert node.spin(until=lambda: bool(handled), timeout_s=100.0)
         assert handled == [4]
 
 
@@ -197,7 +197,7 @@ def test_timers_run_and_survive_failures(node: Node) -> None:
 
     with node:
         node.every(0.005, tick)
-        assert node.spin(until=lambda: len(calls) >= 5, timeout_s=30.0)
+        assert node.spin(until=lambda: len(calls) >= 5, timeout_s=100.0)
         assert node.status().failed == 1
 
 
@@ -211,7 +211,7 @@ def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
 
     with node:
         node.every(0.02, busy)
-        node.spin(until=lambda: len(calls) >= 4, timeout_s=30.0)
+        node.spin(until=lambda: len(calls) >= 4, timeout_s=100.0)
     assert calls[3] - calls[1] >= 0.015, "the five missed calls did not come at once"
 
 
@@ -222,10 +222,10 @@ def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> No
         soon()
     other()
     assert node.status().waiting == {}
-    assert node.spin(lambda: 2 in done, timeout_s=30.0)
+    assert node.spin(lambda: 2 in done, timeout_s=100.0)
     assert done == [1, 2]
     soon()
-    assert node.spin(lambda: len(done) == 3, timeout_s=30.0)
+    assert node.spin(lambda: len(done) == 3, timeout_s=100.0)
     assert node.status().dropped == {}, "nothing is lost where nothing was said"
 
 
@@ -237,10 +237,10 @@ def test_a_node_ends_although_what_works_apart_hangs(
 
     def hang() -> None:
         hangs.set()
-        release.wait(30.0)
+        release.wait()
 
     node.apart(0.001, hang)
-    assert hangs.wait(10.0)
+    assert hangs.wait(100.0)
     node.close()
     release.set()
     assert caplog.messages == ["the thread 'sample, hang' did not end within 0.05 s"]
@@ -288,7 +288,7 @@ def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, num
         assert ready(client, "sample").pid == process.pid
         process.send_signal(number)
         rest = process.stderr.read()
-        assert process.wait(30.0) == 0
+        assert process.wait(100.0) == 0
     assert f"{number.name}: stopping" in rest
     assert "stopped with stopping" in rest
     assert "Traceback" not in rest
@@ -304,7 +304,7 @@ def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
         wait_for(process.stderr, "serving")
         ready(client, "sample")
         process.terminate()
-        assert process.wait(60.0) == 0
+        assert process.wait(100.0) == 0
     client.close()
 
 
@@ -317,7 +317,7 @@ def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
 )
 def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:
     process = start(*flags)
-    _, error = process.communicate(timeout=60.0)
+    _, error = process.communicate(timeout=100.0)
     assert process.returncode == status
     assert line in error
     assert len(error.strip().splitlines()) == 1
@@ -362,7 +362,7 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
 
     def work(_: Nothing) -> None:
         busy.set()
-        release.wait(20.0)
+        release.wait()
 
     node.serve("work", Nothing, work)
     node.at_once(stop, lambda _: stopped.set())
@@ -371,12 +371,12 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
 
     def ask() -> None:
         with suppress(RpcError):  # of too many calls the oldest are not answered
-            client.call("sample", "work", Nothing(), Nothing, 20.0)
+            client.call("sample", "work", Nothing(), Nothing, 100.0)
 
     calls = [threading.Thread(target=ask, daemon=True) for _ in range(64)]
     for call in calls:
         call.start()
-    assert busy.wait(10.0)
+    assert busy.wait(100.0)
     try:
         for _ in range(100):
             send_as_stranger(client, stop, b"\xc1", encoding_of(stop.message))
@@ -386,4 +386,4 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
     finally:
         release.set()
     for call in calls:
-        call.join(20.0)
+        call.join(100.0)

@@ -144,7 +144,7 @@ def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
             publisher = rude.declare_publisher(key, congestion_control=block, priority=first, express=True)
             eventually(lambda publisher=publisher: publisher.matching_status.matching)
             publisher.put(b"")
-            sample = came.get(timeout=30.0)
+            sample = came.get(timeout=100.0)
             topic = TOPICS.get(name, topics.STATE)
             assert (sample.congestion_control == block) == topic.reliable
             assert (sample.priority == first) == (topic.lane == "stop")
@@ -172,7 +172,7 @@ def test_a_forged_sign_of_life_is_refused(router_endpoint: str, node: Node, run_
 def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) -> set[int]:
     """Send until something of a size arrives, for a busy machine may lose some; return all sizes that arrived."""
     taken: set[int] = set()
-    deadline_s = time.monotonic() + 30.0
+    deadline_s = time.monotonic() + 100.0
     while size not in taken:
         assert time.monotonic() < deadline_s
         send()
@@ -240,7 +240,7 @@ def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
             send_as_stranger(sender, topic, payload, encoding_of(topic.message))
             return node.status().dropped.get(topic.name, 0)
 
-        eventually(lambda: send() > 0, timeout_s=60.0)
+        eventually(lambda: send() > 0)
         assert node.status().waiting[topic.name] == 256 // 16 - 1, "256 MiB, less a command"
         assert node.waits(TELEOP), "what others send is not lost"
     sender.close()
@@ -268,7 +268,7 @@ def test_a_call_of_everybody_is_nobody_s(router_endpoint: str, node: Node, run_n
     ready(client, "sample")
     with stranger(router_endpoint) as session:
         for count, key in enumerate(("**", "smal/**", "smal/*/rpc/*/stop", "smal/rescuebot/rpc/**"), start=1):
-            replies = list(session.get(key, timeout=10.0))
+            replies = list(session.get(key, timeout=100.0))
             assert replies
             assert all(reply.err is not None and b"its key is" in reply.err.payload.to_bytes() for reply in replies)
             eventually(lambda count=count: status(client).bad.get("rpc/stop") == count)
@@ -295,9 +295,9 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
         before, began_s, ended = answered, time.monotonic(), SimpleQueue[None]()
         handler = zenoh.handlers.Callback(lambda _reply: None, lambda: ended.put(None), indirect=False)
         for _ in range(5000):
-            session.get(rpc_key("rescuebot", "sim", "end"), handler, timeout=60.0)
+            session.get(rpc_key("rescuebot", "sim", "end"), handler, timeout=100.0)
         for _ in range(5000):
-            ended.get(timeout=30.0)
+            ended.get(timeout=100.0)
         elapsed_s = time.monotonic() - began_s
     assert 0 < answered - before <= 0.1 * elapsed_s / 0.005 + 1
     assert _called(client, "sim") == "e"
@@ -315,9 +315,9 @@ def test_a_call_larger_than_any_service_takes_reaches_none(router_endpoint: str,
     eventually(lambda: _called(client, "sim"))
     with stranger(router_endpoint) as session:
         key = rpc_key("rescuebot", "sim", "end")
-        assert [reply.err for reply in session.get(key, payload=bytes(MAX_RPC_BYTES + 1), timeout=10.0)] != []
+        assert [reply.err for reply in session.get(key, payload=bytes(MAX_RPC_BYTES + 1), timeout=100.0)] != []
         assert len(asked) == 1
-        assert list(session.get(key, payload=bytes(3 * MAX_RPC_BYTES), timeout=10.0)) == []
+        assert list(session.get(key, payload=bytes(3 * MAX_RPC_BYTES), timeout=100.0)) == []
     assert len(asked) == 1
     service.close()
 
@@ -350,7 +350,7 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
         finally:
             tracemalloc.stop()
         assert _called(client, "other") == "e"
-        assert sent.wait(30.0)
+        assert sent.wait(100.0)
         other.close()
     expected = {"key": "unfit reply: its key is smal", "delete": "unfit reply: it deletes", "many": "first"}
     assert expected[way] in told
@@ -360,7 +360,7 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
 def _called(bus: Bus, service: str) -> str:
     """Return the answer, or the error; nothing while nobody serves it."""
     try:
-        return bus.call(service, "end", Nothing(), EndRequest, timeout_s=10.0).episode
+        return bus.call(service, "end", Nothing(), EndRequest, timeout_s=100.0).episode
     except RpcError as error:
         return "" if "is the service running" in str(error) else str(error)
 
@@ -382,7 +382,7 @@ def test_whoever_goes_on_and_on_does_not_fill_the_log(
     node.at_once(TELEOP, fail)
     run_node(node)
     introduce(client, "sample", COMMAND, EXAMPLES[State])
-    before = status(client).failed
+    before, began_s = status(client).failed, time.monotonic()
     for _ in range(20):
         for verb in ("refuse", "fail"):
             with pytest.raises(RpcError):
@@ -392,5 +392,5 @@ def test_whoever_goes_on_and_on_does_not_fill_the_log(
     eventually(lambda: status(client).failed == before + 60)
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
     for text in ("refuse refused: not now", "handling rpc/fail", "handling state", "handling command/teleop"):
-        assert 1 <= len([line for line in lines if text in line]) <= 3, "one a second"
+        assert 1 <= len([line for line in lines if text in line]) <= 3 + time.monotonic() - began_s, "one a second"
     assert "ZeroDivisionError" in caplog.text

@@ -111,7 +111,7 @@ def test_samples_are_taken_by_one_thread_at_a_time() -> None:
     def take(number: int) -> None:
         if number == 0:
             entered.set()
-            assert proceed.wait(10.0)
+            assert proceed.wait(100.0)
         done.append(number)
 
     def ask(name: str) -> None:
@@ -120,7 +120,7 @@ def test_samples_are_taken_by_one_thread_at_a_time() -> None:
     replay: Replay[int] = Replay(take, ask, Budget(1000), print)
     threads = [threading.Thread(target=replay.live, args=("a", number, number, 1)) for number in (0, 1)]
     threads[0].start()
-    assert entered.wait(10.0)
+    assert entered.wait(100.0)
     threads[1].start()
     threads[1].join(0.2)
     assert threads[1].is_alive(), "the second waits"

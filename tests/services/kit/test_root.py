@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +25,6 @@ from tests.services.waiting import eventually, introduce, ready
 #: No name at all: the request itself is malformed.
 MALFORMED = ("/etc/passwd", "..", "../other.smal", "a/../../other.smal", ".", "./a", ".ssh/id", "a//b", "a/", "a\\b",
              "a\0b", "a\nb", "", "x" * 2000)  # fmt: skip
-PATIENCE_S = 1.0
 
 
 @pytest.fixture
@@ -47,11 +45,9 @@ def service(request: pytest.FixtureRequest, settings: ServiceSettings, run_node:
 
 
 def refusal(call: Callable[[], object]) -> str:
-    """Return the line with which a call is refused, soon."""
-    began_s = time.monotonic()
+    """Return the line with which a call is refused, and not that nobody answers."""
     with pytest.raises(RpcError) as caught:
         call()
-    assert time.monotonic() - began_s < PATIENCE_S
     line = str(caught.value)
     assert line.isprintable()
     return line.split(": ", 1)[1]
@@ -158,7 +154,7 @@ def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, root: Pa
 
 
 def start(bus: Bus, name: str) -> None:
-    bus.call("recorder", "start", RecordRequest.model_construct(folder=name), Nothing, timeout_s=2 * PATIENCE_S)
+    bus.call("recorder", "start", RecordRequest.model_construct(folder=name), Nothing, timeout_s=60.0)
 
 
 def files(folder: Path) -> list[str]:

@@ -180,7 +180,7 @@ def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], 
     introduce(client, "recorder", *introductions())
     send(client, [event("cut", 0, "started"), *frame("cut", 0)])
     process.send_signal(signal.SIGTERM)
-    assert process.wait(30.0) == 0
+    assert process.wait(100.0) == 0
     assert "Traceback" not in process.stderr.read()
     recording = read_recording(tmp_path / "cut.mcap", FINGERPRINT)
     assert not recording.truncated
@@ -200,7 +200,7 @@ def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile
     introduce(client, "recorder", *introductions())
     again = threading.Timer(0.5, publish, (client, sent))
     again.start()
-    reply = client.call("recorder", "flush", Nothing(), RecordReply, timeout_s=20.0)
+    reply = client.call("recorder", "flush", Nothing(), RecordReply, timeout_s=100.0)
     again.join()
     assert list(reply.files) == ["cut-2.mcap"]
     assert contents(tmp_path / "cut-2.mcap") == wanted(sent)
@@ -218,17 +218,17 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     publish(client, killed[:50])
     eventually(lambda: ready(client, "recorder").detail["messages"] == len(before) + 50)
     process.kill()
-    process.wait(30.0)
+    process.wait(100.0)
     publish(client, killed[50:-1])
     command = [*process.args[:-1], str(tmp_path)]
     again = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     request.addfinalizer(again.kill)
     # What was said while nobody recorded, and what was not written yet, is fetched from who said it.
-    eventually(lambda: ready(client, "recorder").detail["messages"] == len(killed) - 1, timeout_s=60.0)
+    eventually(lambda: ready(client, "recorder").detail["messages"] == len(killed) - 1)
     publish(client, killed[-1:])
     eventually((tmp_path / "killed-2.mcap").exists)
     again.send_signal(signal.SIGTERM)
-    _, log = again.communicate(timeout=60.0)
+    _, log = again.communicate(timeout=100.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed-2.mcap", "killed.mcap"]
     assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
@@ -338,11 +338,11 @@ def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Pat
         router = Router(free_endpoint)
         sender.wait_connected(5.0)
         publish(sender, sent[400:])
-        eventually((tmp_path / "out.mcap").exists, timeout_s=20.0)
+        eventually((tmp_path / "out.mcap").exists, timeout_s=100.0)
         assert contents(tmp_path / "out.mcap") == wanted(sent)
     finally:
         node.stop()
-        thread.join(5.0)
+        thread.join(100.0)
         node.close()
         sender.close()
         router.close()

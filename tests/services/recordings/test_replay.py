@@ -235,4 +235,4 @@ def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: 
             eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
     finally:
         up.terminate()
-        assert up.wait(20.0) == 0
+        assert up.wait(100.0) == 0

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -33,7 +34,11 @@ from tests.services.waiting import eventually, status_of
 
 @pytest.mark.zenoh
 def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
-    settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus
+    settings: ServiceSettings,
+    router_endpoint: str,
+    run_node: RunNode,
+    client: Bus,
+    lost_s: Callable[[float], float],
 ) -> None:
     """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
     robot = run_robot(settings, run_node, attended=True)
@@ -52,14 +57,14 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
                     operator.begin(RUN)
                 return robot.wheels.driven
 
-            assert node.spin(drives, 10.0), said
+            assert node.spin(drives, 100.0), said
             os.kill(pid, signal.SIGUSR1)
             node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
             dead_s = time.monotonic()
             # From here on it answers nothing; what it has sent is under way.
             eventually(lambda: robot.gate.stop_cause == "operator_lost")
             eventually(lambda: not robot.wheels.driven)
-            assert robot.wheels.stands_s - dead_s <= STAND_WITHIN_S
+            assert robot.wheels.stands_s - dead_s <= STAND_WITHIN_S + lost_s(dead_s)
             eventually(lambda: time.monotonic() - dead_s > 2.0 and robot.gate.operator is None)
     assert status_of(client, "robot") is not None
 
@@ -101,7 +106,7 @@ def test_two_robots_of_one_id_that_start_in_the_same_instant_are_one(
 
     def check_alone(_: ServiceSettings) -> None:
         found.append(status_of(client, "robot"))
-        asked.wait(10.0)
+        asked.wait(100.0)
 
     def keep(node: Node) -> None:
         nodes.append(node)
@@ -129,7 +134,7 @@ def test_two_robots_of_one_id_that_start_in_the_same_instant_are_one(
     for node in nodes:
         node.stop()
     for thread in threads:
-        thread.join(10.0)
+        thread.join(100.0)
     assert len(refused) == 1
 
 
@@ -177,28 +182,28 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
         wheels.opens.clear()
         thread = threading.Thread(target=ask, daemon=True)
         thread.start()
-        assert wheels.opens.wait(10.0)
+        assert wheels.opens.wait(100.0)
         return thread
 
     assert cancel("a") == "robot cancel: there is nothing to cancel: no episode is being begun"
     opening = open_for("a")
     assert cancel("b") == "robot cancel: only who asked for this episode, or the operator, may cancel it"
     assert cancel("a") == "cancelled"
-    opening.join(10.0)
+    opening.join(100.0)
     assert told == ["robot reset: cancelled by who asked for it; the robot is in line, without an episode"]
     assert runner.running is None
     operates = threading.Event()
     with Node("teleop", settings) as desk:
         operator = Operator(desk, (said := []).append)
         desk.every(POLL_S, operator.poll)
-        thread = threading.Thread(target=lambda: desk.spin(operates.is_set, 30.0), daemon=True)
+        thread = threading.Thread(target=lambda: desk.spin(operates.is_set, 100.0), daemon=True)
         thread.start()
         eventually(lambda: gate.operator == desk.session)
         opening = open_for("a")
         operator.withdraw()
-        opening.join(10.0)
+        opening.join(100.0)
         assert told[1:] == ["robot reset: cancelled by the operator; the robot is in line, without an episode"], said
         operates.set()
-        thread.join(10.0)
+        thread.join(100.0)
     reply = client.call("robot", "reset", ResetRequest(seed=1, mode="realtime"), ResetReply)
     assert reply.world == "line", "it takes the next request"

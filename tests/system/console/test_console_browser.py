@@ -36,12 +36,11 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
-WHOLE_LOOP_S = 240.0  # Teach, learn, run, found.
+Lost = Callable[[float], float]
 
 
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     """By clicks and keys alone."""
-    began_s = time.monotonic()
     begin_a_drive(page, site, "near")
     eventually(lambda: page.is_visible("#map .victim"))
     drive_to_the_victim(page, site, "near")
@@ -49,13 +48,12 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     eventually(lambda: data(page, "outcome") == "found")
     eventually(lambda: page.locator("#recordings input:checked").count() == 1)
     page.click("#learn-form button:not([type])")
-    eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
+    eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=240.0)
     eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
     insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
     eventually(lambda: page.locator("#belief img").get_attribute("src"))
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
-    assert time.monotonic() - began_s <= WHOLE_LOOP_S
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
 
 
@@ -101,28 +99,28 @@ LETS_GO: dict[str, tuple[Callable[[Page], None], Callable[[Page], None]]] = {
 }
 
 
-def stands_in_time(page: Page, site: Site, befalls: Callable[[Page], None], name: str) -> None:
+def stands_in_time(page: Page, site: Site, lost_s: Lost, befalls: Callable[[Page], None], name: str) -> None:
     """Have something befall a page by which the robot moves."""
     # Chromium takes its time for some of these: the robot is watched meanwhile, on a thread of the bus.
     began_s = time.monotonic()
     befalls(page)
     took_s = time.monotonic() - began_s
-    assert site.stood_s(began_s) <= took_s + STAND_WITHIN_S, name
+    assert site.stood_s(began_s) <= took_s + STAND_WITHIN_S + lost_s(began_s), name
 
 
 @pytest.mark.parametrize("fate", FATES)
-def test_whatever_becomes_of_the_page_the_robot_stands(browser: Browser, site: Site, fate: str) -> None:
+def test_whatever_becomes_of_the_page_the_robot_stands(browser: Browser, site: Site, lost_s: Lost, fate: str) -> None:
     with opened(browser, site) as page:
         drive_ahead(page, site)
-        stands_in_time(page, site, FATES[fate], fate)
+        stands_in_time(page, site, lost_s, FATES[fate], fate)
 
 
-def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site) -> None:
+def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site, lost_s: Lost) -> None:
     """A key, whatever takes it away, and the pad; what stops the robot keeps it stopped until it is armed."""
     drive_ahead(page, site)
     for name, (befalls, undo) in LETS_GO.items():
         hold(page, site, lambda: (page.keyboard.up("w"), page.keyboard.down("w")))
-        stands_in_time(page, site, befalls, name)
+        stands_in_time(page, site, lost_s, befalls, name)
         undo(page)
         page.keyboard.up("w")
         if name.startswith("stopped"):
@@ -135,7 +133,7 @@ def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site) -> None
         page.mouse.down()
 
     hold(page, site, press, "left")
-    stands_in_time(page, site, lambda page: page.mouse.up(), "pad")
+    stands_in_time(page, site, lost_s, lambda page: page.mouse.up(), "pad")
 
 
 # -- faults -----------------------------------------------------------------------------------------------------------
@@ -152,7 +150,7 @@ def killed(site: Site) -> Iterator[None]:
         site.pid_of_console()
 
 
-def test_without_its_console_the_robot_stands_until_somebody_asks(browser: Browser, site: Site) -> None:
+def test_without_its_console_the_robot_stands_until_somebody_asks(browser: Browser, site: Site, lost_s: Lost) -> None:
     faults: tuple[tuple[Callable[[int], AbstractContextManager[None]], str], ...] = (
         (lambda _: frozen(site.pid_of_console()), "The console has been silent for"),
         (frozen, "The console has been silent for"),  # the link
@@ -163,7 +161,7 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(browser: Brows
         for fault, says in faults:
             began_s = time.monotonic()
             with fault(link_pid):
-                assert site.stood_s(began_s) <= STAND_WITHIN_S
+                assert site.stood_s(began_s) <= STAND_WITHIN_S + lost_s(began_s)
                 eventually(lambda says=says: told(page).startswith(says))  # type: ignore[misc]
             # The key is still down.
             eventually(lambda: "console" not in told(page))
