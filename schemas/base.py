@@ -56,7 +56,7 @@ KEYS: Final[dict[Atom, Velocity]] = {
     "forward": Velocity(1.0, 0.0), "backward": Velocity(-1.0, 0.0), "left": Velocity(0.0, 1.0),
     "right": Velocity(0.0, -1.0), "stop": STANDING,
 }  # fmt: skip
-#: From the highest priority to the lowest: the actuator obeys the first source that has a fresh command.
+#: The sources of commands; `services.robot.gate` says which one the robot obeys.
 SOURCES: Final[tuple[Source, ...]] = get_args(Source)
 
 

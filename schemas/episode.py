@@ -41,7 +41,7 @@ class Episode(Message):
     purpose: Purpose
     """drive: a whole demonstration; recovery: a short one that begins off the route; run: the robot by itself."""
     driver: Source
-    """Who drives; sources of lower priority are refused."""
+    """Who drives; the gate refuses other drivers."""
     world: Annotated[str, Field(min_length=1, max_length=255)]
     """Name of the world; of a real robot's body where there is none."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]

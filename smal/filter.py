@@ -74,7 +74,7 @@ class _Odds(NamedTuple):
 
 
 class Newness:
-    """How much of a view the ones before have not told, 0 to 1.
+    """How new a view is, 0 to 1: the part of it that earlier views did not already tell.
 
     It is new against the last one that was counted in full, by its looks. A robot that drives compares it with other
     places, too: half of what two views say alike is owed to the places, which change by the way. So many small changes
@@ -87,7 +87,7 @@ class Newness:
         self._used, self.step = 0.0, np.zeros(3)
 
     def of(self, centred: NDArray[np.float32]) -> float:
-        """Return it of the next view's centred features (m,), and count that.
+        """Return how new the next view is, by its centred features (m,), and remember it.
 
         Its components would not do: of what the map has never seen they hold little but noise, always new.
         """
@@ -173,7 +173,7 @@ class Filter:
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
-        self._odds = self._odds._replace(tracked=max(self._odds.tracked, 1e-12))  # Of nothing nothing comes back.
+        self._odds = self._odds._replace(tracked=max(self._odds.tracked, 1e-12))  # From 0 it never came back.
         self._started, self._evidence = True, 0.0
         if seen.newness > 0.0:
             self._last, self._since = seen.components, np.zeros(3)
@@ -184,7 +184,8 @@ class Filter:
     def _seen(self, centred: NDArray[np.float32]) -> View:
         """Compare a view with those of the map.
 
-        What looks like nothing more than like any place, is equally like all, or the same to the bit, shows no place.
+        A view shows no place if it looks more like a blank picture than like any place, if it is equally like all
+        places, or if it is the view before to the bit.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
@@ -199,7 +200,7 @@ class Filter:
         return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
 
     def _jump(self, seen: View, movement: Movement) -> None:
-        """Take from the particles the probability that goes to where the wheels do not lead.
+        """Move probability from the followed particles to scouts and to "lost".
 
         With every new view a little; much more where it does not look like the one just before, though the robot has
         hardly moved. Without views the wheels alone are believed less and less.
@@ -232,7 +233,7 @@ class Filter:
     def _weigh(self, seen: View) -> None:
         """Weigh all by a view, and send scouts."""
         tracked, jumped, sent, lost = self._odds
-        # What shows is known by the views before this one: that it is unlike the place followed says nothing of others.
+        # Scouts take the shares from before this view: that it is unlike the followed place says nothing of others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:

@@ -89,8 +89,8 @@ def shows_same(poses: NDArray[np.float64], pose: NDArray[np.float64], length: fl
 def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.bool_]:
     """Tell which frames a robot is to pass, (f,).
 
-    What lies before a frame that came back to what another one shows led nowhere: a wrong turn and its correction, a
-    way and back. What went round something did not come back: it is further from there than half of its way.
+    Frames between two that show the same led nowhere: a wrong turn and its correction, or a way there and back. They
+    are kept where the second of the two is further from the first than half of the way between: it leads on.
     """
     # However long it stands: the time to tell grows with the square of the frames that are compared.
     moved = np.append(True, np.diff(poses, axis=0).any(axis=1) | (np.diff(drives) != 0))

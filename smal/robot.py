@@ -54,7 +54,7 @@ class Localizer:
         """Forget everything, for a new episode."""
         self._filter.reset()
         self._pose: Sequence[float] | None = None
-        self._since_near = math.inf
+        self._since_near, self._time_s = math.inf, 0.0
         if self._witness is not None:
             self._witness.reset()
 
@@ -70,7 +70,7 @@ class Localizer:
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
-        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture)
+        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s)
 
     def observe(
         self,
@@ -104,6 +104,7 @@ class Localizer:
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, noise)
         self._since_near += abs(movement.ahead)
+        self._time_s += self._map.tick_s if elapsed_s is None else elapsed_s
         # Not before: a frame that is refused is not taken in.
         if odometry is not None or atoms:
             self._pose = odometry

@@ -143,7 +143,7 @@ class Settings:
     #: Mean score where it is not in view, as a share of the best one of the approach, at least: round the end there are
     #: things that the way does not show.
     least_score: float = 0.025
-    views_as_one: int = 5  # So many views say together what one says: half a second at ten a second.
+    same_moment_s: float = 0.5  # Views of so long a time say together what one says.
     #: Probability that it is in view of a robot that has arrived and looks around; how much worse it is to say wrongly
     #: that it is there than to look on.
     in_view: float = 0.2

@@ -84,10 +84,11 @@ class EpisodeRunner(Generic[V]):
         self._unless(self.gate.resume(episode, request.tick, request.session))
 
     def check_reset(self, request: ResetRequest) -> None:
-        """Say whether an episode may begin.
+        """Refuse a beginning that may not be.
 
-        Raises ServiceError while a stop is latched, a person has taken over, somebody else's episode runs, an operator
-        is there who has taken over, or would drive in place of who asks, or in a mode that this robot does not know.
+        Raises ServiceError, with the reason, while a stop is latched, a person has taken over, somebody else's episode
+        runs, an operator is there who has taken over, or would drive in place of who asks, or in a mode that this robot
+        does not know.
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")

@@ -145,16 +145,18 @@ class Witness:
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._said = deque[float](maxlen=SETTINGS.views_as_one)
+        self._said = deque[tuple[float, float]]()
 
-    def look(self, picture: Image) -> Glimpse:
-        """Take a small picture. A view that is hidden is no evidence."""
+    def look(self, picture: Image, time_s: float = 0.0) -> Glimpse:
+        """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
         said, near, left = self._sight.says(picture), 0.0, None
         if said is not None:
-            self._said.append(said[0])
+            self._said.append((time_s, said[0]))
+            while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
+                self._said.popleft()
             # An area falls with the square of the distance.
             near, left = math.sqrt(said[1] / self._sight.size), said[2] if said[0] > 0.0 else None
         # Views of one moment are no independent witnesses: together they say what one says.
-        mean = float(np.mean(self._said)) if self._said else 0.0
+        mean = float(np.mean([ratio for _, ratio in self._said])) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
         return Glimpse(odds / (1.0 + odds), near, left)
