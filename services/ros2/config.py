@@ -88,7 +88,17 @@ class Velocity(_Part):
     """How the base is told to move; auto is what it says that it subscribes to."""
 
     topic: Topic = "cmd_vel"
-    type: Literal["auto", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"] = "auto"
+    type: Literal[
+        "auto", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped",
+        "ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped",
+    ] = "auto"  # fmt: skip
+    wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = None  # From axle to axle, of what takes AckermannDrive.
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.type != "auto" and ("Ackermann" in self.type) != (self.wheelbase_m is not None):
+            raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
+        return self
 
 
 class Ros2Config(_Part):
@@ -120,6 +130,8 @@ class Ros2Config(_Part):
             host_and_port(self.router)
         except BusError as error:
             raise ValueError(str(error)) from None
+        if self.velocity.wheelbase_m is not None and self.radius_m == 0.0:
+            raise ValueError("radius_m: what takes AckermannDrive has a least radius of its way; say it")
         return self
 
     def full(self, topic: str) -> str:

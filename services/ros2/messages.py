@@ -1,5 +1,6 @@
 """ROS 2 messages: their bytes (CDR) and the hashes of their types, both by the `rosbags` package."""
 
+import math
 from functools import cache
 from typing import Any, Final, Literal, TypeAlias
 
@@ -12,6 +13,8 @@ RosMessage: TypeAlias = Any  # A message, or a part of one: its class is made of
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
+ACKERMANN: Final = "ackermann_msgs/msg/AckermannDrive"
+ACKERMANN_STAMPED: Final = "ackermann_msgs/msg/AckermannDriveStamped"
 COMPRESSED_IMAGE: Final = "sensor_msgs/msg/CompressedImage"
 IMAGE: Final = "sensor_msgs/msg/Image"
 CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
@@ -27,6 +30,9 @@ _LAST_NS: Final = (2**31 - 1) * 1_000_000_000  # The last moment that a stamp, w
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     HAZARDS: "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n",
+    ACKERMANN: "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\n"
+    "float32 jerk\n",
+    ACKERMANN_STAMPED: "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
     SENSOR_STATE: "std_msgs/Header header\nuint8 bumper\nfloat32 cliff\nfloat32 sonar\nfloat32 illumination\n"
     "uint8 led\nuint8 button\nbool torque\nint32 left_encoder\nint32 right_encoder\nfloat32 battery\n",
 }
@@ -67,15 +73,23 @@ class Messages:
         except Exception as error:  # noqa: BLE001 - the package does not say which ones; these are bytes of a stranger
             raise MessageError(f"not a {type_name}: {type(error).__name__}") from None
 
-    def velocity(self, ahead_m_s: float, turn_rad_s: float, stamp_ns: int | None) -> bytes:
+    def velocity(
+        self, ahead_m_s: float, turn_rad_s: float, stamp_ns: int | None, wheelbase_m: float | None = None
+    ) -> bytes:
         """Return a Twist or, with a stamp, a TwistStamped: speed ahead, and counter-clockwise.
 
+        With a wheelbase it is an AckermannDrive: speed, and the angle to the left by which it turns so; 0 in standing.
         The stamp is by the robot's clock, nanoseconds since 1970, 0 where that is not known; of a clock beyond what a
         stamp can hold it is the nearest that one can.
         """
-        twist = {"linear": {"x": ahead_m_s}, "angular": {"z": turn_rad_s}}
+        plain, stamped, part = TWIST, TWIST_STAMPED, "twist"
+        fields: dict[str, Any] = {"linear": {"x": ahead_m_s}, "angular": {"z": turn_rad_s}}
+        if wheelbase_m is not None:
+            plain, stamped, part = ACKERMANN, ACKERMANN_STAMPED, "drive"
+            angle_rad = math.atan(wheelbase_m * turn_rad_s / ahead_m_s) if ahead_m_s else 0.0
+            fields = {"speed": ahead_m_s, "steering_angle": angle_rad}
         if stamp_ns is None:
-            return self.write(TWIST, twist)
+            return self.write(plain, fields)
         seconds, rest_ns = divmod(min(max(0, stamp_ns), _LAST_NS), 1_000_000_000)
         header = {"stamp": {"sec": seconds, "nanosec": rest_ns}, "frame_id": "base_link"}
-        return self.write(TWIST_STAMPED, {"header": header, "twist": twist})
+        return self.write(stamped, {"header": header, part: fields})

@@ -21,7 +21,8 @@ from services.ros2.wire import Bridge, Endpoint, Kind, Qos, RmwZenoh, gid_of, re
 
 #: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
 PATIENCE_MS: Final = 5000
-_VELOCITIES: Final = (messages.TWIST, messages.TWIST_STAMPED)
+_TWISTS: Final = (messages.TWIST, messages.TWIST_STAMPED)
+_ACKERMANN: Final = (messages.ACKERMANN, messages.ACKERMANN_STAMPED)
 #: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
 #: changes, the last word is wanted that was said before we came.
 _SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
@@ -65,6 +66,7 @@ class Ros2Session:
         self._tokens: dict[str, Endpoint] = {}
         self._heard: dict[str, tuple[bytes, int]] = {}
         self._changes: dict[str, zenoh.ext.AdvancedSubscriber[None]] = {}
+        self._types = _TWISTS if config.velocity.wheelbase_m is None else _ACKERMANN
         self._auto = config.velocity.type == "auto"
         self._type: str | None = None if self._auto else str(config.velocity.type)
         try:
@@ -170,11 +172,11 @@ class Ros2Session:
 
     def _choose(self, endpoints: list[Endpoint]) -> None:
         types = {one.type_name for one in endpoints}
-        wanted = next((name for name in _VELOCITIES if name in types), None)
+        wanted = next((name for name in self._types if name in types), None)
         if wanted is None:
             if types:
                 named = ", ".join(sorted(map(printable, types)))
-                _log.error("%s takes %s; known are Twist and TwistStamped", self._topic, named)
+                _log.error("%s takes %s; it is told %s or %s", self._topic, named, *self._types)
             return
         hashes = {one.type_hash for one in endpoints if one.type_name == wanted}
         own = self._dialect.type_hash(wanted)
@@ -207,11 +209,11 @@ class Ros2Session:
         type_name = self._type
         if type_name is None:
             return
-        stamp_ns = None if type_name == messages.TWIST else round((robot_s or 0.0) * 1e9)
+        stamp_ns = round((robot_s or 0.0) * 1e9) if type_name.endswith("Stamped") else None
         publisher, gid = self._publisher(type_name)
         self._sequence += 1
         publisher.put(
-            self._messages.velocity(ahead_m_s, turn_rad_s, stamp_ns),
+            self._messages.velocity(ahead_m_s, turn_rad_s, stamp_ns, self._config.velocity.wheelbase_m),
             attachment=self._dialect.attachment(self._sequence, time.time_ns(), gid),
         )
 

@@ -63,6 +63,13 @@ class Ros:
             ("HazardDetectionVector", "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections"),
         ):
             self.types.register(get_types_from_msg(text, f"irobot_create_msgs/msg/{name}"))
+        # https://github.com/ros-drivers/ackermann_msgs
+        numbers = "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"
+        for name, text in (
+            ("AckermannDrive", "\n".join(f"float32 {number}" for number in numbers)),
+            ("AckermannDriveStamped", "std_msgs/Header header\nackermann_msgs/AckermannDrive drive"),
+        ):
+            self.types.register(get_types_from_msg(text, f"ackermann_msgs/msg/{name}"))
         self.node = node
         self.count = 0
         self.kept: list[Any] = []

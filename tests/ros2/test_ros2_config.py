@@ -51,6 +51,8 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
         (BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n", "scan: nothing would stop it, as blind_m is 0.3 m"),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: Input should be"),
+        (BASE + "velocity: {wheelbase_m: 0.3}\n", "radius_m: what takes AckermannDrive has a least radius"),
+        (BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n", "velocity: wheelbase_m belongs to an"),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
         ("a: [\n", "no YAML in line"),

@@ -1,5 +1,6 @@
 """The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
@@ -34,6 +35,7 @@ class Place:
     dialect: str
     latched: bool
     endpoint: str = field(default_factory=free_endpoint)
+    velocity: str = "{type: geometry_msgs/msg/Twist}"
 
     def __post_init__(self) -> None:
         self.router = opened("router", self.endpoint)
@@ -49,18 +51,18 @@ class Place:
 
     def listen(self, stack: ExitStack) -> Senses:
         """Start the service's side, for which the button is all that must be heard."""
-        config = read_config(self.config(self.folder, self.endpoint, self.dialect))
+        config = read_config(self.config(self.folder, self.endpoint, self.dialect, self.velocity))
         senses = Senses(config)
         self.session = stack.enter_context(closing(Ros2Session(config, senses)))
         return senses
 
     @staticmethod
-    def config(folder: Path, endpoint: str, dialect: str) -> Path:
+    def config(folder: Path, endpoint: str, dialect: str, velocity: str = velocity) -> Path:
         """Write what the service is told of this robot."""
         path = folder / "robot.yaml"
         path.write_text(
             f"preset: generic\nwatchdog_s: 0.2\nrouter: {endpoint}\ndialect: {dialect}\nodometry: null\n"
-            "velocity: {type: geometry_msgs/msg/Twist}\n"
+            f"velocity: {velocity}\n"
             f"stops: [{{topic: button, type: {BOOL}, silence_s: null}}]\n"
         )
         return path
@@ -161,6 +163,30 @@ def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
     assert not senses.refused
     place.robot.session.put(key, bytes(100_000), congestion_control=block)
     eventually(lambda: senses.refused[BUTTON])
+
+
+@pytest.mark.parametrize("stamped", ["", "Stamped"])
+def test_a_car_is_told_its_speed_and_its_steering_angle(
+    make: Callable[[bool], Place], stack: ExitStack, stamped: str
+) -> None:
+    place = make(True)
+    place.velocity = "{topic: drive, wheelbase_m: 0.3}\nradius_m: 0.6"
+    place.start_robot()
+    assert place.robot is not None
+    told = list[tuple[float, float]]()
+
+    def take(message: Any) -> None:
+        drive = message.drive if stamped else message
+        told.append((drive.speed, drive.steering_angle))
+
+    place.robot.subscribe("drive", f"ackermann_msgs/msg/AckermannDrive{stamped}", take)
+    place.listen(stack)
+    eventually(lambda: place.session.lacks() is None)
+    left_rad = math.atan(0.3 / 0.6)
+    # To the left, the same in backing, straight on, and standing.
+    for ahead_m_s, turn_rad_s, angle_rad in ((0.6, 1, left_rad), (-0.6, 1, -left_rad), (0.6, 0, 0), (0, 0, 0)):
+        expected = pytest.approx((ahead_m_s, angle_rad), rel=1e-6)
+        eventually(lambda: (place.session.send(ahead_m_s, turn_rad_s, 5.0), told and told[-1] == expected)[1])  # noqa: B023
 
 
 def test_no_robot_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
