@@ -112,9 +112,9 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
 
 
 def turns_ahead(movements: NDArray[np.float64]) -> bool:
-    """Tell by `atom_movements` (5, 2) if the robot is a car, which in turning goes over half its way straight on."""
+    """Tell by `atom_movements` (5, 2) if the robot is a car: turning to either side it goes over half its way ahead."""
     ahead = np.abs(movements[:, 0])
-    return bool(ahead[[Atom.LEFT, Atom.RIGHT]].max() > 0.5 * ahead[Atom.FORWARD])
+    return bool(ahead[[Atom.LEFT, Atom.RIGHT]].min() > 0.5 * ahead[Atom.FORWARD])
 
 
 def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]) -> NDArray[np.float64]:

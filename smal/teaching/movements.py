@@ -13,8 +13,9 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
     """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
     It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
-    most: who pauses between keys, or is slow, does not make the robot so. A robot that turns on the spot in one drive
-    was driven in bends in those where a turn leads ahead. Of an atom that was never made: a turn is
+    most: who pauses between keys, or is slow, does not make the robot so. Of turns the later half of the longest
+    counts: in a short one the robot still rolls ahead, which makes no car of it. A robot that turns on the spot in one
+    drive was driven in bends in those where a turn leads ahead. Of an atom that was never made: a turn is
     that to the other side, backward the opposite of forward, and a car that never drove straight on does so as fast as
     it turns.
     """
@@ -31,7 +32,10 @@ def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[
     made = atoms[:-1]
     steps = [Movement.between(*pair) for pair in pairwise(way)]
     told = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
-    found = {atom: told[made == atom] for atom in Atom}
+    starts = np.append(True, made[1:] != made[:-1])
+    since = np.arange(made.size) - np.maximum.accumulate(np.where(starts, np.arange(made.size), 0))
+    longest = {atom: since[made == atom].max(initial=0) for atom in (Atom.LEFT, Atom.RIGHT)}
+    found = {atom: told[(made == atom) & (2 * since >= longest.get(atom, 0))] for atom in Atom}
     table = np.array([np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()])
     if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
         found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]

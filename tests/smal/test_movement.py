@@ -96,6 +96,16 @@ def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
     assert turns_ahead(atom_movements([dead_reckoning(atoms, bends)], [atoms]))
 
 
+def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
+    """As where somebody corrects at full speed: of what it rolls 0.6 is left after each frame of a turn."""
+    atoms = np.tile(np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5).astype(np.int8)
+    way, ahead = [(0.0, 0.0, 0.0)], 0.0
+    for atom in atoms[:-1]:
+        ahead = 0.2 if atom == Atom.FORWARD else 0.6 * ahead
+        way.append(moved(way[-1], Movement(ahead, TABLE[atom, 1])))
+    assert not turns_ahead(atom_movements([np.array(way)], [atoms]))
+
+
 def test_a_slow_person_does_not_make_the_robot_slow() -> None:
     atoms = np.repeat(list(Atom), 20).astype(np.int8)
     slow = np.repeat(atoms, 2)
