@@ -14,7 +14,7 @@ from tests.benchmarks.faults.cells import MATRIX
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
 from tests.benchmarks.faults.run import run_cell
 
-pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
 BUSY = {"recovery", "pause", "rate"}  # What a machine that does other things as well may miss.
 

@@ -37,7 +37,7 @@ def test_the_tracker_agrees_with_the_true_pose_on_a_drive(
         client.node.subscribe(topics.POSE, see, depth=256)  # type: ignore[arg-type]
         client.node.subscribe(topics.TRACKED, follow, depth=256)
         client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
-        request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=50)
+        request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=25)
         record = client.run(request, expert.begin, lambda: expert.arrived, check=access.check)
         client.node.spin(until=lambda: record.ticks in tracked, timeout_s=100.0)
         client.close()

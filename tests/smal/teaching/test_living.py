@@ -11,9 +11,18 @@ from smal.features import extract
 from smal.filter import Filter
 from smal.model import Model, VisualMap
 from smal.settings import SETTINGS
+from smal.teaching import living
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.living import compared, lived, taken_up, whole_runs
 from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
+
+#: How a map follows a run is the same each time, and takes most of the time.
+followed = cache(living.follow)
+
+
+@pytest.fixture(autouse=True)
+def followed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(living, "follow", followed)
 
 
 @cache

@@ -35,7 +35,7 @@ from tests.system.console.console_site import (
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 Lost = Callable[[float], float]
 
 

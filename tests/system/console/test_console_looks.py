@@ -17,7 +17,7 @@ from tests.system.console.console_site import Site, data, hold, insist, run_in
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 
 
 @pytest.fixture
