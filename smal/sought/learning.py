@@ -84,19 +84,27 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         for k, one in enumerate(patches)
         if len(patches) > 1
     ]
-    here = [best_window(one, windows)[0] for one in left_out]
-    at_end = [float(one.sum()) for one, patch in zip(left_out, patches, strict=False) if patch.last]
+    found = [best_window(one, windows) for one in left_out]
+    # Where none of the last views is left, the nearest one is that in which it is largest.
+    sums = [float(one.sum()) for one in left_out]
+    at_end = [k for k, patch in enumerate(patches[: len(left_out)]) if patch.last] or [int(np.argmax(sums))]
     every, added = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
-        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows)[0]
+        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows).score
         for k, one in enumerate(pictures)
     ]
-    ratio = _ratio(np.array(here), np.array(elsewhere_scores))
+    ratio = _ratio(np.array([one.score for one in found]), np.array(elsewhere_scores))
     if ratio is None:
         return None
-    # Where none of the last views is left, the nearest one is that in which it is largest.
-    size = float(np.median(at_end or [max(float(one.sum()) for one in left_out)]))
-    return Sight(every.astype(np.float16), others.astype(np.float16), windows, far, ratio, size) if size > 0.0 else None
+    lows = np.array([one.low for one in found])
+    size, low = float(np.median(np.array(sums)[at_end])), float(np.median(lows[at_end]))
+    # A level camera sees what looks half as large half as far from the middle; another one, or another thing, may not.
+    large, far_off = np.sqrt(np.array(sums) / (size or 1.0)), lows / (low or 1.0)
+    small = (large > 0.0) & (large < 0.5)
+    if abs(low) < SETTINGS.low or not small.any() or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean():
+        low = 0.0
+    codes_of = every.astype(np.float16), others.astype(np.float16)
+    return Sight(*codes_of, windows, far, ratio, size, low) if size > 0.0 else None
 
 
 def _lasting(patches: list[_Patch]) -> list[_Patch]:

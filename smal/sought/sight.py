@@ -46,6 +46,22 @@ def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float
     return np.asarray(np.sqrt(np.maximum(away, 0.0)).reshape(cells.shape[:-1]), dtype=np.float32)
 
 
+class Window(NamedTuple):
+    """Where in a picture most speaks for what is sought."""
+
+    score: float  # Mean of what its cells say, 0 to 1.
+    left: float  # Of the middle of the picture, as a share of the width, -0.5 to 0.5.
+    low: float  # Below the middle what speaks is, as a share of the height, -0.5 to 0.5.
+
+
+class Said(NamedTuple):
+    """What one picture says of what is sought."""
+
+    log_ratio: float
+    near: float  # How near it is, over how near it was where the taught ways ended.
+    left: float  # As of a window.
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is sought, what else there is, and what a score says."""
@@ -56,6 +72,9 @@ class Sight:
     far: float  # Distance from which two cells are not alike at all.
     log_ratio: NDArray[np.float64]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
     size: float  # Cells that spoke for it where the ways ended.
+    #: How far below the middle of the view it was there, as a share of the height, above is negative; 0 where this does
+    #: not tell how near it is.
+    low: float = 0.0
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
@@ -72,22 +91,25 @@ class Sight:
             and 0 < len(self.windows) <= SETTINGS.sizes,
             "far": 1e-6 < self.far < 1e3,
             "size": 0.0 < self.size < 1e4,
+            "low": -0.5 <= self.low <= 0.5,
             "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
         if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()):
             raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
 
-    def says(self, picture: Image) -> tuple[float, float, float] | None:
-        """Return the log ratio of a small picture, how many cells speak for it, and where; None where nothing shows.
-
-        Where is from the middle to the left, as a share of the width, -0.5 to 0.5.
-        """
+    def says(self, picture: Image) -> Said | None:
+        """Return what a small picture says; None where nothing shows."""
         if float(picture.std()) < SETTINGS.plain:
             return None
         speaks = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
-        best, left = best_window(speaks, self.windows)
-        return float(np.interp(best, SCORES, self.log_ratio)), float(speaks.sum()), left
+        found = best_window(speaks, self.windows)
+        log_ratio = float(np.interp(found.score, SCORES, self.log_ratio))
+        # An area falls with the square of the distance.
+        near = math.sqrt(float(speaks.sum()) / self.size)
+        # From another side less of it looks as it did; but what stands at one height is the lower, or higher, in the
+        # view of a level camera the nearer it is.
+        return Said(log_ratio, max(near, found.low / self.low) if self.low else near, found.left)
 
 
 def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
@@ -97,23 +119,27 @@ def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[A
     return speaks
 
 
-def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> tuple[float, float]:
-    """Return the highest mean over a window, and how far left of the middle that is, as a share of the width."""
+def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Window:
+    """Return the window of the highest mean; its score is 0 where nothing speaks."""
     total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    best, left = 0.0, 0.0
+    best = Window(0.0, 0.0, 0.0)
     for rows, columns in windows.tolist():
         inside = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
         mean = float(inside.max()) / (rows * columns)
-        if mean > best:
-            best, left = mean, 0.5 - (int(inside.argmax()) % inside.shape[1] + columns / 2.0) / speaks.shape[1]
-    return min(best, 1.0), left
+        if mean > best.score:
+            row, column = divmod(int(inside.argmax()), inside.shape[1])
+            by_row = speaks[row : row + rows, column : column + columns].sum(axis=1)
+            middle = row + 0.5 + float(by_row @ np.arange(rows) / by_row.sum())
+            left = 0.5 - (column + columns / 2.0) / speaks.shape[1]
+            best = Window(mean, left, middle / speaks.shape[0] - 0.5)
+    return best._replace(score=min(best.score, 1.0))
 
 
 def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Return what a file says of the sights of goals, and the arrays in it."""
     said, arrays = [], dict[str, NDArray[Any]]()
     for number, (goal, one) in enumerate(sights.items()):
-        said.append({"goal": goal, "far": one.far, "size": one.size})
+        said.append({"goal": goal, "far": one.far, "size": one.size, "low": one.low})
         arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}
     return said, arrays
 
@@ -122,7 +148,10 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
     """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     return {
         str(one["goal"]): Sight(
-            far=one["far"], size=one["size"], **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
+            far=one["far"],
+            size=one["size"],
+            low=one.get("low", 0.0),
+            **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS},
         )
         for number, one in enumerate(said)
     }
@@ -145,18 +174,20 @@ class Witness:
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._said = deque[tuple[float, float]]()
+        self._said = deque[tuple[float, Said]]()
 
     def look(self, picture: Image, time_s: float = 0.0) -> Glimpse:
         """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
         said, near, left = self._sight.says(picture), 0.0, None
         if said is not None:
-            self._said.append((time_s, said[0]))
+            self._said.append((time_s, said))
             while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
                 self._said.popleft()
-            # An area falls with the square of the distance.
-            near, left = math.sqrt(said[1] / self._sight.size), said[2] if said[0] > 0.0 else None
+            near, left = (
+                float(np.mean([one.near for _, one in self._said])),
+                said.left if said.log_ratio > 0.0 else None,
+            )
         # Views of one moment are no independent witnesses: together they say what one says.
-        mean = float(np.mean([ratio for _, ratio in self._said])) if self._said else 0.0
+        mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
         return Glimpse(odds / (1.0 + odds), near, left)
