@@ -31,6 +31,11 @@ from tests.ros2.truth import Truth
 
 STEP_S = 0.02
 WATCHDOG_S = 0.2
+HEADER = "std_msgs/Header header\n"
+# As https://github.com/ros-drivers/ackermann_msgs has it.
+STEERING = "".join(
+    f"float32 {name}\n" for name in ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+)
 OLDEST_S = 0.5  # As controllers of ros2_control do: a stamped velocity that is older is not carried out.
 
 
@@ -59,17 +64,12 @@ class Ros:
         self.options = options
         self.types = get_typestore(Stores.ROS2_HUMBLE if options.humble else Stores.ROS2_JAZZY)
         for name, text in (
-            ("HazardDetection", "std_msgs/Header header\nuint8 type"),
-            ("HazardDetectionVector", "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections"),
+            ("irobot_create_msgs/msg/HazardDetection", f"{HEADER}uint8 type"),
+            ("irobot_create_msgs/msg/HazardDetectionVector", f"{HEADER}HazardDetection[] detections"),
+            ("ackermann_msgs/msg/AckermannDrive", STEERING),
+            ("ackermann_msgs/msg/AckermannDriveStamped", f"{HEADER}AckermannDrive drive"),
         ):
-            self.types.register(get_types_from_msg(text, f"irobot_create_msgs/msg/{name}"))
-        # https://github.com/ros-drivers/ackermann_msgs
-        numbers = "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"
-        for name, text in (
-            ("AckermannDrive", "\n".join(f"float32 {number}" for number in numbers)),
-            ("AckermannDriveStamped", "std_msgs/Header header\nackermann_msgs/AckermannDrive drive"),
-        ):
-            self.types.register(get_types_from_msg(text, f"ackermann_msgs/msg/{name}"))
+            self.types.register(get_types_from_msg(text, name))
         self.node = node
         self.count = 0
         self.kept: list[Any] = []
