@@ -184,8 +184,7 @@ class Filter:
     def _seen(self, centred: NDArray[np.float32]) -> View:
         """Compare a view with those of the map.
 
-        A view shows no place if it looks more like a blank picture than like any place, if it is equally like all
-        places, or if it is the view before to the bit.
+        It shows no place if it looks most like a blank picture, equally like all places, or is the last one to the bit.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)

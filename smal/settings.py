@@ -148,8 +148,7 @@ class Settings:
     #: that it is there than to look on.
     in_view: float = 0.2
     false_seen: float = 40.0
-    #: How low in the view it is tells how near it is, where that is at least so much of the height at the end of the way.
-    low: float = 0.1
+    low: float = 0.1  # How low in the view it is tells how near it is, where that is so much at the end of the way.
     as_near: float = 1.3  # What is seen is found nearer than this many times how near the taught ways ended.
     #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
     search_deg: float = 410.0

@@ -146,15 +146,11 @@ def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]]
 
 def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]) -> dict[str, Sight]:
     """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
-    return {
-        str(one["goal"]): Sight(
-            far=one["far"],
-            size=one["size"],
-            low=one.get("low", 0.0),
-            **{name: arrays.pop(f"{name} {number}") for name in _ARRAYS},
-        )
-        for number, one in enumerate(said)
-    }
+    found = {}
+    for number, one in enumerate(said):
+        parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
+        found[str(one["goal"])] = Sight(far=one["far"], size=one["size"], low=one.get("low", 0.0), **parts)
+    return found
 
 
 class Glimpse(NamedTuple):
@@ -183,10 +179,8 @@ class Witness:
             self._said.append((time_s, said))
             while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
                 self._said.popleft()
-            near, left = (
-                float(np.mean([one.near for _, one in self._said])),
-                said.left if said.log_ratio > 0.0 else None,
-            )
+            near = float(np.mean([one.near for _, one in self._said]))
+            left = said.left if said.log_ratio > 0.0 else None
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
