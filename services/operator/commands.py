@@ -146,7 +146,6 @@ class Commands:
     def _command(self, source: Source, atom: Atom) -> Command:
         linear, angular = KEYS[atom]
         linear = TURNS_AT if self._car and angular else linear
-        fields = {"source": source, "sequence": self._sequences[source], "linear": linear, "angular": angular}
-        command = Command.after(self.heard, **fields)
+        sequence = self._sequences[source]
         self._sequences[source] += 1
-        return command
+        return Command.after(self.heard, source=source, sequence=sequence, linear=linear, angular=angular)

@@ -94,12 +94,6 @@ class Velocity(_Part):
     ] = "auto"  # fmt: skip
     wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = None  # From axle to axle, of what takes AckermannDrive.
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.type != "auto" and ("Ackermann" in self.type) != (self.wheelbase_m is not None):
-            raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
-        return self
-
 
 class Ros2Config(_Part):
     """A base with a camera; services/ros2/README.md says what each setting is."""
@@ -130,7 +124,10 @@ class Ros2Config(_Part):
             host_and_port(self.router)
         except BusError as error:
             raise ValueError(str(error)) from None
-        if self.velocity.wheelbase_m is not None and self.radius_m == 0.0:
+        told, car = self.velocity.type, self.velocity.wheelbase_m is not None
+        if told != "auto" and ("Ackermann" in told) != car:
+            raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
+        if car and self.radius_m == 0.0:
             raise ValueError("radius_m: what takes AckermannDrive has a least radius of its way; say it")
         return self
 

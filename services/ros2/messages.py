@@ -15,6 +15,8 @@ TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
 ACKERMANN: Final = "ackermann_msgs/msg/AckermannDrive"
 ACKERMANN_STAMPED: Final = "ackermann_msgs/msg/AckermannDriveStamped"
+#: Without a stamp and with one, of a base and of a car.
+VELOCITIES: Final = (TWIST, TWIST_STAMPED), (ACKERMANN, ACKERMANN_STAMPED)
 COMPRESSED_IMAGE: Final = "sensor_msgs/msg/CompressedImage"
 IMAGE: Final = "sensor_msgs/msg/Image"
 CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
@@ -82,12 +84,11 @@ class Messages:
         The stamp is by the robot's clock, nanoseconds since 1970, 0 where that is not known; of a clock beyond what a
         stamp can hold it is the nearest that one can.
         """
-        plain, stamped, part = TWIST, TWIST_STAMPED, "twist"
-        fields: dict[str, Any] = {"linear": {"x": ahead_m_s}, "angular": {"z": turn_rad_s}}
+        plain, stamped = VELOCITIES[wheelbase_m is not None]
+        part, fields = "twist", dict[str, Any](linear={"x": ahead_m_s}, angular={"z": turn_rad_s})
         if wheelbase_m is not None:
-            plain, stamped, part = ACKERMANN, ACKERMANN_STAMPED, "drive"
             angle_rad = math.atan(wheelbase_m * turn_rad_s / ahead_m_s) if ahead_m_s else 0.0
-            fields = {"speed": ahead_m_s, "steering_angle": angle_rad}
+            part, fields = "drive", {"speed": ahead_m_s, "steering_angle": angle_rad}
         if stamp_ns is None:
             return self.write(plain, fields)
         seconds, rest_ns = divmod(min(max(0, stamp_ns), _LAST_NS), 1_000_000_000)

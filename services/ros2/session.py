@@ -21,8 +21,6 @@ from services.ros2.wire import Bridge, Endpoint, Kind, Qos, RmwZenoh, gid_of, re
 
 #: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
 PATIENCE_MS: Final = 5000
-_TWISTS: Final = (messages.TWIST, messages.TWIST_STAMPED)
-_ACKERMANN: Final = (messages.ACKERMANN, messages.ACKERMANN_STAMPED)
 #: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
 #: changes, the last word is wanted that was said before we came.
 _SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
@@ -66,7 +64,7 @@ class Ros2Session:
         self._tokens: dict[str, Endpoint] = {}
         self._heard: dict[str, tuple[bytes, int]] = {}
         self._changes: dict[str, zenoh.ext.AdvancedSubscriber[None]] = {}
-        self._types = _TWISTS if config.velocity.wheelbase_m is None else _ACKERMANN
+        self._types = messages.VELOCITIES[config.velocity.wheelbase_m is not None]
         self._auto = config.velocity.type == "auto"
         self._type: str | None = None if self._auto else str(config.velocity.type)
         try:
