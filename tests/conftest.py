@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from hypothesis import settings
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.command import run_smal
-from tests.services.waiting import stalls
+from tests.services.waiting import Lost, stalls
 from tests.sharing import FIRST, Sharing, made_once
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def taught_paper(taught: Path) -> Path:
 
 
 @pytest.fixture
-def lost_s() -> Iterator[Callable[[float], float]]:
+def lost_s() -> Iterator[Lost]:
     """Give what a busy machine adds to a time, in all since another one; see `stalls`."""
     with stalls() as lost_s:
         yield lost_s

@@ -1,9 +1,4 @@
-"""A fake TurtleBot is driven, and harmed: by its own log its wheels stand in time, whatever is killed, frozen or cut.
-
-``pytest -s`` prints how soon.
-"""
-
-# ruff: noqa: T201
+"""A fake TurtleBot is driven, and harmed: by its own log its wheels stand in time, whatever is killed or frozen."""
 
 import math
 import os
@@ -139,11 +134,9 @@ def test_the_base_stands_in_time_and_drives_again(driven: Driven, lost_s: Callab
             driven.place.children[part].wait()
             driven.place.start(part)
         moved = [step[0] - began_s for step in steps if step[3] or step[4]]
-        print(f"{part} {harm}: stands after {max(moved, default=0.0):.2f} s")
         assert len(steps) > FAULT_S[harm] / 0.02 / 2, f"{part} {harm}: its log says what the wheels did"
         assert max(moved, default=0.0) <= STAND_WITHIN_S + lost_s(began_s), f"{part} {harm}"
         until(driven.moves)
-        print(f"{part} {harm}: drives {now_s() - ended_s:.1f} s after the fault")
 
 
 def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven: Driven) -> None:
@@ -174,7 +167,6 @@ def test_a_driver_that_is_silent_is_noticed(driven: Driven, lost_s: Callable[[fl
     time.sleep(1.0)
     moved = [step[0] - began_s for step in driven.place.steps(began_s) if step[3] or step[4]]
     driven.drives = True
-    print(f"driver silent: stands after {max(moved, default=0.0):.2f} s")
     assert max(moved, default=0.0) <= STAND_WITHIN_S + lost_s(began_s)
     until(driven.moves)
 

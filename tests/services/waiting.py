@@ -16,6 +16,7 @@ from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
 
 T = TypeVar("T")
+Lost = Callable[[float], float]  # See `stalls`.
 
 
 def eventually(get: Callable[[], T], timeout_s: float = 100.0) -> T:
@@ -29,7 +30,7 @@ def eventually(get: Callable[[], T], timeout_s: float = 100.0) -> T:
 
 
 @contextmanager
-def stalls() -> Iterator[Callable[[float], float]]:
+def stalls() -> Iterator[Lost]:
     """Give for how long, in all since a time, this machine held up a thread that had nothing to do but to wake.
 
     What is promised within a time is late by that here, and nobody's fault: on a quiet machine, some milliseconds.

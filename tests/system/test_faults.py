@@ -4,7 +4,7 @@ Times to recover are bounds that hold on a busy machine too; the benchmark has t
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +15,7 @@ from services.table import SERVICES, stack_services
 from tests.benchmarks.faults.cells import MATRIX, Limits
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
 from tests.benchmarks.faults.run import run_cell
+from tests.services.waiting import Lost
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
@@ -32,9 +33,7 @@ def rig(near: Path, taught: Path, tmp_path_factory: pytest.TempPathFactory) -> I
 @pytest.mark.parametrize(
     "name", ["kill -9 policy", "freeze robot 1 s", "restart router", "kill -9 recorder", "kill -9 robot"]
 )
-def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(
-    rig: Rig, lost_s: Callable[[float], float], name: str
-) -> None:
+def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig, lost_s: Lost, name: str) -> None:
     began_s = time.monotonic()
     outcome = run_cell(MATRIX[name], rig)
     assert outcome.recovery_s is not None, outcome

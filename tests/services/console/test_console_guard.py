@@ -3,7 +3,6 @@
 import ssl
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import closing
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
@@ -22,7 +21,7 @@ from services.kit.bus import BusError
 from services.kit.node import ServiceError
 from tests.services.console.conftest import Nobody
 from tests.services.console.page import Page, connected
-from tests.services.waiting import eventually
+from tests.services.waiting import Lost, eventually
 
 TOKEN = "correct horse battery"  # noqa: S105 - of a test
 
@@ -62,12 +61,7 @@ def test_only_what_the_page_has_is_answered(page: Page) -> None:
 
 @pytest.mark.parametrize(("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b"")], ids=["stop", "ping"])
 def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
-    seated: Page,
-    nobody: Nobody,
-    monkeypatch: pytest.MonkeyPatch,
-    lost_s: Callable[[float], float],
-    opcode: int,
-    said: bytes,
+    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, lost_s: Lost, opcode: int, said: bytes
 ) -> None:
     """The robot misses a driver who is not heard for LEASE_S."""
     heard_s: list[float] = []

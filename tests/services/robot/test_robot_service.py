@@ -5,7 +5,6 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 
@@ -29,16 +28,12 @@ from tests.benchmarks.faults.proxy import link
 from tests.services.conftest import RunNode
 from tests.services.operator.test_operator import RUN
 from tests.services.robot.wheels import Wheels, run_robot
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import Lost, eventually, status_of
 
 
 @pytest.mark.zenoh
 def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
-    settings: ServiceSettings,
-    router_endpoint: str,
-    run_node: RunNode,
-    client: Bus,
-    lost_s: Callable[[float], float],
+    settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus, lost_s: Lost
 ) -> None:
     """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
     robot = run_robot(settings, run_node, attended=True)
