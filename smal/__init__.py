@@ -6,8 +6,7 @@ Read in this order: a `robot` takes a frame. Its `filter` follows it over the `m
 
 `teaching` makes the map of drives; what drives imports nothing of it. `sought` sees what the robot was sent to find,
 `obstacles` goes round what stands in its way. Beside that are `paper`, everything of Sequence-based Multimodal
-Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017), with a `Robot` of its own; `place_recognition`, which
-matches two traverses; and `evaluation`.
+Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017); `place_recognition` of two traverses; and `evaluation`.
 """
 
 from importlib import import_module

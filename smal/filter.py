@@ -10,8 +10,7 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
 * A *jump* is the one thing that the wheels do not tell: the robot was carried, or the filter follows a wrong place.
   It may happen with every new view, and is the likelier the less a view looks like the one just before.
 * A second set of particles is where the robot is if it has jumped. Scouts join it with every view: drawn by what the
-  view says, where half is expected near the last pose that was sure, half anywhere. When it has become the likelier
-  one, the two become one.
+  view says, half of them near the last pose that was sure. When it has become the likelier one, the two become one.
 
 The paper instead matches the last l frames anew at every decision (`smal.paper.recognition`): without a memory, places
 that look alike for longer than l frames are not told apart.

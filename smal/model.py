@@ -176,6 +176,11 @@ class VisualMap:
         return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
 
     @property
+    def turn_rad(self) -> float:
+        """Turn in a taught tick, radians; where none of its drives turned, that of usual robots."""
+        return abs(float(self.movements[Atom.LEFT, 1])) or math.radians(SETTINGS.usual_turn_deg_s) * self.tick_s
+
+    @property
     def apart_rad(self) -> float:
         """Turn by which two poses see another view: that between two virtual views at least."""
         return max(self.correlation_rad, math.radians(STEP_DEG))
@@ -215,8 +220,8 @@ class VisualMap:
     def likely(self, components: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return the keyframes to look at for a frame (r,), and how many keyframes each stands for, (n,) and (n,).
 
-        Of a short way these are all. Of a longer one they are those about where the overview is most alike, and of the
-        others the sample of elsewhere.
+        Of a short way these are all; of a longer one those about where the overview is most alike, and the sample of
+        elsewhere.
         """
         count, step = len(self.keyframes), SETTINGS.views_a_length
         if count <= SETTINGS.looked_at:

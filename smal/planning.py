@@ -66,8 +66,8 @@ def cost_to_go(
     The goal is the end of each drive that leads there, but of those drives whose end was tried. Going over to another
     drive costs the time for the turn and the way between the two, and `Settings.go_over_s`. The robot changes drives at
     the first place from which the goal is nearer by the other: at the last one it would be torn between both. The cost
-    to go falls with every step, so that nobody goes in circles. Where no way leads to the goal it is infinite; there,
-    and at goals, nothing is next (-1).
+    to go falls with every step, so that nobody goes in circles. Where no way leads on, it is infinite and nothing next
+    (-1), as at goals.
     """
     count = len(visual_map.keyframes)
     of = visual_map.key_drives
@@ -80,7 +80,7 @@ def cost_to_go(
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
     rows = np.concatenate([on + 1, target, np.full(goals.size, count)])
     columns = np.concatenate([on, source, goals])
-    ahead, turn_rad = np.maximum(np.abs(visual_map.movements).max(axis=0), 1e-9)
+    ahead, turn_rad = max(float(np.abs(visual_map.movements[:, 0]).max()), 1e-9), visual_map.turn_rad
     way, turns = np.append(steps[0], np.hypot(*aside.T)), np.abs(np.append(steps[1], turned))
     costs = (way / ahead + turns / turn_rad) * visual_map.tick_s
     costs[on.size :] += SETTINGS.go_over_s
@@ -106,8 +106,7 @@ class Planner:
     def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
         self._map = visual_map
         self._goal = chosen_goal(visual_map.goals, goal)
-        self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
-        self._ahead = SETTINGS.lookahead_s * visual_map.speed
+        self._turn_rad, self._ahead = visual_map.turn_rad, SETTINGS.lookahead_s * visual_map.speed
         car = turns_ahead(visual_map.movements)
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if car else {Atom.FORWARD}
         self._chassis = Chassis(visual_map.speed, self._turn_rad / visual_map.tick_s, car)
@@ -163,7 +162,8 @@ class Planner:
         Round what stands around it goes a robot that has odometry and turns on the spot.
         """
         # A robot that hears nothing stands.
-        elapsed_s, delay_s = (min(t, SETTINGS.stands_after_s) for t in (elapsed_s or self._map.tick_s, delay_s))
+        times_s = self._map.tick_s if elapsed_s is None else elapsed_s, delay_s
+        elapsed_s, delay_s = np.minimum(times_s, SETTINGS.stands_after_s).tolist()
         directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -171,11 +171,10 @@ class Planner:
         error_rad = math.atan2(mean.imag, mean.real)
         lost, has_way = belief.lost > 0.5, float(say.sum()) >= 0.5
         clear = has_way and not lost and abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
-        looked = self._looked_rad >= math.radians(SETTINGS.look_deg)
+        looked, leads = self._looked_rad >= math.radians(SETTINGS.look_deg), self._leads[belief.keyframes]
 
-        leads = self._leads[belief.keyframes]
-        at_goal = leads & (to_end < SETTINGS.goal_s * self._map.speed)
-        sure = float(belief.weights @ at_goal) * (1.0 - belief.lost) > SETTINGS.arrived
+        at_goal = float(belief.weights @ (leads & (to_end < SETTINGS.goal_s * self._map.speed)))
+        sure = at_goal * (1.0 - belief.lost) > SETTINGS.arrived
         # Beside or beyond the end by more than views change over, it is not at it.
         at_end = leads & (to_end < self._map.correlation_length)
         at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s

@@ -42,8 +42,7 @@ class Localizer:
         self._map = mapped = model.mapped
         self.features = model.feature_settings  # That it goes by.
         self._filter = Filter(mapped, model.centering, seed)
-        goals = set(mapped.goals)
-        goal = next(iter(goals)) if goal is None and len(goals) == 1 else goal
+        goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
         sight = model.sights.get(goal or "")
         self._witness = None if sight is None else Witness(sight)
         to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
