@@ -1,9 +1,7 @@
-"""GIST: what its filters respond to, and the same by another way of calculation."""
+"""GIST: what its filters respond to."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smal.features import modality_named
 from smal.features.gist import (
@@ -32,10 +30,9 @@ def grating(cycles_per_px: float, angle_rad: float, amplitude: float = 60.0) -> 
 @pytest.mark.parametrize("orientation", range(ORIENTATIONS))
 def test_a_grating_is_found_at_its_scale_and_orientation(scale: int, orientation: int) -> None:
     vector = describe(grating(FREQUENCIES[scale], np.pi * orientation / ORIENTATIONS)).reshape(SHAPE)
-    for row in range(GRID):
-        for column in range(GRID):
-            cell = vector[:, :, row, column]
-            assert np.unravel_index(cell.argmax(), cell.shape) == (scale, orientation)
+    for row, column in np.ndindex(GRID, GRID):
+        cell = vector[:, :, row, column]
+        assert np.unravel_index(cell.argmax(), cell.shape) == (scale, orientation)
 
 
 @pytest.mark.parametrize(("scale", "orientation", "cell"), [(0, 2, (0, 0)), (1, 0, (1, 2)), (3, 5, (3, 3))])
@@ -55,15 +52,3 @@ def test_the_transform_is_a_convolution(scale: int, orientation: int, cell: tupl
             total += abs((padded * turned).sum())
     found = mean_amplitudes(picture)[scale * ORIENTATIONS + orientation][cell]
     assert found == pytest.approx(total / (height * width), rel=1e-4)
-
-
-@settings(max_examples=20, deadline=None)
-@given(orientation=st.integers(0, ORIENTATIONS - 1), seed=st.integers(0, 99))
-def test_a_mirrored_image_has_mirrored_orientations_and_cells(orientation: int, seed: int) -> None:
-    picture = np.random.default_rng(seed).integers(0, 256, (ROWS, COLUMNS, 3), dtype=np.uint8)
-    vector = describe(picture).reshape(SHAPE)
-    mirrored = describe(np.ascontiguousarray(picture[:, ::-1])).reshape(SHAPE)
-    # A wave at angle t is at 180 degrees - t in the mirror. Images of even width have no middle column: the frequency
-    # grid is not symmetric, by at most 0.35 % over all these seeds.
-    opposite = (ORIENTATIONS - orientation) % ORIENTATIONS
-    np.testing.assert_allclose(mirrored[:, opposite], vector[:, orientation, :, ::-1], rtol=5e-3)

@@ -1,4 +1,4 @@
-"""LDB: against its definition cell by cell, and what leaves its signs alone."""
+"""LDB: against its definition cell by cell."""
 
 from itertools import combinations
 
@@ -21,13 +21,12 @@ def slow_signs(grey: np.ndarray) -> np.ndarray:
     signs = []
     for grid in GRIDS:
         side, cells = SIDE // grid, []
-        for row in range(grid):
-            for column in range(grid):
-                cell = grey[row * side :, column * side :][:side, :side].astype(float)
-                half = side // 2
-                dx = cell[:, half:].mean() - cell[:, :half].mean()
-                dy = cell[half:].mean() - cell[:half].mean()
-                cells.append((cell.mean(), dx, dy))
+        for row, column in np.ndindex(grid, grid):
+            cell = grey[row * side :, column * side :][:side, :side].astype(float)
+            half = side // 2
+            dx = cell[:, half:].mean() - cell[:, :half].mean()
+            dy = cell[half:].mean() - cell[:half].mean()
+            cells.append((cell.mean(), dx, dy))
         for kind in range(3):
             signs += [np.sign(round(one[kind] - other[kind], 6)) for one, other in combinations(cells, 2)]
     return np.array(signs)
@@ -39,14 +38,3 @@ def test_signs_are_those_of_the_definition(seed: int) -> None:
     expected = slow_signs(picture[:, :, 0])
     assert len(expected) == SIZE
     np.testing.assert_array_equal(np.sign(describe(picture)), expected)
-
-
-def test_ties_are_zero_and_the_rest_has_equal_weight() -> None:
-    # Bright on the left: the grids of even number see two columns of equal cells each.
-    picture = np.zeros((SIDE, SIDE, 3), dtype=np.uint8)
-    picture[:, : SIDE // 2] = 200
-    vector = describe(picture)
-    assert np.linalg.norm(vector) == pytest.approx(1.0, abs=1e-6)
-    assert len(np.unique(np.abs(vector))) == 2
-    # 2 x 2, intensity: 0-1, 0-2, 0-3, 1-2, 1-3, 2-3.
-    np.testing.assert_array_equal(np.sign(vector[:6]), [1, 0, 1, -1, 0, 1])
