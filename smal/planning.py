@@ -159,7 +159,7 @@ class Planner:
         what is decided moves the robot, which until then goes on as before. `seen` says whether what is
         sought is in view: it is found where it is as near as where the ways ended; a robot that has arrived, or nearly,
         goes up to it. Where nobody can tell, a robot that has arrived says that it has found it.
-        Round what stands around it goes a robot that has odometry and turns on the spot.
+        With odometry, a robot that turns on the spot also goes round what stands in its way (`around`).
         """
         # A robot that hears nothing stands.
         times_s = self._map.tick_s if elapsed_s is None else elapsed_s, delay_s

@@ -83,8 +83,8 @@ class Settings:
     jitter_deg: float = 1.0
 
     # -- the filter
-    #: Probability, with each new view, that the wheels do not tell where the robot is: it was carried, or follows a
-    #: wrong place. Where the view is not like the one before it is as much likelier as that says.
+    #: Probability, with each new view, that the robot was carried or the filter follows a wrong place; larger where the
+    #: view is unlike the one before.
     jump: float = 5e-3
     #: Views that show nothing of the place, since something hides it; with each new view, the probability that it shows
     #: again, and that as much of it shows as in another light, which lasts for about fifty new views.
@@ -110,7 +110,7 @@ class Settings:
     places: int = 64
     #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
     lookahead_s: float = 0.7
-    restless_s: float = 0.01  # What it is worth not to change the turn rate from one extreme to the other, times two.
+    restless_s: float = 0.01  # Cost of changing the turn rate by the full rate, against swinging to and fro.
     wide_deg: float = 25.0  # Directions that differ by more about their mean are none to drive in.
     #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
     #: once round and a view more. Then it drives by its best guess, before it looks again.

@@ -27,7 +27,7 @@ _log = logging.getLogger("policy")
 
 
 class PolicyService:
-    """Sends one atom movement for every frame; on a state of another model the robot stops, and the plan is dropped."""
+    """Answers every frame with a command; if recognition has another model, it stops the robot and drops its plan."""
 
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None

@@ -33,7 +33,7 @@ class Kinematics:
     radius_m: float = 0.0
 
     def bounded(self, asked: Velocity) -> Velocity:
-        """Return the velocity that it can have in the place of another one: a car does not turn on the spot."""
+        """Return the velocity nearest to the asked one that it can drive: a car cannot turn on the spot."""
         if self.radius_m == 0.0:
             return asked
         most = abs(asked.linear) * self.speed_m_s / (self.radius_m * self.turn_rate_rad_s)
@@ -122,7 +122,7 @@ class Body(Stops, Protocol[V_co]):
 
     @property
     def mount(self) -> Mount | None:
-        """How its depth camera sits; without it nothing keeps it from running into things but itself."""
+        """How its depth camera sits; without one the gate does not keep the robot from running into things."""
 
     def drive(self, velocity: Velocity) -> None:
         """Go on with a velocity until told otherwise."""

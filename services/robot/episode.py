@@ -1,9 +1,9 @@
 """One episode: frame after frame, and what ends it. The one loop that services, experiments and Gymnasium share.
 
 What ends an episode is all here. A frame does (`Episode.next_frame`): a collision, the goal of a run, the time. A word
-does (`Episode.end`): of the robot that it is found or not here, which the planner says (`smal.planning.Planner.said`),
-the policy tells (`schemas.action.Action.says`), and who began the run passes on (`services.cli.episodes.client`, the
-console's `Operator.end_mine`); or of the operator. So does without a word whoever ends it, begins another, or is gone.
+does (`Episode.end`): of the operator, or of the robot that it is found or not here, which the planner says
+(`smal.planning.Planner.said`), the policy tells (`schemas.action.Action.says`), and who began the run passes on
+(`services.cli.episodes.client`, the console's `Operator.end_mine`). It ends, too, when who drives begins another or is gone.
 """
 
 from typing import Generic, NamedTuple, TypeVar

@@ -21,11 +21,9 @@ from smal.settings import SETTINGS
 
 
 def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, error_rad: float) -> float | None:
-    """Return by how much to turn, to the left; None to stop, where nothing leads round what stands in the way (s, 2).
+    """Return how far to turn left; None to stop, if nothing leads round what stands in the way (s, 2).
 
-    By `error_rad` where nothing stands there, or still far ahead.
-
-    Turns are as in `turn_round`.
+    It is `error_rad` if nothing stands there, or only far ahead. Turns are as in `turn_round`.
     """
     far_m = hit_m(around, way)
     if far_m < math.inf or around.free_m(ahead=True) == 0.0:
@@ -62,7 +60,7 @@ def _to_go_m(around: Surroundings, way: Floats) -> Floats:
     dense = _dense(way, around.cell_m)
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
     dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
-    # What stands at its end is seen to its end later.
+    # If something stands at the end of the way, it plans to the last free place before that.
     dense = dense[: 1 + np.flatnonzero(around.clearance_m[around.cells(dense)] >= around.body_m).max(initial=0)]
     track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
     track[around.cells(dense)] = np.arange(len(dense))

@@ -198,7 +198,7 @@ class Surroundings:
         )
 
     def free_m(self, ahead: bool) -> float:
-        """Return how far the robot may go straight ahead, or back, and keep off what it sees, and what it does not."""
+        """Return how far the robot may go straight ahead, or back, touching nothing that it sees or does not see."""
         along, aside = self.seen_from(0.0)
         along, near = (along, SETTINGS.unseen) if ahead else (-along, 1.0)
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m) & (along > near * self.radius_m)

@@ -22,7 +22,7 @@ from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
 from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nearest, speaking
 
-#: Cells that are taken of a view of the way, as what explains others; of the approach, beside what is sought; of that.
+#: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
 _FEWEST: Final = 8  # Cells that are the least to be looked for.
 _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.

@@ -1,4 +1,4 @@
-"""GIST: what its filters respond to."""
+"""GIST: what its filters respond to, and the same by another way of calculation."""
 
 import numpy as np
 import pytest
