@@ -3,7 +3,7 @@
 What ends an episode is all here. A frame does (`Episode.next_frame`): a collision, the goal of a run, the time. A word
 does (`Episode.end`): of the operator, or of the robot that it is found or not here, which the planner says
 (`smal.planning.Planner.said`), the policy tells (`schemas.action.Action.says`), and who began the run passes on
-(`services.cli.episodes.client`, the console's `Operator.end_mine`). It ends, too, when who drives begins another or is gone.
+(`services.cli.episodes.client`, the console's `Operator.end_mine`). Who begins another or is gone ends it, too.
 """
 
 from typing import Generic, NamedTuple, TypeVar
