@@ -85,9 +85,6 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         if len(patches) > 1
     ]
     found = [best_window(one, windows) for one in left_out]
-    # Where none of the last views is left, the nearest one is that in which it is largest.
-    sums = [float(one.sum()) for one in left_out]
-    at_end = [k for k, patch in enumerate(patches[: len(left_out)]) if patch.last] or [int(np.argmax(sums))]
     every, added = np.concatenate(sought), others[len(codes) :]
     elsewhere_scores = [
         best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows).score
@@ -96,10 +93,12 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     ratio = _ratio(np.array([one.score for one in found]), np.array(elsewhere_scores))
     if ratio is None:
         return None
-    lows = np.array([one.low for one in found])
-    size, low = float(np.median(np.array(sums)[at_end])), float(np.median(lows[at_end]))
+    sums, lows = np.array([float(one.sum()) for one in left_out]), np.array([one.low for one in found])
+    # Where none of the last views is left, the nearest one is that in which it is largest.
+    at_end = [k for k, patch in enumerate(patches) if patch.last] or [int(sums.argmax())]
+    size, low = float(np.median(sums[at_end])), float(np.median(lows[at_end]))
     # A level camera sees what looks half as large half as far from the middle; another one, or another thing, may not.
-    large, far_off = np.sqrt(np.array(sums) / (size or 1.0)), lows / (low or 1.0)
+    large, far_off = np.sqrt(sums / (size or 1.0)), lows / (low or 1.0)
     small = (large > 0.0) & (large < 0.5)
     if abs(low) < SETTINGS.low or not small.any() or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean():
         low = 0.0

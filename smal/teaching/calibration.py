@@ -241,13 +241,14 @@ def _turns_undone(
 
 
 def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> float:
-    """Measure the turn (radians) after which a view is half as alike as it can be.
-
-    Half way is to the mean cosine of unrelated views.
-    """
+    """Measure the turn (radians) after which a view is half way from itself to the mean cosine of unrelated views."""
     some = evenly(len(frames.images), SETTINGS.pairs).tolist()
     own, images = frames.centred(some), [frames.images[k] for k in some]
-    turned = [frames.describe(_far(camera).warp(image, turn_rad=turn) for image in images) for turn in _TURNS_RAD]
+
+    def turned_by(turn_rad: float) -> NDArray[np.float32]:
+        return frames.describe(_far(camera).warp(image, turn_rad=turn_rad) for image in images)
+
+    turned = list(in_parallel(turned_by, _TURNS_RAD))
     mean = np.array([1.0, *(float((own * views).sum(axis=1).mean()) for views in turned)])
     return _half_way(np.array([0.0, *_TURNS_RAD]), mean, np.ones_like(mean), 1.0, unrelated)
 
