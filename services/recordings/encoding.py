@@ -94,8 +94,7 @@ def plain_json_schema(message: type[Message]) -> dict[str, Any]:
     """Return a message's JSON Schema in the plain form that viewers read.
 
     Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf`` nor ``prefixItems``: references
-    are written out, a field that may be null has the type of its other values, and the values of a tuple are of one
-    kind.
+    are written out, a field that may be null has the type of its other values, as have the values of a tuple.
     """
     schema = message.model_json_schema()
     definitions = schema.pop("$defs", {})

@@ -24,9 +24,8 @@ def usual_name(path: Path, *, replace: bool) -> Path:
 def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[list[Contents], Contents | None]:
     """Write the recording of all that is whole in others, which are of one episode; return what was wrong, and is.
 
-    The second is None where nothing was to be repaired. With ``replace``, a file that is there is replaced, and what
-    was left behind is removed. JobError where nothing can be made of them, one is being recorded, or there is a file
-    already.
+    The second is None where nothing was to be repaired. ``replace`` replaces a file that is there, and removes what was
+    left behind. JobError where nothing can be made of them, one is being recorded, or there is a file already.
     """
     before = [verify(path) for path in paths]
     if len(before) == 1 and before[0].state == "sealed" and not before[0].damage:

@@ -40,8 +40,7 @@ class ActuatorLoop:
     """Carries out what the gate lets through, in a thread of its own, until it is closed.
 
     Where the body fails, a stop is latched: a robot that does not do what it is told is moved by nobody until somebody
-    has looked at it and arms it again. ``tell`` is called with what is carried out whenever that changes; it must
-    return at once.
+    has looked at it and arms it again. ``tell`` hears what is carried out whenever that changes; it must not wait.
     """
 
     def __init__(

@@ -87,8 +87,7 @@ class EpisodeRunner(Generic[V]):
         """Refuse a beginning that may not be.
 
         Raises ServiceError, with the reason, while a stop is latched, a person has taken over, somebody else's episode
-        runs, an operator is there who has taken over, or would drive in place of who asks, or in a mode that this robot
-        does not know.
+        runs, an operator has taken over or would drive in place of who asks, or the robot does not know the mode.
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")

@@ -29,8 +29,7 @@ _ANSWER_S: Final = 1.0  # How long it may take to say that it has understood; a 
 class Terminal:
     """Standard input and output of this process, which must be a terminal; see ``open_terminal``.
 
-    Drawing is done in a thread of its own: a screen that takes nothing (a slow link, a window that hangs) holds up
-    neither keys nor heartbeats.
+    A thread of its own draws: a screen that takes nothing (a slow link) holds up neither keys nor heartbeats.
     """
 
     def __init__(self) -> None:

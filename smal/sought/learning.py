@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
+from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
@@ -63,12 +64,14 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         """Codes of the way that are not of the neighbourhood of one of its views."""
         return np.asarray(~beside[number][of])
 
-    new = np.concatenate([nearest(cells_of(one, 2), codes[elsewhere(k)]).ravel() for k, one in enumerate(pictures)])
+    unlike = in_parallel(lambda k: nearest(cells_of(pictures[k], 2), codes[elsewhere(k)]), range(len(pictures)))
+    new = np.concatenate([one.ravel() for one in unlike])
     new = new[np.isfinite(new)]
     if not new.size:
         return None
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
-    patches = [patch for one in drives if one.ends for patch in _patches(one, codes, stands_out)]
+    each = in_parallel(lambda one: list(_patches(one, codes, stands_out)), [one for one in drives if one.ends])
+    patches = [patch for some in each for patch in some]
     patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
     if not patches:
         return None
@@ -79,17 +82,17 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     sizes = np.maximum(sizes, _LEAST)
     chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
-    left_out = [
-        speaking(one.cells[::2, ::2], np.concatenate([*sought[:k], *sought[k + 1 :]]), others, far)
-        for k, one in enumerate(patches)
-        if len(patches) > 1
-    ]
+    rest = [np.concatenate([*sought[:k], *sought[k + 1 :]]) for k in range(len(sought)) if len(sought) > 1]
+    without_it = zip(patches, rest, strict=False)
+    left_out = list(in_parallel(lambda one: speaking(one[0].cells[::2, ::2], one[1], others, far), without_it))
     found = [best_window(one, windows) for one in left_out]
     every, added = np.concatenate(sought), others[len(codes) :]
-    elsewhere_scores = [
-        best_window(speaking(cells_of(one, 2), every, np.concatenate([codes[elsewhere(k)], added]), far), windows).score
-        for k, one in enumerate(pictures)
-    ]
+
+    def score_elsewhere(k: int) -> float:
+        known = np.concatenate([codes[elsewhere(k)], added])
+        return best_window(speaking(cells_of(pictures[k], 2), every, known, far), windows).score
+
+    elsewhere_scores = list(in_parallel(score_elsewhere, range(len(pictures))))
     ratio = _ratio(np.array([one.score for one in found]), np.array(elsewhere_scores))
     if ratio is None:
         return None

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT
+from smal.features.extraction import in_parallel
 from smal.likelihood import ANY_DAY, standing_out
 from smal.model import VisualMap, unpacked
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
@@ -53,7 +54,8 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
     """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
     count, drives, goals = len(visual_map.keyframes), visual_map.key_drives, len(visual_map.goals)
     best, offsets = np.full((count, goals), -1, dtype=np.intp), np.zeros((count, goals, 3))
-    for start in range(0, count, SETTINGS.compared_at_once):
+
+    def compare(start: int) -> None:
         own = unpacked(visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT])
         some = np.unique(np.concatenate([visual_map.likely(view)[0] for view in own]))
         views = unpacked(visual_map.views[some])
@@ -68,6 +70,9 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
                     left = (_peak(there[k, :, t], p) - 1.0) * visual_map.aside
                     turned = math.radians((_peak(there[k, p], t) - STRAIGHT) * STEP_DEG)
                     offsets[here, drive] = 0.0, left, turned
+
+    for _ in in_parallel(compare, range(0, count, SETTINGS.compared_at_once)):
+        pass
     return best, offsets
 
 

@@ -25,8 +25,7 @@ TEXTURE_M: Final = 0.6  # A material's picture repeats after so much of furnitur
 class Mesh:
     """Triangles of one texture: vertices and normals (n, 3), uvs (n, 2), and triangles (m, 3), rows of vertices.
 
-    A uv of 1 is one repetition of the texture, v grows downwards in the picture; triangles are anticlockwise seen from
-    outside.
+    A uv of 1 is one repetition of the texture, v grows downwards; triangles are anticlockwise seen from outside.
     """
 
     vertices: NDArray[np.float32]
