@@ -124,8 +124,7 @@ def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> Non
     eventually(lambda: driving.beats > beats + 5)
     for what in ({"do": "resume"}, {"do": "drive", "goal": "dock"}):
         driving.refusals.clear()
-        driving.say(**what, beat=asked_at)
-        eventually(lambda: any("too late" in refusal for refusal in driving.refusals))
+        driving.insist(lambda: any("too late" in refusal for refusal in driving.refusals), **what, beat=asked_at)
     driving.say(do="cancel")
     assert robot.gate.stop_cause == "operator_lost"
     assert driving.state["robot"]["episode"] == episode
