@@ -319,6 +319,7 @@ def bounded(
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
     if share < abs(may.linear):
-        # It may turn all the same; a car as far as it still drives.
-        return kinematics.bounded(may._replace(linear=math.copysign(share, may.linear))), "obstacle"
+        # Slower along the same arc; where it may not go on at all it may turn on the spot, but not as a car.
+        slower = share / abs(may.linear)
+        return kinematics.bounded(Velocity(slower * may.linear, (slower or 1.0) * may.angular)), "obstacle"
     return may, "command" if may == asked else "radius"

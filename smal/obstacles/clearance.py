@@ -197,13 +197,30 @@ class Surroundings:
             np.maximum(touches_m.min(axis=1, initial=self.reach_m) - SETTINGS.margin * self.radius_m, 0.0)
         )
 
-    def free_m(self, ahead: bool) -> float:
-        """Return how far the robot may go straight ahead, or back, touching nothing that it sees or does not see."""
-        along, aside = self.seen_from(0.0)
-        along, near = (along, SETTINGS.unseen) if ahead else (-along, 1.0)
-        unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m) & (along > near * self.radius_m)
-        known_m = along[unseen].min(initial=math.inf) - (1.0 + SETTINGS.margin) * self.radius_m
-        return float(max(0.0, min(self.clear_m(np.array([0.0 if ahead else math.pi]))[0], known_m)))
+    def free_m(self, ahead: bool, bend: float = 0.0) -> float:
+        """Return how far the robot may go on ahead, or back, touching nothing that it sees or does not see.
+
+        It goes straight on, or in a circle of radius 1 / `bend` (1 / m) whose middle lies to its left, if positive.
+        """
+        along, left = self.seen_from(0.0)
+        along = along if ahead else -along
+        away, aside, circle_m, ratio = np.hypot(along, left), left, math.inf, np.ones(())
+        if bend:
+            circle_m, out = 1.0 / abs(bend), 1.0 / abs(bend) - math.copysign(1.0, bend) * left
+            from_middle = np.maximum(np.hypot(along, out), 1e-9)
+            along, aside = circle_m * np.arctan2(along, out), from_middle - circle_m
+            ratio = np.sqrt(from_middle / circle_m)
+        stands = self.occupied
+        wide_m = min(self.body_m, float(away[stands].min(initial=math.inf)))
+        half = np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0)) / ratio
+        if bend:
+            half = 2.0 * circle_m * np.arcsin(np.minimum(half / (2.0 * circle_m), 1.0))
+        touches = stands & (np.abs(aside) < wide_m - 1e-6) & (along > 0.0)
+        unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m)
+        unseen &= along > (SETTINGS.unseen if ahead else 1.0) * self.radius_m
+        touches_m, unseen_m = (along - half)[touches], along[unseen] - self.radius_m
+        free_m = np.concatenate([touches_m, unseen_m]).min(initial=self.reach_m)
+        return max(0.0, float(free_m) - SETTINGS.margin * self.radius_m)
 
 
 def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float) -> float:

@@ -1,9 +1,12 @@
 """The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
 
+import math
+
 import numpy as np
 import pytest
 
-from schemas.base import KEYS, STANDING, Atom
+from schemas.base import KEYS, STANDING, Atom, Velocity
+from services.robot.body import Kinematics
 from services.robot.gate import CommandGate
 from services.robot.guard import MAX_LOOK_S, Guard
 from smal.movement import Atom as Key
@@ -14,7 +17,7 @@ WALL: Box = (8.0, -6.0, 8.4, 6.0, 2.0)
 
 
 def guard(braking_s: float = 0.22) -> Guard:
-    return Guard(MOUNT, SPEED_M_S, braking_s)
+    return Guard(MOUNT, Kinematics(SPEED_M_S, math.pi / 4), braking_s)
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.3, -0.5])
@@ -61,3 +64,24 @@ def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
     made.look(depth([wall], here), here, 0.0)
     shares = [made.share(KEYS["forward"], 0.02 * k) for k in range(13)]
     assert shares[0] > shares[5] > shares[12]
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("angular", [0.3, 0.6, 1.0])
+def test_who_drives_in_a_bend_stands_before_what_stands_in_it(side: float, angular: float) -> None:
+    made, pose = guard(), (0.0, 0.0, 0.0)
+    bend = side * angular * (math.pi / 4) / SPEED_M_S  # straight on is free: the box stands on the circle, 2.5 m along
+    x, y = math.sin(2.5 * abs(bend)) / abs(bend), (1.0 - math.cos(2.5 * abs(bend))) / bend
+    box: Box = (x - 0.2, y - 0.2, x + 0.2, y + 0.2, 0.5)
+    driven_m, asked = 0.0, Velocity(1.0, side * angular)
+    for tick in range(60):
+        made.look(depth([box], pose), pose, tick / 10)
+        step_m = made.share(asked, tick / 10) * SPEED_M_S / 10
+        turned = pose[2] + bend * step_m
+        pose = (pose[0] + step_m * math.cos(turned), pose[1] + step_m * math.sin(turned), turned)
+        driven_m += step_m
+        assert not touches([box], pose)
+    assert step_m == 0.0
+    assert driven_m > 1.0
+    made.look(depth([box], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 7.0)
+    assert made.share(Velocity(1.0, -side * angular), 7.0) == 1.0  # away from it
