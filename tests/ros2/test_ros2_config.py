@@ -37,7 +37,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("preset: turtlebot5\n", "preset: known are generic, turtlebot3, turtlebot4"),
+        ("preset: turtlebot5\n", "preset: known are donkeycar, generic, turtlebot3, turtlebot4"),
         (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
         ("watchdog_s: 0.2\n", "lacks name, speed_m_s, turn_rate_rad_s, braking_s, camera; a preset has"),
         ("preset: generic\nwatchdog_s: 0.5\n", "base: after the silence of this process it would move for 0.70 s"),
