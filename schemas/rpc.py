@@ -136,6 +136,13 @@ class ResetReply(Strict):
     victim: tuple[float, float] | None = None
 
 
+class LookReply(Strict):
+    """What the robot's camera sees between two episodes."""
+
+    #: A small JPEG; none while an episode runs, whose frames are told, and where the camera shows nothing.
+    picture: bytes | None = None
+
+
 class CancelRequest(Strict):
     """Begin no episode after all, while ``reset`` opens its world (robot); its caller is told who has cancelled."""
 

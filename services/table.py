@@ -45,7 +45,7 @@ SERVICES: Final = {
                 *(topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
                 *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
-            serves=("arm", "reset", "cancel", "resume", "end"),
+            serves=("arm", "reset", "cancel", "resume", "end", "look"),
             # Whether there is another robot of its id; so does the pulse tell that it takes.
             calls=("robot/status",),
             image="simulator",
@@ -80,8 +80,8 @@ SERVICES: Final = {
             "console",
             "the page in a browser: drive, teach, watch",
             (
-                *(topics.JPEG, topics.STATE, topics.ACTION, topics.POSE, topics.TRACKED),
-                *(topics.APPLIED, topics.PULSE, topics.EPISODE),
+                *(topics.JPEG, topics.DEPTH, topics.ODOMETRY, topics.STATE, topics.ACTION, topics.POSE),
+                *(topics.TRACKED, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
             # It learns as well, as the smal command does.

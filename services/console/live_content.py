@@ -3,14 +3,17 @@
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
 from schemas.motion import Pose, TrackedPose
-from schemas.rpc import Nothing, Status
+from schemas.rpc import LookReply, Nothing, Status
 from schemas.state import State
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
@@ -20,6 +23,7 @@ from services.kit.health import ailment
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below
+from services.kit.sight import Sight
 from services.table import stack_services
 from smal.files.container import ModelError
 from smal.files.stored import Stored
@@ -31,14 +35,18 @@ _POINTS: Final = 400
 _APART_M: Final = 0.1
 _ANSWER_S: Final = 1.0  # How long a service may take to answer.
 #: What a service tells of itself that the page needs.
-_TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
+_TOLD: Final = ("world", "worlds", "variation", "variations", "speed_m_s", "turn_rate_rad_s", "disk")
+#: How often a robot without an episode, which sends no frames, is asked what it sees; and how long that may take it.
+_PEEK_S: Final = 1.0
+_PEEK_ANSWER_S: Final = 10.0
+_THINGS: Final = 200  # Places on the map where something stands, at most.
 
 
 class Health:
     """Asks services how they are."""
 
     def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
-        self._bus = bus
+        self.bus = bus
         self._services = services
         self._asked_s = time.monotonic()
         self.statuses: dict[str, Status | None] = {}  # The last answers; None of who did not answer.
@@ -60,7 +68,7 @@ class Health:
 
     def _status(self, service: str) -> Status | None:
         try:
-            return self._bus.call(service, "status", Nothing(), Status, _ANSWER_S)
+            return self.bus.call(service, "status", Nothing(), Status, _ANSWER_S)
         except RpcError:
             return None
 
@@ -76,17 +84,59 @@ class LiveContent:
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
+        self._sight = Sight()
+        self._seen_s = -math.inf  # When the last frame came.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
+        node.subscribe(topics.DEPTH, self._sight.see)
+        node.subscribe(topics.ODOMETRY, self._sight.roll)
         node.subscribe(topics.STATE, self._on_state)
         node.subscribe(topics.POSE, self._on_pose)
         node.subscribe(topics.TRACKED, self._on_tracked)
         node.apart(_LOOK_S, self._look_at_services)
         node.apart(_LOOK_S, self._look_at_files)
+        node.apart(_PEEK_S, self._peek)
 
     def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
-            self._board.show(image.data)
-            self._put("camera", tick=image.tick)
+            self._seen_s = self._board.clock()
+            # First, since the page draws it over the picture.
+            self._look_around(image.episode)
+            self._show(image.data)
+
+    def _show(self, jpeg: bytes) -> None:
+        self._board.show(jpeg)
+        self._put("camera")
+
+    def _peek(self) -> None:
+        """Show what the camera sees before an episode, if anybody looks."""
+
+        def frames_come() -> bool:
+            return self._board.clock() - self._seen_s < _PEEK_S
+
+        if not self._board.watchers or frames_come():
+            return
+        with suppress(RpcError):
+            seen = self.health.bus.call("robot", "look", Nothing(), LookReply, _PEEK_ANSWER_S).picture
+            if seen is not None and is_jpeg(seen) and not frames_come():
+                self._show(seen)
+
+    def _look_around(self, episode: str) -> None:
+        """Show what stands about the robot, by its depth camera, if anybody looks."""
+        around = self._sight.around(episode) if self._board.watchers else None
+        if around is None or self._sight.mounting is None:
+            return
+        columns: list[list[float]] = []
+        if (seen := around.seen) is not None:
+            near = seen.hit_m < around.reach_m
+            columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[near].round(3).tolist()
+        self._put(
+            "around",
+            mounting=self._sight.mounting.model_dump(),
+            # Of the picture: how far to the left a metre ahead, how far ahead, how high; and how far they are apart.
+            columns=columns,
+            apart=0.0 if seen is None else round(float(seen.across[0] - seen.across[1]), 5),
+            things=around.things(_THINGS).round(2).tolist(),  # Ahead of the robot and to its left, metres.
+        )
 
     def _on_state(self, state: State) -> None:
         belief = {} if self.learned is None else self.learned.belief(state)
@@ -97,6 +147,7 @@ class LiveContent:
             lost=round(state.lost, 3),
             cosine=round(state.cosine, 3),
             seen=None if state.seen is None else round(state.seen, 3),
+            left=state.seen_left,
             gap=state.duality_gap,
             state=state.state,
             places=[[place.keyframe, round(place.weight, 3)] for place in state.places] if belief else [],
@@ -105,7 +156,7 @@ class LiveContent:
 
     def on_action(self, action: Action) -> None:
         """Show what it does, and why."""
-        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], obstacles=action.obstacles)
+        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
     def _on_pose(self, pose: Pose) -> None:
         """Take note of where the robot truly is, and of the way that it has come in this episode."""

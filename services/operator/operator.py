@@ -29,6 +29,7 @@ ANSWER_S: Final = 5.0
 #: How often it is told how the robot is that has no episode, of which it would tell ten times a second.
 LOOK_S: Final = 0.5
 SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; twenty pulses.
+_APPLIED: Final = ("episode", "tick", "atom", "linear", "angular", "source", "reason", "refused")  # Of the report.
 _PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
 #: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
 INSIST_S: Final = 0.1
@@ -46,6 +47,8 @@ class Report:
     episode: str | None = None  # The running episode; none where there is none.
     tick: int = 0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
     atom: Atom | None = None
+    linear: float = 0.0
+    angular: float = 0.0
     source: Source | None = None
     reason: str | None = None
     refused: int = 0
@@ -114,7 +117,7 @@ class Operator:
             # It began before this process did, and nobody has told how.
             self._note(purpose=None, driver=None, goal=None, world=None, outcome=None, right=None)
         self._note(
-            **{name: getattr(applied, name) for name in ("episode", "tick", "atom", "source", "reason", "refused")},
+            **{name: getattr(applied, name) for name in _APPLIED},
             cause=applied.stop_cause,
             at=self._heard_s,
             answers=True,

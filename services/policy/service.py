@@ -12,8 +12,8 @@ from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail
+from services.kit.sight import Sight
 from services.kit.throttle import Throttle
-from services.policy.sight import Sight
 from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition

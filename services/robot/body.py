@@ -136,5 +136,8 @@ class Body(Stops, Protocol[V_co]):
     def look(self, tick: int) -> V_co:
         """Return what is seen and felt now, for the frame of a tick; the first of an episode is 0."""
 
+    def peek(self) -> bytes | None:
+        """Return what its camera sees between two episodes, as JPEG; None where that shows nothing."""
+
     def detail(self) -> Detail:
         """Tell how it is, for the robot's status; called on any thread."""

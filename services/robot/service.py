@@ -10,9 +10,20 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Pulse
-from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.rpc import (
+    ArmRequest,
+    CancelRequest,
+    EndRequest,
+    LookReply,
+    Nothing,
+    ResetReply,
+    ResetRequest,
+    ResumeRequest,
+    Status,
+)
 from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import RpcError
+from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size, shrunk
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.body import Body, View
@@ -24,6 +35,7 @@ from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
 ROBOT: Final = "robot"  # Name on the bus, whatever body it has.
+PEEK_COLUMNS: Final = 640  # Of what is seen between episodes: so small that a reply takes it, whatever camera it is.
 ANSWER_S: Final = 1.0  # How long another robot of this id may take to say so.
 V = TypeVar("V", bound=View)
 
@@ -68,6 +80,7 @@ class RobotService:
         node.serve("cancel", CancelRequest, self.cancel, at_once=True)
         node.serve("resume", ResumeRequest, self.resume)
         node.serve("end", EndRequest, self.end)
+        node.serve("look", Nothing, self.look)
         node.every(PERIOD_S, self.poll)
         node.apart(PULSE_S, runner.pulse)
         node.detail = self.detail
@@ -120,6 +133,13 @@ class RobotService:
         """End the running episode."""
         self._publish(self._runner.end_by(request))
 
+    def look(self, _: Nothing) -> LookReply:
+        """Show what the camera sees before an episode."""
+        jpeg = None if self._runner.running else self._runner.body.peek()
+        if jpeg is not None and (jpeg_size(jpeg) or (0, 0))[0] > PEEK_COLUMNS:
+            jpeg = encode_jpeg(shrunk(decode_jpeg(jpeg), PEEK_COLUMNS))
+        return LookReply(picture=jpeg)
+
     def resume(self, request: ResumeRequest) -> None:
         """Let the driver go on, from whom a person has taken over."""
         self._runner.resume(request)
@@ -127,9 +147,11 @@ class RobotService:
 
     def detail(self) -> Detail:
         """Tell the running episode and how the actuator fares."""
-        running, gate = self._runner.running, self._runner.gate
+        running, gate, moves = self._runner.running, self._runner.gate, self._runner.body.kinematics
         detail: Detail = {
             "world": self._runner.body.name,
+            "speed_m_s": moves.speed_m_s,
+            "turn_rate_rad_s": moves.turn_rate_rad_s,
             "episode": running.id if running else None,
             "tick": running.tick if running else None,
             "emergency_stop": gate.emergency_stop,

@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -153,6 +154,15 @@ class Ros2Body:
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
         return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
+
+    def peek(self) -> bytes | None:
+        """Return the newest picture, as JPEG; None where the camera is silent."""
+        frame = self._senses.frame
+        if frame is None or self._clock() - frame.captured_s > MAX_AGE_S:
+            return None
+        with suppress(MessageError):
+            return picture(frame.message)
+        return None
 
     def _take_newest(self) -> None:
         frame = self._senses.frame

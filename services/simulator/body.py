@@ -125,6 +125,10 @@ class SimulatedBody:
                 self.simulation.carry_away()
             return self.simulation.look(now, self._wanted)
 
+    def peek(self) -> bytes:
+        """Return what its camera sees between two episodes, as JPEG."""
+        return self.look(0).jpeg
+
     def detail(self) -> Detail:
         """Tell in which variation of its world it is, and where else it can be."""
         if self._worlds is None:

@@ -104,6 +104,7 @@ class Surroundings:
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
         self.heading = 0.0
+        self.seen: Scan | None = None  # What the last look says.
 
     def move(self, pose: Sequence[float]) -> None:
         """Go to where the wheels say that the robot is: x, y and heading in radians."""
@@ -121,7 +122,7 @@ class Surroundings:
     def look(self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount) -> bool:
         """Go where the wheels say, and add what a depth image shows; return whether it shows anything."""
         self.move(pose)
-        seen = None if depth_m is None else scan(depth_m, mount)
+        self.seen = seen = None if depth_m is None else scan(depth_m, mount)
         if seen is None:
             return False
         ahead, left = self.seen_from(mount.ahead_m)

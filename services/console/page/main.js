@@ -1,5 +1,6 @@
 // The page: what is heard is drawn, what is pressed is said.
 
+import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
@@ -44,7 +45,9 @@ function onNews(channels) {
 async function onPicture(blob) {
   const image = await createImageBitmap(blob), { width, height } = image;
   if (camera.width !== width || camera.height !== height) Object.assign(camera, { width, height });
-  camera.getContext("2d").drawImage(image, 0, 0);
+  const pen = camera.getContext("2d");
+  pen.drawImage(image, 0, 0);
+  drawAhead(pen, watch.state, (channel) => watch.age(channel));
   image.close();
 }
 

@@ -1,12 +1,13 @@
 // The map: taught drives, today's way, the robot, and where it thinks that it is.
 
+import { course } from "./ahead.js";
 import { $, cleared, color } from "./element.js";
 
 const HEIGHT = 220, MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
 const canvas = $("#map canvas"), legend = $("#map .victim");
 
-export function drawMap({ model, way, pose, tracked, belief, plan, robot, goal }, age) {
+export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal }, age) {
   const [pen, width] = cleared(canvas, HEIGHT);
   // What was taught in another world is nowhere in this one.
   const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
@@ -58,10 +59,12 @@ export function drawMap({ model, way, pose, tracked, belief, plan, robot, goal }
   }
   const here = pose && age("pose") < 5 ? pose.pose : believed;
   pen.fillStyle = color("bad");
-  for (const metres of here && plan && age("plan") < 1 ? plan.obstacles : []) {
-    const [x, y] = beside(here, metres.map((one) => one * scale));
+  const there = (metres) => beside(here, metres.map((one) => one * scale));
+  for (const metres of (here && age("around") < 1 && around?.things) || []) {
+    const [x, y] = there(metres);
     pen.fillRect(x - 1, y - 1, 2, 2);
   }
+  if (here) trace(course({ robot, health }).map(there), "good", 3);
   if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
   if (pose && age("pose") < 5) arrow(pose.pose, "good", true);
   if (believed) arrow(believed, "believed", false);

@@ -11,6 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from schemas.rpc import RecordRequest, ResetRequest
 from services.console.web import NONSENSE, TAKEN
 from services.console.who_drives import LET_GO_S
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
@@ -45,6 +46,13 @@ def goes(page: Page, robot: Robot) -> bool:
         page.say(do="resume")
         page.held = "forward"
     return robot.wheels.driven
+
+
+def test_what_the_camera_sees_is_shown_before_a_drive_begins(robot: Robot, open_page: OpenPage) -> None:
+    page = open_page()
+    eventually(lambda: page.pictures)
+    robot.wheels.x = 12.0  # somebody carries it
+    eventually(lambda: decode_jpeg(page.pictures[-1])[0, 0, 0] == 120)
 
 
 @unattended

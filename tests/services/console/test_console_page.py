@@ -5,15 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
+from schemas.base import Message
+from schemas.camera import CompressedImage
 from services.console.config import ConsoleSettings
+from services.console.live_content import LiveContent
 from services.console.newest_content import Board
 from services.console.server import WebServer
+from services.kit.jpeg import encode_jpeg
+from services.robot.body import OdometryReading
+from services.robot.messages import odometry_message
+from services.simulator.sensors.camera import depth_message
 from tests.services.console.conftest import Nobody
 from tests.services.waiting import eventually
+from tests.smal.depth_world import MOUNT, depth
+from tests.system.console.console_site import run_in
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -140,3 +151,32 @@ def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, nobody: Nobo
     eventually(lambda: [ask.do for ask in nobody.asked] == ["withdraw"])
     board.put("robot", told | {"waiting": False})
     page.wait_for_selector("#withdraw", state="hidden")
+
+
+def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
+    """A box stands before it on the left; it drives on, in a bend to the right."""
+    node = SimpleNamespace(subscribe=lambda *_, **__: None, apart=lambda *_: None, bus=None, name="console")
+    live = LiveContent(node, board, nobody.library)  # type: ignore[arg-type]
+    frame = Message(robot="r", episode="e", tick=1, stamp_ns=0)
+    measured = depth([(3.0, 0.5, 4.0, 2.0, 1.2)], (0.0, 0.0, 0.0), shape=(240, 320))
+    picture = CompressedImage.after(frame, width=320, height=240, data=encode_jpeg(np.full((240, 320, 3), 128, "u1")))
+    tell_robot(board, world="yard", speed_m_s=2.0, turn_rate_rad_s=0.8)
+    told = {"episode": "e", "answers": True, "waiting": False, "emergency": False, "linear": 1.0, "angular": -0.5}
+
+    def drawn(x: int, y: int) -> list[int]:
+        board.put("robot", told | {"at": board.clock()})
+        live._sight.roll(odometry_message(frame, OdometryReading(0.0, 0.0, 0.0, 2.0, 0.0)))
+        live._sight.see(depth_message(frame, measured, MOUNT))
+        live._on_image(picture)
+        script = f"[...document.querySelector('#camera canvas').getContext('2d').getImageData({x}, {y}, 1, 1).data]"
+        return run_in(page, script)[:3]
+
+    def is_more(x: int, y: int, channel: int) -> bool:
+        pixel = drawn(x, y)
+        return pixel[channel] == max(pixel) > 20 + min(pixel)
+
+    eventually(lambda: is_more(90, 140, 0))  # 1 m to the left, at 2.65 m: red
+    eventually(lambda: is_more(219, 217, 1))  # 0.6 m to the right, at 2.15 m, on the ground: green
+    assert drawn(250, 60) == [128, 128, 128]

@@ -112,6 +112,9 @@ class LineBody:
         imu = (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),) if self.senses else None
         return LineView(self, self.x, self.clock(), self.x >= self.wall, odometry, imu)
 
+    def peek(self) -> bytes | None:
+        return self.look(0).jpeg
+
     def detail(self) -> dict[str, str | int | float | bool | None]:
         return {"goal": self.goal}
 
