@@ -58,6 +58,8 @@ class Command(_Moving):
     """The process that asks; while one is heard the robot obeys no other of the same source."""
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Order of the commands that one source sends for one tick, from 0."""
+    insists: bool = False
+    """Whether a person has seen that the robot stands before something, and has it go on, slowly; of others nothing."""
 
     @property
     def atom(self) -> Atom:
@@ -84,10 +86,11 @@ class CommandApplied(_Moving):
     """The nearest of the five keys, for people and for the paper's scheme."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "obstacle", "radius", "silence", "taken_over", "emergency_stop"]
+    reason: Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
     """Why: a fresh command; one that is carried out slower, or not, since something is in the way or nothing tells that
-    it is free; one that turns more sharply than the robot can, and is carried out as sharply as it can; no fresh
-    command from the driver, none from the person who has taken over, or a latched stop."""
+    it is free; one that is carried out there all the same, slowly, since a person insists; one that turns more sharply
+    than the robot can, and is carried out as sharply as it can; no fresh command from the driver, none from the person
+    who has taken over, or a latched stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release has to name; 0 where none is."""
     stop_cause: StopCause | None = None

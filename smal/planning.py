@@ -137,7 +137,7 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
         self._motion: Share = 0.0, 0.0
-        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
+        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = self._waited_s = 0.0
         self._toward_rad: float | None = None
         if self._tried:
             self._plan(frozenset())
@@ -184,27 +184,19 @@ class Planner:
             self.arrived, self._ends, self._neared_s = True, self._ends_here(belief), 0.0
         if self.said is None:
             approach = leads & (to_end < SETTINGS.approach_s * self._map.speed)
-            self._say(belief, elapsed_s, seen, float(belief.weights @ approach) * (1.0 - belief.lost))
+            there = float(belief.weights @ approach) * (1.0 - belief.lost) if tracked or looked else 0.0
+            self._say(belief, elapsed_s, seen, there)
 
-        kind: Kind
-        if self.said is not None:
-            kind = "goal"
-        elif self.arrived or self._toward_rad is not None:
-            kind, error_rad = "search", self._toward_rad or 0.0
+        kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
+        if kind == "search":
+            error_rad = self._toward_rad or 0.0
             directions = np.full(say.shape, error_rad)
-        elif clear and (looked or not ended):
-            kind = "follow"
-        elif not looked:
-            kind = "look_around"
-        else:
-            kind = "guess" if has_way or lost else "dead_end"
-            self.said = "not_here" if self._tried and kind == "dead_end" else None
         if not self._map.odometry or self._chassis.car:
             around = None
         wanted_rad = error_rad
         if around is not None and has_way and kind in ("follow", "guess"):
             way, step_m = self._way_ahead(belief, around.reach_m), self._map.speed * self._map.tick_s
-            round_rad = way_round(around, way, self._turn_rad, step_m, error_rad)
+            round_rad = way_round(around, way, self._turn_rad, step_m, self._map.correlation_length, error_rad)
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * self._motion[1]
         atom, free_m = self._atom(kind, to_turn_rad, elapsed_s), around.free_m(ahead=True) if around else math.inf
@@ -212,11 +204,38 @@ class Planner:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
+        self._wait(kind, atom, elapsed_s)
         # Round things, and before those that are near, it goes turn by turn.
         drives = kind in ("follow", "guess") or (kind == "search" and self._toward_rad is not None)
         aims = directions if drives and error_rad == wanted_rad and free_m > self._ahead else None
         self._motion = self._chassis.choose(atom, aims, say + 1e-9, self._motion, delay_s)
         return Decision(kind, atom, error_rad, self._motion)
+
+    def _kind(self, clear: bool, looked: bool, guesses: bool) -> Kind:
+        """Say what to do if nothing stands in the way: where what to do is clear, or it has looked, or may guess."""
+        if looked and self._waited_s == math.inf:
+            self._waited_s = 0.0
+        if self.said is not None:
+            return "goal"
+        if self.arrived or self._toward_rad is not None:
+            return "search"
+        if clear and self._waited_s < math.inf:
+            return "follow"
+        if not looked:
+            return "look_around"
+        if guesses:
+            return "guess"
+        self.said = "not_here" if self._tried else None
+        return "dead_end"
+
+    def _wait(self, kind: Kind, atom: Atom, elapsed_s: float) -> None:
+        """Count how long something has been in the way: after a while it looks around, be its place another one."""
+        if kind == "blocked":
+            self._waited_s += elapsed_s
+            if self._waited_s > SETTINGS.waits_s:
+                self._waited_s, self._looked_rad = math.inf, 0.0
+        elif atom in self._going:
+            self._waited_s = 0.0
 
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
@@ -224,7 +243,7 @@ class Planner:
         near = math.inf if seen is None else seen.near
         # Who has arrived looks from where nobody drove, where less of it may show.
         about_as_near = near > 1.0 / SETTINGS.as_near
-        beside = seen is not None and there > 0.5 and about_as_near
+        beside = seen is not None and there > SETTINGS.arrived and about_as_near
         self._toward_rad = None
         if sees and ((self.arrived and about_as_near) or (beside and near > 1.0)):
             self.said = "found"

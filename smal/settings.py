@@ -169,6 +169,7 @@ class Settings:
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
+    deep: float = 2.0  # So far behind what is seen to stand it goes on, where nobody has seen what is there.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
     unseen: float = 2.5  # Nearer, what is unknown ahead does not count: a camera does not see beside its own robot.
@@ -180,9 +181,10 @@ class Settings:
     tight_cost: float = 2.0
     #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
     stands_before: float = 6.0
+    waits_s: float = 10.0  # Until somebody has walked on; then it looks around: it may know its place wrongly.
     most_turns: int = 180  # Turns to each side that are tried: a degree apart.
-    #: What a metre costs more a radius beside the way, and over ground that nobody has seen.
-    aside_cost: float = 0.15
+    #: What a metre costs more a correlation length beside the way, and over ground that nobody has seen.
+    aside_cost: float = 1.5
     unknown_cost: float = 0.5
 
     # -- stitches

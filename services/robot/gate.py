@@ -28,6 +28,7 @@ OPERATOR_S: Final = 0.25
 #: Silence after which another process of the same kind may command in place of one that was heard, seconds; a killed
 #: one that is started again takes longer.
 LEASE_S: Final = 1.0
+INSISTED: Final = 0.2  # Share of its speed at which a robot goes on for a person who insists: it stands within a hand.
 Refusal = Literal[
     "wrong episode",
     "not the driver",
@@ -38,7 +39,7 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "obstacle", "radius", "silence", "taken_over", "emergency_stop"]
+Reason = Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
 #: Whoever arms the robot has to know the last of these that has stopped it.
 _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
 
@@ -307,19 +308,21 @@ class CommandGate:
             source: Source = "teleop" if self._taken_over else self._driver
             latest = self._latest.get(source)
             if latest is not None and (age_s := now_s - latest.captured_s) <= self.max_age_s:
-                may, reason = bounded(latest.command.velocity, self.kinematics, self.guard, now_s)
+                insists = latest.command.insists and source == "teleop"
+                may, reason = bounded(latest.command.velocity, self.kinematics, self.guard, now_s, insists=insists)
                 return Applied(may, source, reason, latest.command.tick, age_s)
             return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")
 
 
 def bounded(
-    asked: Velocity, kinematics: Kinematics, guard: Guard | None, now_s: float
-) -> tuple[Velocity, Literal["command", "obstacle", "radius"]]:
-    """Return how a robot moves that is asked to, and why: no more sharply than it can, nor into anything."""
+    asked: Velocity, kinematics: Kinematics, guard: Guard | None, now_s: float, *, insists: bool = False
+) -> tuple[Velocity, Reason]:
+    """Return how a robot moves that is asked to, and why: no more sharply than it can, nor fast into anything."""
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
     if share < abs(may.linear):
+        reason: Reason = "insisted" if insists and share < INSISTED else "obstacle"
         # Slower along the same arc; where it may not go on at all it may turn on the spot, but not as a car.
-        slower = share / abs(may.linear)
-        return kinematics.bounded(Velocity(slower * may.linear, (slower or 1.0) * may.angular)), "obstacle"
+        slower = min(INSISTED if reason == "insisted" else share, abs(may.linear)) / abs(may.linear)
+        return kinematics.bounded(Velocity(slower * may.linear, (slower or 1.0) * may.angular)), reason
     return may, "command" if may == asked else "radius"

@@ -20,14 +20,16 @@ from smal.obstacles.clearance import Floats, Surroundings
 from smal.settings import SETTINGS
 
 
-def way_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, error_rad: float) -> float | None:
+def way_round(
+    around: Surroundings, way: Floats, turn_rad: float, step_m: float, known_m: float, error_rad: float
+) -> float | None:
     """Return how far to turn left; None to stop, if nothing leads round what stands in the way (s, 2).
 
-    It is `error_rad` if nothing stands there, or only far ahead. Turns are as in `turn_round`.
+    It is `error_rad` if nothing stands there, or only far ahead. The rest is as in `turn_round`.
     """
     far_m = hit_m(around, way)
     if far_m < math.inf or around.free_m(ahead=True) == 0.0:
-        round_rad = turn_round(around, way, turn_rad, step_m)
+        round_rad = turn_round(around, way, turn_rad, step_m, known_m)
         if round_rad is not None or far_m < SETTINGS.stands_before * around.radius_m:
             return round_rad
     return error_rad
@@ -39,10 +41,11 @@ def hit_m(around: Surroundings, way: Floats) -> float:
     return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
-def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float) -> float | None:
+def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, known_m: float) -> float | None:
     """Return by how much to turn, to the left, to get round to where a way (s, 2) leads; None where nothing does.
 
-    Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`.
+    Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`. Further aside of the way
+    than `known_m` views have changed: a metre costs more the further aside it is.
     """
     count = min(round(math.pi / turn_rad), SETTINGS.most_turns)
     turns = np.array(sorted(range(-count, count + 1), key=abs))
@@ -50,12 +53,13 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
     cells = around.cells(straight_m[:, None] * towards[:, None])
     leads = straight_m <= around.clear_m(turns * turn_rad)[:, None]
-    left_m = np.where(leads, _to_go_m(around, way)[cells] + straight_m, np.inf) + step_m * np.abs(turns)[:, None]
+    to_go_m = _to_go_m(around, way, known_m)[cells] + straight_m
+    left_m = np.where(leads, to_go_m, np.inf) + step_m * np.abs(turns)[:, None]
     best = np.unravel_index(left_m.argmin(), left_m.shape)
     return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
 
 
-def _to_go_m(around: Surroundings, way: Floats) -> Floats:
+def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> Floats:
     """Return what is left to go from every cell to where the way leaves the grid, metres; infinity from elsewhere."""
     dense = _dense(way, around.cell_m)
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
@@ -77,7 +81,7 @@ def _to_go_m(around: Surroundings, way: Floats) -> Floats:
     cost = (
         1.0
         + SETTINGS.tight_cost * tight
-        + SETTINGS.aside_cost * aside_m / around.radius_m
+        + SETTINGS.aside_cost * aside_m / known_m
         + SETTINGS.unknown_cost * around.unknown
     )
     ends = np.flatnonzero(may & (along >= len(dense) - 3))

@@ -129,13 +129,18 @@ class Surroundings:
         across = left / np.maximum(ahead, self.cell_m)
         column = np.rint((seen.across[0] - across) / (seen.across[0] - seen.across[1]))
         inside = (ahead > 0.0) & (column >= 0) & (column < seen.across.size)
-        through = inside & (ahead < seen.free_m[np.where(inside, column, 0).astype(np.intp)] - self.cell_m / 2.0)
+        column = np.where(inside, column, 0).astype(np.intp)
+        through = inside & (ahead < seen.free_m[column] - self.cell_m / 2.0)
         lowest = mount.height_m - ahead * seen.falls
         evidence = self._evidence
         # What lies below the rays is not seen through; where nothing is known they say at least that nothing rises.
         cleared = through & ((lowest <= SETTINGS.ground_m) | (self._top_m > lowest))
         evidence[cleared] = np.maximum(evidence[cleared] - 1, SETTINGS.least_evidence)
         evidence[through & (evidence == 0)] = -1
+        # What stands is as deep as nobody has seen yet: beside it there is no other look at its sides.
+        behind_m = ahead - seen.hit_m[column]
+        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
+        evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
         near = np.isfinite(seen.hit_m)
         hit_m = seen.hit_m[near]
         places = np.stack([mount.ahead_m + hit_m, hit_m * seen.across[near]], axis=1)

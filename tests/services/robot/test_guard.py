@@ -7,7 +7,7 @@ import pytest
 
 from schemas.base import KEYS, STANDING, Atom, Velocity
 from services.robot.body import Kinematics
-from services.robot.gate import CommandGate
+from services.robot.gate import INSISTED, CommandGate
 from services.robot.guard import MAX_LOOK_S, Guard
 from smal.movement import Atom as Key
 from tests.services.robot.gating import command
@@ -64,6 +64,23 @@ def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
     made.look(depth([wall], here), here, 0.0)
     shares = [made.share(KEYS["forward"], 0.02 * k) for k in range(13)]
     assert shares[0] > shares[5] > shares[12]
+
+
+@pytest.mark.parametrize(("source", "goes"), [("teleop", INSISTED), ("policy", 0.0)])
+def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_does(source: str, goes: float) -> None:
+    here, wall = (0.0, 0.0, 0.0), (0.55, -6.0, 1.6, 6.0, 2.0)
+    gate = CommandGate(first_stop=1)
+    gate.guard = guard()
+    assert gate.arm(1, "") is None
+    gate.begin("e", "policy" if source == "policy" else "teleop")
+    for tick, insists in enumerate((False, True)):
+        gate.captured(tick, tick / 10)
+        gate.guard.look(depth([wall], here), here, tick / 10)
+        asked = command(tick, source=source).model_copy(update={"insists": insists})
+        assert gate.offer(asked, tick / 10) is None
+        applied = gate.applied(tick / 10)
+        assert applied.velocity == ((goes, 0.0) if insists else STANDING)
+        assert applied.reason == ("insisted" if insists and goes else "obstacle")
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -84,6 +84,7 @@ def test_a_robot_stands_before_what_it_comes_to(
     assert most_speed(-free_m, speed_m_s, braking_s, wait_s) == 0.0
 
 
+KNOWN_M = 4.0  # Aside of the way.
 END_M, TURN_RAD = 16.0, float(MOVEMENTS[Atom.LEFT, 1])
 
 
@@ -98,7 +99,7 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
         way = np.stack([x - pose[0], np.full(x.size, -pose[1])], axis=1) @ np.array([[c, -s], [s, c]])
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
         if hit_m(around, way) < math.inf:
-            turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]))
+            turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
         if turn is None:
             blocked += 1
             continue
