@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from smal.camera import STEP_DEG, STRAIGHT
 from smal.features import Centering, FeatureSettings
 from smal.files.map_file import check_map, content_of_map, parts_of_map
+from smal.files.packed import unit, unpacked
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood, evenly
 from smal.movement import Atom, Movement, leads_on, placed, seen_from
@@ -302,21 +303,3 @@ class Model(Stored):
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
         return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights)
-
-
-def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scale vectors (..., r) to unit length; zero stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6), dtype=np.float32)
-
-
-def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:
-    """Keep the directions of vectors (..., r) in a quarter of the memory; cosines are off by about a thousandth."""
-    largest = np.abs(vectors).max(axis=-1, keepdims=True)
-    scaled = np.divide(127.0 * vectors, largest, out=np.zeros_like(vectors), where=largest > 0.0)
-    return np.asarray(np.rint(scaled), dtype=np.int8)
-
-
-def unpacked(vectors: NDArray[np.int8]) -> NDArray[np.float32]:
-    """Return the vectors (..., r) that `packed` packed, of unit length."""
-    return unit(vectors.astype(np.float32))

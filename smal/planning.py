@@ -189,8 +189,7 @@ class Planner:
 
         kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
         if kind == "search":
-            error_rad = self._toward_rad or 0.0
-            directions = np.full(say.shape, error_rad)
+            error_rad, directions = self._toward_rad or 0.0, np.full(say.shape, self._toward_rad or 0.0)
         if not self._map.odometry or self._chassis.car:
             around = None
         wanted_rad = error_rad
@@ -213,8 +212,7 @@ class Planner:
 
     def _kind(self, clear: bool, looked: bool, guesses: bool) -> Kind:
         """Say what to do if nothing stands in the way: where what to do is clear, or it has looked, or may guess."""
-        if looked and self._waited_s == math.inf:
-            self._waited_s = 0.0
+        self._waited_s = 0.0 if looked and self._waited_s == math.inf else self._waited_s
         if self.said is not None:
             return "goal"
         if self.arrived or self._toward_rad is not None:
@@ -231,9 +229,9 @@ class Planner:
     def _wait(self, kind: Kind, atom: Atom, elapsed_s: float) -> None:
         """Count how long something has been in the way: after a while it looks around, be its place another one."""
         if kind == "blocked":
-            self._waited_s += elapsed_s
-            if self._waited_s > SETTINGS.waits_s:
-                self._waited_s, self._looked_rad = math.inf, 0.0
+            if (waited_s := self._waited_s + elapsed_s) > SETTINGS.waits_s:
+                waited_s, self._looked_rad = math.inf, 0.0
+            self._waited_s = waited_s
         elif atom in self._going:
             self._waited_s = 0.0
 

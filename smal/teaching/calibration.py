@@ -16,8 +16,8 @@ from scipy.optimize import isotonic_regression
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
+from smal.files.packed import unpacked
 from smal.likelihood import Likelihood, evenly, over, scale, standing_out
-from smal.model import unpacked
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 

@@ -20,8 +20,9 @@ from scipy.special import stdtrit
 from smal.camera import STRAIGHT, Camera, Image, Scene
 from smal.features import extract
 from smal.features.extraction import in_parallel
+from smal.files.packed import packed, unpacked
 from smal.likelihood import evenly, over, scale
-from smal.model import Model, VisualMap, packed, unpacked
+from smal.model import Model, VisualMap
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.robot import Localizer

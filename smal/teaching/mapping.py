@@ -16,8 +16,9 @@ from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.extraction import in_parallel
 from smal.features.resizing import small
+from smal.files.packed import packed, unit
 from smal.likelihood import evenly
-from smal.model import Model, VisualMap, packed, unit
+from smal.model import Model, VisualMap
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
 from smal.sought.learning import Taught, learn_sight

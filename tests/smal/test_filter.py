@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from smal.camera import TURNS_DEG
 from smal.features import extract
+from smal.files.packed import unit
 from smal.filter import Belief, Filter
-from smal.model import VisualMap, unit
+from smal.model import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
 from smal.settings import SETTINGS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal.camera import STRAIGHT
-from smal.model import unpacked
+from smal.files.packed import unpacked
 from tests.benchmarks.belief import benchmark as belief
 from tests.benchmarks.route.benchmark import FRAME_M, SPACING_M, map_of
 

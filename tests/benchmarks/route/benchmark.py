@@ -19,8 +19,9 @@ import numpy as np
 
 from smal.camera import STRAIGHT
 from smal.features import Centering, FeatureSettings
+from smal.files.packed import packed, unpacked
 from smal.likelihood import GRID, SHARES
-from smal.model import Model, VisualMap, packed, unpacked
+from smal.model import Model, VisualMap
 from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS

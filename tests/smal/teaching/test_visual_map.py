@@ -16,7 +16,8 @@ import pytest
 from smal.camera import TURNS_DEG, Camera
 from smal.features import extract
 from smal.files.map_file import content_of_map
-from smal.model import VisualMap, unit
+from smal.files.packed import unit
+from smal.model import VisualMap
 from smal.settings import SETTINGS
 from smal.teaching import mapping
 from smal.teaching.calibration import TaughtFrames, correlation_length
