@@ -4,7 +4,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter
 
-from schemas.base import Atom, Strict
+from schemas.base import Strict
+from schemas.command import Share
 from schemas.episode import GoalName, Victim
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
@@ -24,11 +25,11 @@ class Stop(Strict):
 
 
 class Hold(Strict):
-    """The answer to a beat, which it names: the person is there, and holds the key of a movement, or none."""
+    """The answer to a beat, which it names: the person is there, and holds a velocity, by keys or a stick, or none."""
 
     do: Literal["hold"]
     beat: Annotated[int, Field(ge=0)]
-    atom: Atom | None
+    held: tuple[Share, Share] | None  # Linear and angular.
 
 
 class Leave(Strict):

@@ -13,7 +13,7 @@ from typing import IO, Final
 
 from schemas import topics
 from schemas.action import Action
-from schemas.base import Atom
+from schemas.base import Velocity
 from schemas.codec import printable
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
 from services.console.browser_messages import LATE, Add, Ask, Delete, Drive, End, Learn, Press, Run
@@ -62,7 +62,7 @@ class ConsoleService:
     def close(self) -> None:
         """End what is being made, and let go of the robot in good order."""
         self._jobs.cancel()
-        self._operator.release()
+        self._operator.hold(None)
         self.library.close()
 
     @property
@@ -98,21 +98,18 @@ class ConsoleService:
         self._news.append({"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)})
         self._board.put("news", list(self._news))
 
-    def hold(self, atom: Atom | None, sent_s: float) -> None:
+    def hold(self, held: tuple[float, float] | None, sent_s: float) -> None:
         """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock."""
         self._there_until_s = sent_s + LEASE_S  # One may watch by a link that is too slow to drive.
         if self._board.clock() >= sent_s + LET_GO_S:
             return
         self._operator.beat(sent_s)
-        if atom is None:
-            self._operator.release()
-        else:
-            self._operator.press(atom, sent_s + LET_GO_S)
+        self._operator.hold(None if held is None else Velocity(*held), sent_s + LET_GO_S)
 
     def let_go(self) -> None:
         """Take note that whoever drives is gone: the robot misses them, and stands."""
         self._there_until_s = -math.inf
-        self._operator.release()
+        self._operator.hold(None)
 
     def leave(self) -> None:
         """Take note that whoever drives stands up, and is not to be missed."""

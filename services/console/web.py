@@ -181,7 +181,7 @@ class Web:
                 continue
             if isinstance(said, Hold):
                 if (sent_s := self._seat.answered(said.beat)) is not None:
-                    await self._do(self._service.hold, said.atom, sent_s)
+                    await self._do(self._service.hold, said.held, sent_s)
             elif isinstance(said, Leave):
                 self._stand_up(browser, self._service.leave)
                 return

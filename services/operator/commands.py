@@ -1,32 +1,32 @@
-"""From keys to commands: an answer to every heartbeat of the robot while a key is held, else silence."""
+"""From what is held to commands: an answer to every heartbeat of the robot while anything is, else silence."""
 
 from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
-from schemas.base import KEYS, NO_EPISODE, Atom, Message, Source
+from schemas.base import NO_EPISODE, STANDING, Message, Source, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 
-#: How fast a car, which cannot turn on the spot, drives ahead by a turn key: of its nominal speed.
+#: How fast a car, which cannot turn on the spot, drives ahead by a turn key alone: of its nominal speed.
 TURNS_AT: Final = 0.5
 
 
 class Commands:
     """What a person who drives tells the robot; each method returns the command that is to be sent, if any.
 
-    While a key is held, every heartbeat is answered by its movement; a change is sent at once. When it is released one
-    ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated until the robot says that it
-    stands, and ends when it was armed; one that is pressed after that was asked for stays.
+    While a velocity is held, by keys or a stick, every heartbeat is answered by it; a change is sent at once. When
+    nothing is held any more one ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated
+    until the robot says that it stands, and ends when it was armed; one that is pressed after that was asked for stays.
     A robot that cannot turn so sharply tells so, and is a car: from then on a turn key drives it ahead, slowly, in as
-    narrow a bend as its gate lets it.
+    narrow a bend as its gate lets it, unless it is told at once to drive on.
 
     ``robot`` is whom it is for before anything was heard of the robot; ``clock`` gives seconds.
     """
 
     def __init__(self, robot: str, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._held: Atom | None = None
+        self._held: Velocity | None = None
         self._until_s = 0.0
         #: The last heartbeat, or what stands for one before the first: an emergency stop descends from it.
         self.heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
@@ -39,7 +39,7 @@ class Commands:
         self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
         self._car = False  # Whether it turns only in driving, as far as it has told in this episode.
-        self._sent: Atom | None = None
+        self._sent: Velocity | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
 
@@ -49,8 +49,8 @@ class Commands:
         return None if self.emergency and not self.stop else self.stop
 
     @property
-    def held(self) -> Atom | None:
-        """The movement whose key is held."""
+    def held(self) -> Velocity | None:
+        """What is held."""
         if self._clock() >= self._until_s:
             self._held = None
         return self._held
@@ -76,19 +76,13 @@ class Commands:
         self.stop = stop
         return self.insist()
 
-    def press(self, atom: Atom, until_s: float) -> Command | None:
-        """Take a press or a repeat of a key, which counts as held until a time of the clock, in the place of others."""
-        self._held, self._until_s = atom, until_s
-        return self.poll()
-
-    def release(self, atom: Atom | None = None) -> Command | None:
-        """Let go of a key, if that is the one that is held, or of every key at once."""
-        if atom in (None, self._held):
-            self._held = None
+    def hold(self, held: Velocity | None, until_s: float = 0.0) -> Command | None:
+        """Take what is held now, until a time of the clock; None where nothing is."""
+        self._held, self._until_s = held, until_s
         return self.poll()
 
     def poll(self) -> Command | None:
-        """Send a change of what is held, be it that time has released a key."""
+        """Send a change of what is held, be it that time has released it."""
         return self._drive() if self.held != self._sent else None
 
     def stop_for_emergency(self) -> Command:
@@ -96,12 +90,12 @@ class Commands:
         self._held = self._sent = None
         self.emergency = True
         self._arming = False
-        return self._command("emergency_stop", "stop")
+        return self._command("emergency_stop", STANDING)
 
     def insist(self) -> Command | None:
         """Repeat an emergency stop of which the robot has not told that it stands for it."""
         due = self.emergency and not self.stop and not self._arming
-        return self._command("emergency_stop", "stop") if due else None
+        return self._command("emergency_stop", STANDING) if due else None
 
     def arming(self) -> None:
         """Take note that the robot is being asked to release its stop."""
@@ -141,11 +135,11 @@ class Commands:
             return None
         self._sent = self.held
         self._answered = self.applied.tick
-        return self._command("teleop", self._sent or "stop")
+        return self._command("teleop", self._sent or STANDING)
 
-    def _command(self, source: Source, atom: Atom) -> Command:
-        linear, angular = KEYS[atom]
-        linear = TURNS_AT if self._car and angular else linear
+    def _command(self, source: Source, velocity: Velocity) -> Command:
+        linear, angular = velocity
+        linear = TURNS_AT * abs(angular) if self._car and not linear else linear
         sequence = self._sequences[source]
         self._sequences[source] += 1
         return Command.after(self.heard, source=source, sequence=sequence, linear=linear, angular=angular)

@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from schemas import topics
-from schemas.base import NO_EPISODE, Atom, Source, Strict
+from schemas.base import NO_EPISODE, Atom, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode, Outcome, Purpose, Said
 from schemas.heartbeat import Heartbeat, Pulse
@@ -187,13 +187,9 @@ class Operator:
                 node.publish(Heartbeat.after(pulse, **fields, present=present))
                 return
 
-    def press(self, atom: Atom, until_s: float) -> None:
-        """Take a press or a repeat of a key that moves the robot or stops it; see ``Commands.press``."""
-        self._node.publish(self.commands.press(atom, until_s))
-
-    def release(self, atom: Atom | None = None) -> None:
-        """Let go of a key, or of every key at once."""
-        self._node.publish(self.commands.release(atom))
+    def hold(self, held: Velocity | None, until_s: float = 0.0) -> None:
+        """Take what is held; see ``Commands.hold``."""
+        self._node.publish(self.commands.hold(held, until_s))
 
     def stop_for_emergency(self) -> None:
         """Stop, and stay so until the robot is armed."""
@@ -288,7 +284,7 @@ class Operator:
         if applied is None:
             self._say("no episode to end")
         elif self._may_ask():
-            self.release()
+            self.hold(None)
             request = EndRequest(episode=applied.episode, found=found, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from schemas.base import ATOMS, Atom
+from schemas.base import ATOMS, KEYS, Atom, Velocity
 from schemas.codec import printable
 from schemas.command import StopCause
 from schemas.episode import GoalName
@@ -80,6 +80,8 @@ class TeleopSession:
         self._goal = settings.goal
         self._first_hold_s, self._repeat_hold_s = settings.first_hold_s, settings.repeat_hold_s
         self._tells_by_s: float | None = time.monotonic() + TELLS_S
+        self._held: set[Atom] = set()  # Keys that are held, until a time.
+        self._held_until_s = 0.0
         self._leaving = False
         self._disk: str | None = None
         node.apart(DISK_S, self._tell_of_disk)
@@ -100,7 +102,7 @@ class TeleopSession:
 
     def finish(self) -> None:
         """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
-        self._operator.release()
+        self._operator.hold(None)
         self._leaving = True
         if self._operator.asking:
             self._terminal.say("waiting for the robot's answer, then ending the episode")
@@ -123,9 +125,9 @@ class TeleopSession:
             self._tells_by_s = None
             self._terminal.tells_releases = True
         elif key == "focus_lost":
-            self._operator.release()
+            self._hold(set())
         elif key in ATOMS and released:
-            self._operator.release(key)
+            self._hold(self._held - {key})
         elif key == "emergency_stop" and not released:
             self._operator.stop_for_emergency()
         elif not (released or self._leaving):
@@ -134,9 +136,13 @@ class TeleopSession:
     def _press(self, key: Key | News) -> None:
         operator = self._operator
         if key in ATOMS:
-            # Most terminals do not tell when a key is let go: it counts as held until its next repeat is overdue.
-            hold_s = self._repeat_hold_s if operator.commands.held == key else self._first_hold_s
-            operator.press(key, time.monotonic() + hold_s)
+            # Most terminals do not tell when a key is let go: it counts as held until its next repeat is overdue. Those
+            # that do repeat the last one of several that are held, which add up.
+            held = self._held if operator.commands.held is not None else set[Atom]()
+            hold_s = self._repeat_hold_s if key in held else self._first_hold_s
+            self._held_until_s = time.monotonic() + hold_s
+            others = held - {"stop"} if self._terminal.tells_releases and key != "stop" else set()
+            self._hold({key} | others)
         elif key == "quit":
             self._node.stop()
         elif key == "new_episode":
@@ -145,6 +151,11 @@ class TeleopSession:
             operator.resume()
         elif key == "found":
             operator.end(found=True)
+
+    def _hold(self, keys: set[Atom]) -> None:
+        self._held = keys
+        held = Velocity(*map(sum, zip(*(KEYS[key] for key in keys), strict=True))) if keys else None
+        self._operator.hold(held, self._held_until_s)
 
     def _begin_episode(self) -> None:
         request = ResetRequest(
@@ -165,16 +176,17 @@ class TeleopSession:
         self._disk = None if told is None else str(told)
 
 
-def status_line(robot: Report, held: Atom | None, now_s: float) -> str:
-    """Return what a person at a terminal is told of the robot, with the key that they hold."""
+def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
+    """Return what a person at a terminal is told of the robot, with the keys that they hold."""
     if robot.waiting:
         episode = "waiting for the robot; a simulator's first picture takes a while"
     elif robot.episode is None:
         episode = f"ended: {robot.outcome}; n: next episode" if robot.outcome else "no episode; n: begin one"
     else:
         episode = "a person drives" if robot.driver == "teleop" else f"{robot.driver or 'somebody'} drives"
+    keys = "-" if held is None else "+".join(held.keys) or "stop"
     parts = ["EMERGENCY STOP"] if robot.emergency else []
-    return "  |  ".join([*parts, *_robot(robot, now_s), f"you: {held or '-'}", episode])
+    return "  |  ".join([*parts, *_robot(robot, now_s), f"you: {keys}", episode])
 
 
 def _robot(robot: Report, now_s: float) -> list[str]:

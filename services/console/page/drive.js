@@ -4,8 +4,11 @@ const KEYS = {
   KeyW: "forward", KeyA: "left", KeyS: "backward", KeyD: "right",
   ArrowUp: "forward", ArrowLeft: "left", ArrowDown: "backward", ArrowRight: "right",
 };
+/** Linear and angular velocity: shares of the robot's own. */
+const VELOCITIES = { forward: [1, 0], backward: [-1, 0], left: [0, 1], right: [0, -1] };
+const together = (atoms) => [0, 1].map((axis) => [...atoms].reduce((sum, atom) => sum + VELOCITIES[atom][axis], 0));
 const TAKEN = 4002;
-const DEAD_ZONE = 0.5, GAMEPAD_STOP = 1;
+const DEAD_ZONE = 0.15, GAMEPAD_STOP = 1;  // A worn stick stands as far from its middle.
 const GAMEPAD_PAD = { 12: "forward", 13: "backward", 14: "left", 15: "right" };
 const TYPED_IN = "input:not([type=checkbox], [type=file]), select, textarea";
 
@@ -13,7 +16,7 @@ export class Drive {
   constructor({ onChange, onRefused, onStop }) {
     this.sits = false;
     this.word = "";  // shows that the seat is ours, to what is sent otherwise than by its socket
-    this._held = [];
+    this._held = new Set();
     this._beat = null;
     this._onChange = onChange;
     this._onRefused = onRefused;
@@ -27,10 +30,10 @@ export class Drive {
     document.addEventListener("visibilitychange", () => this._visibility());
   }
 
-  /** The movement that is asked for: that of the key pressed last, or of a gamepad. */
+  /** The velocity that is asked for: of all keys that are held, or of a gamepad; null where nothing is held. */
   get held() {
     const pad = this._gamepad();  // looked at first, always: it may stop
-    return this._held.at(-1) ?? pad;
+    return this._held.size ? together(this._held) : pad;
   }
 
   /** Sit down; resolves to whether the seat was free. */
@@ -77,31 +80,31 @@ export class Drive {
   }
 
   press(atom) {
-    this._held = [...this._held.filter((one) => one !== atom), atom];
+    this._held.add(atom);
     this._answer();
   }
 
   release(atom) {
-    this._held = this._held.filter((one) => one !== atom);
+    this._held.delete(atom);
     this._answer();
   }
 
   letGo() {
-    this._held = [];
+    this._held.clear();
     this._answer();
   }
 
   _sit(sits, done) {
     this.sits = sits;
     this._taking = sits ? this._taking : null;
-    this._held = [];
+    this._held.clear();
     done(sits);
     if (sits && document.hidden) this._visibility();  // it was hidden before the seat was ours
     this._onChange();
   }
 
   _answer() {
-    if (this.sits) this._send({ do: "hold", beat: this._beat, atom: this.held });
+    if (this.sits) this._send({ do: "hold", beat: this._beat, held: this.held });
     this._onChange();
   }
 
@@ -132,16 +135,16 @@ export class Drive {
   }
 
   _gamepad() {
-    const pads = [...navigator.getGamepads()].filter(Boolean);
+    const pads = [...navigator.getGamepads()].filter((pad) => pad && pad.connected !== false);
     const stops = pads.some((pad) => pad.buttons[GAMEPAD_STOP]?.pressed), pressed = stops && !this._stops;
     this._stops = stops;  // before it is told: who is told asks what is held
     if (pressed) this._onStop();
     if (stops || !document.hasFocus()) return null;
     for (const pad of pads) {
-      for (const [button, atom] of Object.entries(GAMEPAD_PAD)) if (pad.buttons[button]?.pressed) return atom;
-      const [x, y] = pad.axes;
-      if (Math.abs(y) > Math.max(DEAD_ZONE, Math.abs(x))) return y < 0 ? "forward" : "backward";
-      if (Math.abs(x) > DEAD_ZONE) return x < 0 ? "left" : "right";
+      const atoms = Object.keys(GAMEPAD_PAD).filter((button) => pad.buttons[button]?.pressed);
+      if (atoms.length) return together(atoms.map((button) => GAMEPAD_PAD[button]));
+      const [x = 0, y = 0] = pad.axes.map((a) => (Math.abs(a) < DEAD_ZONE ? 0 : Math.max(-1, Math.min(a, 1))));
+      if (x || y) return [-y, -x];
     }
     return null;
   }

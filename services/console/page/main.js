@@ -99,10 +99,11 @@ function drawNews(lines) {
 // -- what is pressed -------------------------------------------------------------------------------------------------
 
 function drawSeat() {
-  const seat = $("#seat"), sits = Boolean(drive?.sits), held = drive?.held;
+  const seat = $("#seat"), sits = Boolean(drive?.sits), [linear, angular] = drive?.held ?? [0, 0];
+  const held = { forward: linear > 0, backward: linear < 0, left: angular > 0, right: angular < 0 };
   seat.setAttribute("aria-pressed", String(sits));
   say(seat, sits ? "Leave control" : watch?.state.taken ? "Somebody else drives" : "Take control");
-  for (const button of pad.children) button.classList.toggle("held", button.dataset.atom === held);
+  for (const button of pad.children) button.classList.toggle("held", held[button.dataset.atom]);
 }
 
 function tell(text, when = new Date()) {

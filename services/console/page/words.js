@@ -66,10 +66,16 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
   return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];
 }
 
+/** What a robot with such a velocity does; hardly a bend is none. */
+function does({ atom, linear, angular }) {
+  const bends = linear && Math.abs(angular) >= 0.1 ? `, bending ${angular > 0 ? "left" : "right"}` : "";
+  return bends ? DOES[linear > 0 ? "forward" : "backward"] + bends : DOES[atom] ?? DOES.stop;
+}
+
 /** How the episode goes, or how the last one went. */
 export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
-  const now = robot.episode ? `, it ${DOES[robot.atom] ?? "stands"}` : "";
+  const now = robot.episode ? `, it ${does(robot)}` : "";
   const end = robot.outcome ? `, ${ended(robot)}` : "";
   return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
 }

@@ -31,6 +31,7 @@ class Nobody:
     def __init__(self, root: Path) -> None:
         self.library = Library(root)
         self.asked: list[object] = []
+        self.held: object = None
         self.maps: list[tuple[str, bytes]] = []
 
     def do(self, what: Callable[..., None], *arguments: object) -> Future[None]:
@@ -39,7 +40,8 @@ class Nobody:
         done.set_result(None)
         return done
 
-    def hold(self, atom: object, sent_s: float) -> None: ...
+    def hold(self, held: object, sent_s: float) -> None:
+        self.held = held
 
     def let_go(self) -> None: ...
 

@@ -14,6 +14,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from schemas.base import KEYS
 from services.console.server import WebServer
 from tests.services.waiting import eventually
 
@@ -31,7 +32,7 @@ class Page:
         self.address = server.address.removeprefix("http://")
         self.state: dict[str, Any] = {}
         self.pictures: list[bytes] = []
-        self.held: str | None = None  # What is held, and how beats are answered.
+        self.held: Any = None  # What is held, a key or a velocity, and how beats are answered.
         self.answers = True
         self.late_s = 0.0
         self.beats = 0
@@ -155,7 +156,8 @@ class Page:
                     continue
                 self.beats += 1
                 self.beat = told["beat"]
-                hold = json.dumps({"do": "hold", "beat": told["beat"], "atom": self.held})
+                held = self.held and KEYS.get(self.held, self.held)
+                hold = json.dumps({"do": "hold", "beat": told["beat"], "held": held})
                 if self.answers and self.late_s:
                     late = threading.Timer(self.late_s, self._hold_late, (drive, hold))
                     late.daemon = True

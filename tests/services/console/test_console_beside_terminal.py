@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from schemas.base import KEYS
 from schemas.rpc import ResetReply, ResetRequest
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Node
@@ -42,9 +43,9 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
     assert operator.begin(RUN)
     assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 30.0), told
     run = operator.mine
-    operator.press("left", math.inf)
+    operator.hold(KEYS["left"], math.inf)
     assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 30.0)
-    operator.release()
+    operator.hold(None)
     page = open_page()
     page.take()
     assert terminal.spin(lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 30.0)

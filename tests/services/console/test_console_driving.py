@@ -4,10 +4,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from schemas.base import KEYS
 from schemas.rpc import RecordRequest, ResetRequest
 from services.console.web import NONSENSE, TAKEN
 from services.console.who_drives import LET_GO_S
@@ -15,6 +17,7 @@ from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
+from services.recordings.reader import read_recording
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
@@ -42,9 +45,10 @@ def driving(open_page: OpenPage, robot: Robot, recorder: RecorderService) -> Pag
 def goes(page: Page, robot: Robot) -> bool:
     """Whether the robot is driven; where this machine is so busy that the page was missed, it is armed and goes on."""
     if robot.gate.stop_cause is not None:
+        held = page.held
         page.let_go()
         page.say(do="resume")
-        page.held = "forward"
+        page.held = held
     return robot.wheels.driven
 
 
@@ -57,7 +61,7 @@ def test_what_the_camera_sees_is_shown_before_a_drive_begins(robot: Robot, open_
 
 @unattended
 def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
-    robot: Robot, recorder: RecorderService, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[ResetRequest] = []
     begin = robot.wheels.begin
@@ -69,6 +73,11 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     eventually(lambda: goes(page, robot) and page.robot(atom="forward", source="teleop"))
     eventually(lambda: page.robot(driver="teleop", goal="dock", purpose="drive", world="line"))
     eventually(lambda: page.pictures)
+    page.held = 0.75, -0.25  # as by a stick
+    eventually(lambda: goes(page, robot) and page.robot(atom="forward", linear=0.75, angular=-0.25))
+    # What moves it to the next frame is what teaches.
+    tick = page.state["robot"]["tick"]
+    eventually(lambda: goes(page, robot) and page.state["robot"]["tick"] > tick + 1)
     page.held = None
     eventually(lambda: not robot.wheels.driven)
     page.say(do="end", found=True)
@@ -76,6 +85,10 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     (recording,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
     assert (recording["outcome"], recording["goal"], recording["useless"]) == ("found", "dock", "")
     assert recording["name"].startswith("drives/to-the-dock-")
+    (recorded,) = read_recording(tmp_path / recording["name"]).episodes
+    assert {("forward", KEYS["forward"]), ("forward", (0.75, -0.25))} <= {
+        (one.atom, one.velocity) for one in recorded.applied.values()
+    }
     status, picture = page.get(f"/thumbnail?of={recording['name']}&k=0")
     assert (status, picture[:2]) == (200, b"\xff\xd8")
 
@@ -221,7 +234,7 @@ def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_pag
 @unattended
 def test_nonsense_moves_nothing_and_is_told(driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
     assert driving._drive is not None
-    for said in ("nonsense", b"\x00", '{"do": "hold", "beat": 0, "atom": "up"}'):
+    for said in ("nonsense", b"\x00", '{"do": "hold", "beat": 0, "held": [0, 1.1]}'):
         driving.refusals.clear()
         driving._drive.send(said)
         eventually(lambda: driving.refusals)

@@ -180,3 +180,33 @@ def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
     eventually(lambda: is_more(90, 140, 0))  # 1 m to the left, at 2.65 m: red
     eventually(lambda: is_more(219, 217, 1))  # 0.6 m to the right, at 2.15 m, on the ground: green
     assert drawn(250, 60) == [128, 128, 128]
+
+
+def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(page: Page, nobody: Nobody) -> None:
+    def has(*held: float) -> None:
+        eventually(lambda: nobody.held == (pytest.approx(held) if held else None))
+
+    page.click("#seat")
+    eventually(lambda: page.get_attribute("#seat", "aria-pressed") == "true")
+    page.keyboard.down("w")
+    has(1, 0)
+    page.keyboard.down("d")
+    has(1, -1)
+    page.keyboard.up("w")
+    has(0, -1)
+    page.keyboard.up("d")
+    has()
+    stick = "navigator.getGamepads = () => [null, {connected: %s, buttons: [], axes: [%s, %s]}]"
+    run_in(page, stick % ("true", -0.3, -0.8))
+    has(0.8, 0.3)
+    run_in(page, stick % ("true", 0.1, 0.5))
+    has(-0.5, 0)
+    run_in(page, stick % ("true", 0.1, -0.1))  # as a worn one stands
+    has()
+    run_in(page, stick % ("true", 0, -1))
+    has(1, 0)
+    page.keyboard.down("a")  # keys go before it
+    has(0, 1)
+    page.keyboard.up("a")
+    run_in(page, stick % ("false", 0, -1))  # its battery is empty
+    has()

@@ -57,7 +57,7 @@ def operator() -> Operator:
 
 def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operator) -> None:
     operator.beat(3)
-    assert brief(operator.service.press("forward", math.inf)) == ("teleop", "forward", 3, 0)
+    assert brief(operator.service.hold(KEYS["forward"], math.inf)) == ("teleop", "forward", 3, 0)
     assert operator.beat(4) == ("teleop", "forward", 4, 0)
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
 
@@ -70,22 +70,24 @@ def test_a_turn_key_drives_a_car_in_a_bend_and_turns_any_other_robot_on_the_spot
         return command.velocity
 
     operator.beat(3)
-    on_the_spot = asked(operator.service.press("left", math.inf))
+    on_the_spot = asked(operator.service.hold(KEYS["left"], math.inf))
     may, reason = bounded(on_the_spot, car, None, 0.0)
     assert (on_the_spot, may, reason) == (KEYS["left"], STANDING, "radius")
     bend = asked(operator.service.handle(applied(4, reason, "teleop")))
     assert bounded(bend, car, None, 0.0)[0] == (0.5, 0.25), "slowly, as narrow as two metres"
-    assert asked(operator.service.press("backward", math.inf)) == KEYS["backward"]
-    assert asked(operator.service.release()) == STANDING
-    assert asked(operator.service.press("right", math.inf)) == (0.5, -1.0), "it knows by now"
+    assert asked(operator.service.hold(KEYS["backward"], math.inf)) == KEYS["backward"]
+    assert asked(operator.service.hold(None)) == STANDING
+    assert asked(operator.service.hold(KEYS["right"], math.inf)) == (0.5, -1.0), "it knows by now"
+    assert asked(operator.service.hold(Velocity(1.0, 1.0), math.inf)) == (1.0, 1.0), "it drives on as well"
+    assert asked(operator.service.hold(Velocity(0.0, 0.2), math.inf)) == (0.1, 0.2), "a stick that turns a little"
     operator.service.handle(applied(5, "radius", "teleop"))
     operator.service.on_event(event("started", "another"))
     operator.beat(0, episode="another")
-    assert asked(operator.service.press("left", math.inf)) == KEYS["left"], "the next one may be another robot"
+    assert asked(operator.service.hold(KEYS["left"], math.inf)) == KEYS["left"], "the next one may be another robot"
 
 
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
-    assert operator.service.press("forward", math.inf) is None
+    assert operator.service.hold(KEYS["forward"], math.inf) is None
     assert [operator.beat(tick) for tick in range(5)] == [None] * 5
 
 
@@ -101,7 +103,7 @@ def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) ->
     operator.service.answered()
     assert not operator.service.emergency
     assert operator.beat(6) is None
-    assert brief(operator.service.press("left", math.inf)) == ("teleop", "left", 6, 0)
+    assert brief(operator.service.hold(KEYS["left"], math.inf)) == ("teleop", "left", 6, 0)
 
 
 def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None:
@@ -117,10 +119,10 @@ def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None
 
 
 steps = st.one_of(
-    st.tuples(st.just("press"), st.sampled_from(["forward", "backward", "left", "right", "stop"])),
+    st.tuples(st.just("press"), st.tuples(st.floats(-1, 1), st.floats(-1, 1))),
     st.tuples(st.just("wait"), st.floats(0, 1)),
     st.tuples(st.just("beat"), st.none()),
-    st.tuples(st.just("release"), st.sampled_from(["forward", "left", None])),
+    st.tuples(st.just("release"), st.none()),
     st.tuples(st.just("emergency"), st.none()),
 )
 
@@ -130,12 +132,12 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
     operator, sent, tick = Operator(), [], 0
     for kind, value in script:
         if kind == "press":
-            sent.append(brief(operator.service.press(value, operator.now_s + 0.6)))
+            sent.append(brief(operator.service.hold(Velocity(*value), operator.now_s + 0.6)))
         elif kind == "wait":
             operator.now_s += value
             sent.append(brief(operator.service.poll()))
         elif kind == "release":
-            sent.append(brief(operator.service.release(value)))
+            sent.append(brief(operator.service.hold(None)))
         elif kind == "beat":
             tick += 1
             sent.append(operator.beat(tick))

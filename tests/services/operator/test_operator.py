@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from schemas.base import KEYS
 from schemas.command import Command
 from schemas.rpc import ResetRequest
 from schemas.topics import APPLIED, COMMANDS
@@ -73,9 +74,9 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     begun = asked(operator, RUN, lambda: operator.mine is not None and operator.commands.applied is not None)
     assert node.spin(begun, 100.0), said
     first = operator.mine
-    operator.press("forward", math.inf)
+    operator.hold(KEYS["forward"], math.inf)
     assert node.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 100.0)
-    operator.release()
+    operator.hold(None)
     if stopped:
         operator.stop_for_emergency()
         assert node.spin(lambda: bool(operator.commands.stop), 100.0)

@@ -28,6 +28,7 @@ pytestmark = pytest.mark.zenoh
 
 #: As the kitty keyboard protocol has it.
 W_PRESSED, W_REPEATED, W_RELEASED = b"\x1b[119u", b"\x1b[119;1:2u", b"\x1b[119;1:3u"
+A_PRESSED, A_RELEASED = b"\x1b[97u", b"\x1b[97;1:3u"
 HOLD_S = 2.0  # The longest that can be set.
 
 
@@ -139,6 +140,13 @@ def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
         return robot.commands[-1][0] - let_go_s < HOLD_S / 4
 
     eventually(stops_at_once)
+
+
+def test_two_keys_together_drive_a_bend_where_the_terminal_tells_what_is_let_go(told: Console, robot: Robot) -> None:
+    begin(told, robot)
+    for typed, velocity in ((W_PRESSED + A_PRESSED, (1.0, 1.0)), (A_RELEASED, (1.0, 0.0)), (W_RELEASED, (0.0, 0.0))):
+        told.type(typed)
+        eventually(lambda wanted=velocity: robot.commands and robot.commands[-1][1].velocity == wanted)
 
 
 def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console, robot: Robot) -> None:
