@@ -1,5 +1,6 @@
 """From what is held to commands: an answer to every heartbeat of the robot while anything is, else silence."""
 
+import math
 from collections import Counter
 from collections.abc import Callable
 from typing import Final
@@ -10,6 +11,9 @@ from schemas.episode import Episode
 
 #: How fast a car, which cannot turn on the spot, drives ahead by a turn key alone: of its nominal speed.
 TURNS_AT: Final = 0.5
+#: Who has held on for so long while the robot stood before something has seen it, and insists by holding again so soon.
+STOOD_S, AGAIN_S = 1.0, 2.0
+_NEVER: Final = math.inf, -math.inf
 
 
 class Commands:
@@ -19,7 +23,8 @@ class Commands:
     nothing is held any more one ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated
     until the robot says that it stands, and ends when it was armed; one that is pressed after that was asked for stays.
     A robot that cannot turn so sharply tells so, and is a car: from then on a turn key drives it ahead, slowly, in as
-    narrow a bend as its gate lets it, unless it is told at once to drive on.
+    narrow a bend as its gate lets it, unless it is told at once to drive on. Who has seen the robot stand before
+    something and holds again insists: it goes on, slowly.
 
     ``robot`` is whom it is for before anything was heard of the robot; ``clock`` gives seconds.
     """
@@ -39,6 +44,10 @@ class Commands:
         self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
         self._car = False  # Whether it turns only in driving, as far as it has told in this episode.
+        self._stood_s = (
+            _NEVER  # First and last time that it was told, while something was held, to stand before something.
+        )
+        self._insists = False
         self._sent: Velocity | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
@@ -65,6 +74,8 @@ class Commands:
         self.applied = self.heard = applied
         self.stop = applied.emergency_stop
         self._car = self._car or applied.reason == "radius"
+        if self.held is not None and applied.reason == "obstacle" and applied.linear == 0.0:
+            self._stood_s = min(self._stood_s[0], self._clock()), self._clock()
         if self.emergency:
             return self.insist()
         if self.held is not None and applied.tick != self._answered:
@@ -78,6 +89,10 @@ class Commands:
 
     def hold(self, held: Velocity | None, until_s: float = 0.0) -> Command | None:
         """Take what is held now, until a time of the clock; None where nothing is."""
+        if self.held is None and held is not None:
+            first_s, last_s = self._stood_s
+            self._insists = last_s - first_s >= STOOD_S and self._clock() - last_s <= AGAIN_S
+            self._stood_s = _NEVER
         self._held, self._until_s = held, until_s
         return self.poll()
 
@@ -127,7 +142,7 @@ class Commands:
     def _enter(self, episode: str) -> None:
         if episode != self.episode:
             self.episode = episode
-            self._answered, self._car = -1, False
+            self._answered, self._car, self._stood_s = -1, False, _NEVER
             self.no_episode()
 
     def _drive(self) -> Command | None:
@@ -142,4 +157,7 @@ class Commands:
         linear = TURNS_AT * abs(angular) if self._car and not linear else linear
         sequence = self._sequences[source]
         self._sequences[source] += 1
-        return Command.after(self.heard, source=source, sequence=sequence, linear=linear, angular=angular)
+        insists = self._insists and source == "teleop" and self._sent is not None
+        return Command.after(
+            self.heard, source=source, sequence=sequence, linear=linear, angular=angular, insists=insists
+        )

@@ -196,7 +196,8 @@ def _robot(robot: Report, now_s: float) -> list[str]:
         return [f"NO SIGN OF THE ROBOT for {now_s - robot.at:.0f} s"]
     reasons = {
         "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
-        "obstacle": "something is in the way, or not known to be free",
+        "obstacle": "something is in the way, or not known to be free; let go and hold again: go on slowly",
+        "insisted": "slowly, since you insist",
         "radius": "a car turns while it drives, no more sharply than it can",
         "silence": "nobody drives",
         "taken_over": "you have taken over; r resumes",

@@ -59,8 +59,10 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
     return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it hears no command"}`];
   }
   if (robot.reason === "obstacle") {
-    return ["warn", "It stands, or goes slower: something is in the way, or nothing tells that it is free"];
+    const again = robot.source === "teleop" && sits ? ". To go on slowly all the same, let go, and hold the key again" : "";
+    return ["warn", `It stands, or goes slower: something is in the way, or nothing tells that it is free${again}`];
   }
+  if (robot.reason === "insisted") return ["warn", "Something is in the way: it goes on slowly, since you insist"];
   if (robot.reason === "radius") return ["good", "A car turns while it drives, no more sharply than it can"];
   const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
   return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];

@@ -1,6 +1,7 @@
 """What keys and heartbeats make of each other, without a terminal and without a bus."""
 
 import math
+from typing import cast
 
 import pytest
 from hypothesis import given
@@ -182,3 +183,33 @@ def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(s
             operator.service.answered()
             asked = None
         assert operator.service.emergency == held
+
+
+def test_who_has_seen_the_robot_stand_before_something_and_holds_again_insists(operator: Operator) -> None:
+    def hold(velocity: Velocity | None) -> bool:
+        command = operator.service.hold(velocity, math.inf)
+        return command is not None and command.insists
+
+    def stand(tick: int, seconds: float) -> None:
+        for part in range(11):
+            assert not cast("Command", operator.service.handle(applied(tick + part, "obstacle", "teleop"))).insists
+            operator.now_s += seconds / 10
+
+    operator.beat(0)
+    assert not hold(KEYS["forward"])
+    stand(1, 0.5)
+    assert not hold(None)
+    assert not hold(KEYS["forward"]), "it stood too short a time for a person to have seen it"
+    stand(20, 1.5)
+    assert not hold(None)
+    operator.now_s += 1.0
+    assert hold(KEYS["forward"])
+    going_on = operator.service.handle(applied(40, "insisted", "teleop"))
+    assert going_on is not None
+    assert going_on.insists
+    assert not hold(None)
+    assert not hold(KEYS["forward"]), "the next hold is one like any other"
+    stand(50, 1.5)
+    hold(None)
+    operator.now_s += 3.0
+    assert not hold(KEYS["forward"]), "that was long ago"
