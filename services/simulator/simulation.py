@@ -18,7 +18,7 @@ from services.simulator.variation import DAY, Variation
 from services.simulator.world.obstacles import Obstacle, stand_in_the_way
 from services.simulator.world.people import Person, walk_about
 from services.simulator.world.place import Pose, World
-from services.simulator.world.route import plan_route
+from services.simulator.world.route import obstacles_of, plan_route
 from services.simulator.world.task import moved_victim, sample_start
 from smal.obstacles.clearance import Mount
 
@@ -132,7 +132,7 @@ class Simulation:
             for person in self.people:
                 person.step(duration_s / steps, self.pose, self.world.robot.radius_m)
             self.collided |= motion.collided or any(
-                person.touches(self.pose, self.world.robot.radius_m) for person in self.people
+                person.away_m(self.pose) < self.world.robot.radius_m for person in self.people
             )
             if duration_s > 0:
                 self._sensors.feel(motion, duration_s / steps)
@@ -144,6 +144,15 @@ class Simulation:
             *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
             self.victim, tuple(one.pose for one in self.people), self.mount, captured_s, wanted,
         )  # fmt: skip
+
+    @property
+    def clearance_m(self) -> float:
+        """How far the robot's side is from the nearest thing or person; 0 where they touch."""
+        here = Point(self.pose.x, self.pose.y)
+        away_m = [obstacles_of(self.world.place).clearance(here.x, here.y)]
+        away_m += [thing.footprint.distance(here) for thing in self.obstacles]
+        away_m += [person.away_m(self.pose) for person in self.people]
+        return max(min(away_m) - self.world.robot.radius_m, 0.0)
 
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""

@@ -49,6 +49,7 @@ class Search:
     outcome: Outcome  # See `schemas.episode.Episode`.
     poses: NDArray[np.float64]  # (ticks + 1, 3): x, y in metres, heading in radians.
     atoms: NDArray[np.int8]  # (ticks,), what was done from each frame to the next.
+    clearance_m: NDArray[np.float64]  # (ticks + 1,): from its side to the nearest thing or person.
     shortest_m: float  # Way from the start to where the victim counts as found.
     #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     places: tuple[Place | None, ...] = ()
@@ -57,12 +58,26 @@ class Search:
     right: bool | None = None  # Whether "not here" was so.
 
     @property
+    def ways(self) -> list[NDArray[np.float64]]:
+        """Its poses; before and after it was carried, which is no driving."""
+        return np.split(self.poses, [self.kidnap_tick] if 0 < self.kidnap_tick <= len(self.atoms) else [])
+
+    @property
     def driven_m(self) -> float:
-        """Way driven; being carried is none."""
-        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
-        if 0 < self.kidnap_tick <= len(steps):
-            steps[self.kidnap_tick - 1] = 0.0
-        return float(steps.sum())
+        """Way driven."""
+        return float(sum(np.hypot(*np.diff(way[:, :2], axis=0).T).sum() for way in self.ways))
+
+    @property
+    def turns(self) -> int:
+        """How often it began to turn to a side, at half its turn rate or more."""
+        turning = np.isin(self.atoms, (Atom.LEFT, Atom.RIGHT))
+        return int((turning & (np.diff(self.atoms, prepend=Atom.STOP) != 0)).sum())
+
+    @property
+    def jerk_m_s3(self) -> float:
+        """Root mean square jerk: of third differences of its place over ticks."""
+        jerks = np.concatenate([np.hypot(*np.diff(way[:, :2], 3, axis=0).T) for way in self.ways]) / TICK_S**3
+        return float(np.sqrt(np.mean(jerks**2))) if jerks.size else 0.0
 
 
 def search(
@@ -83,6 +98,7 @@ def search(
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
     tells = hasattr(kind, "where")
     poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
+    clearance_m = [simulation.clearance_m]
     ended: Ended | None = None
     while ended is None:
         tick, view = episode.tick, episode.view
@@ -105,11 +121,13 @@ def search(
         if isinstance(driver, Robot):
             driver.made = asked = Velocity(*driver.decision.motion)
         poses.append(episode.step(asked).pose)
+        clearance_m.append(simulation.clearance_m)
         atoms.append(Atom[asked.atom().upper()])
     way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
     made = np.array(atoms, dtype=np.int8)
     kidnapped = request.kidnap_tick or 0
-    return Search(ended.outcome, way, made, shortest_m, tuple(places), pictures, kidnapped, ended.right)
+    free = np.array(clearance_m)
+    return Search(ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right)
 
 
 def _said(driver: Driver) -> Said | None:
@@ -129,6 +147,9 @@ def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) ->
         "driven_m": round(found.driven_m, 2),
         "aside_rms_m": round(float(np.sqrt(np.mean(aside_m**2))), 4),
         "aside_max_m": round(float(aside_m.max()), 4),
+        "clearance_p5_m": round(float(np.percentile(found.clearance_m, 5)), 4),
+        "turns": found.turns,
+        "jerk_m_s3": round(found.jerk_m_s3, 3),
     }
     if found.places:
         sure = np.array([place is not None for place in found.places])

@@ -231,6 +231,7 @@ class Searches(Unit):
         simulation = simulation_in(self.site, how.shake, trial.variation, clouds, hindered)
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
+        taught_ticks = float(np.mean([len(one.poses) - 1 for one in taught]))
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))
         asked: dict[str, Any] = {name: getattr(trial, name) for name in _ASKED}
         found, shown = [], False
@@ -240,7 +241,7 @@ class Searches(Unit):
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0
             one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True)
-            found.append(finding(one, poses, self.criterion))
+            found.append(finding(one, poses, self.criterion) | {"taught_ticks": taught_ticks})
             if keeps and one.outcome == "found":
                 shown = True
                 jpegs = {str(k): np.frombuffer(encode_jpeg(seen), np.uint8) for k, seen in one.pictures.items()}

@@ -37,10 +37,10 @@ class Person:
         here = self._ends.interpolate(self._at_m)
         return Pose(here.x, here.y, self._heading + (0.0 if self._onwards > 0 else math.pi))
 
-    def touches(self, robot: Pose, radius_m: float) -> bool:
-        """Tell whether a robot of a radius touches the person."""
+    def away_m(self, place: Pose) -> float:
+        """Return how far the person's side is from a place; below 0 inside."""
         here = self.pose
-        return math.hypot(robot.x - here.x, robot.y - here.y) < radius_m + _RADIUS_M
+        return math.hypot(place.x - here.x, place.y - here.y) - _RADIUS_M
 
     def step(self, duration_s: float, robot: Pose, radius_m: float) -> None:
         """Let time pass: walk, or stand a while, or wait for a robot ahead, and turn back where it does not leave."""

@@ -115,3 +115,22 @@ def test_a_way_too_short_for_so_many_says_so() -> None:
     body = SimulatedBody(simulated("indoor"))
     with pytest.raises(ServiceError, match=r"room for . of 50 obstacles"):
         body.begin(ResetRequest(seed=1, obstacles=50))
+
+
+def test_clearance_is_of_the_robots_side_from_walls_things_and_people() -> None:
+    simulation = simulated("campus")
+    simulation.reset(1, "run")
+    radius_m, there = simulation.world.robot.radius_m, simulation.world.place
+    walls_m = Obstacles(there).clearance(simulation.pose.x, simulation.pose.y) - radius_m
+    assert simulation.clearance_m == pytest.approx(walls_m)
+    simulation.reset(1, "run", obstacles=3)
+    middle = simulation.obstacles[0].footprint.centroid
+    beside = simulation.obstacles[0].footprint.bounds[2] + radius_m + 0.1
+    simulation.pose = Pose(middle.x, middle.y, 0.0)
+    assert simulation.clearance_m == 0.0
+    simulation.pose = Pose(beside, middle.y, 0.0)
+    assert 0.0 < simulation.clearance_m < 0.3
+    simulation.reset(1, "run", people=1)
+    (person,) = simulation.people
+    simulation.pose = Pose(person.pose.x + radius_m + 0.25 + 0.05, person.pose.y, 0.0)
+    assert simulation.clearance_m == pytest.approx(0.05)

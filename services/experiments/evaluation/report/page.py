@@ -208,6 +208,8 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
             one.trial.condition, str(one.trial.drives), one.trial.title, one.said, _interval(one.wilson_95, ".0%"),
             *(str(one.outcomes.count(outcome)) for outcome in SHOWN),
             _or_dash(one.spl, ".2f"), f"{one.aside_rms_m:.2f}", f"{one.aside_max_m:.2f}",
+            f"{one.clearance_p5_m:.2f}", _or_dash(one.turns_per_m, ".2f"), f"{one.jerk_m_s3:.1f}",
+            _or_dash(one.time_over_taught, ".2f"),
             _or_dash(one.interventions_per_km, ".1f"), _or_dash(one.wrong_share, ".1%"),
             "-" if one.right_soon is None else "{} of {}".format(*one.right_soon),
         ]
@@ -215,7 +217,8 @@ def _searches(found: Sequence[Success]) -> Iterator[str]:
     ]  # fmt: skip
     yield html.table(
         ["condition", "drives", "driver", "found", "95 %", *SHOWN.values(), "SPL",
-         "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {SOON_S:g} s"],
+         "aside, RMS m", "max m", "clearance, 5 % m", "turns a m", "jerk, m/s³", "time over taught",
+         "interventions a km", "wrong and sure", f"right within {SOON_S:g} s"],
         rows, left=3,
     )  # fmt: skip
     yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.values()) + ".</p>"
@@ -240,7 +243,11 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         f"drivers that say nothing with the victim found, or after {plan.patience:g} times "
         f"the frames of the longest taught drive (in smal run at least {LEAST_TICKS}): a slow robot fails as one "
         f"that is lost does. Teaching is never degraded. SPL is success weighted by path length (Anderson et al. "
-        f"2018); aside is the distance from the taught ways, by the truth; wrong and sure are frames at which the "
+        f"2018); aside is the distance from the taught ways, by the truth; clearance that from the robot's side to "
+        f"the nearest thing or person, the 5th percentile over the frames of a search, the mean over searches; a turn "
+        f"is counted where the robot begins to turn to a side at half its turn rate or more; jerk is the root mean "
+        f"square of third differences of the true place, 10 a second; time over taught is that of the searches that "
+        f"found over that of the mean taught drive; wrong and sure are frames at which the "
         f"robot believes to be further from the truth than the criterion allows, and not to be lost. "
         f"Features: colour and HOG, the default. Same seeds give the same results on one machine.</p>"
     )

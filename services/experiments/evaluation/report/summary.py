@@ -55,9 +55,12 @@ class Success:
 
     ``spl`` is success weighted by path length (Anderson et al. 2018), None where robots were carried; the expert's
     route counts as shortest: who cuts its corners has 1. Distances from the taught ways are of all frames of all
-    searches. Interventions are searches that a person would have had to end, a kilometre driven. ``wrong_share`` is of
-    frames: sure, and elsewhere; ``right_soon`` in how many searches, of how many, it was right `SOON_S` after it was
-    carried away.
+    searches. ``clearance_p5_m`` is the mean over searches of the 5th percentile over frames of how far the robot's side
+    was from the nearest thing or person; ``turns_per_m`` how often it began to turn, over metres driven; ``jerk_m_s3``
+    the root mean square jerk of all searches; ``time_over_taught`` how long those that found took, over the mean taught
+    drive, None where they began elsewhere or none found. Interventions are searches that a person would have had to
+    end, a kilometre driven. ``wrong_share`` is of frames: sure, and elsewhere; ``right_soon`` in how many searches, of
+    how many, it was right `SOON_S` after it was carried away.
     """
 
     def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:
@@ -71,6 +74,11 @@ class Success:
         self.spl = None if trial.kidnap_tick else float(shares.mean())
         self.aside_rms_m = float(np.sqrt(np.average(self._of("aside_rms_m") ** 2, weights=ticks + 1)))
         self.aside_max_m = float(self._of("aside_max_m").max())
+        self.clearance_p5_m = float(self._of("clearance_p5_m").mean())
+        self.turns_per_m = float(self._of("turns").sum() / driven.sum()) if driven.sum() > 1.0 else None
+        self.jerk_m_s3 = float(np.sqrt(np.average(self._of("jerk_m_s3") ** 2, weights=ticks + 1)))
+        told = found.any() and not trial.kidnap_tick and trial.start == "start"
+        self.time_over_taught = float((ticks / self._of("taught_ticks"))[found].mean()) if told else None
         self.interventions_per_km = 1e3 * (self.runs - self.found) / driven.sum() if driven.sum() > 1.0 else None
         tells = "wrong_share" in searches[0]
         self.wrong_share = float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None

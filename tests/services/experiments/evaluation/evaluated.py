@@ -61,6 +61,7 @@ def search(trial: Trial, seed: int) -> Finding:
     found = {
         "outcome": "collision" if blind else "timeout" if slow else "found", "ticks": 150 + seed,
         "shortest_m": 80.0, "driven_m": 100.0, "aside_rms_m": 0.5, "aside_max_m": 1.5,
+        "clearance_p5_m": 0.3 + 0.1 * (seed % 2), "turns": 20, "jerk_m_s3": 2.0, "taught_ticks": 120.0,
     }  # fmt: skip
     if trial.controller == "smal":
         found["wrong_share"] = 0.02

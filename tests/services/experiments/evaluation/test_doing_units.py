@@ -70,6 +70,7 @@ def test_whatever_is_found_is_numbers_and_files_are_where_it_says(found: tuple[P
             assert said["outcome"] in {"found", "collision", "timeout"}
             assert 0.0 <= said["aside_rms_m"] <= said["aside_max_m"]
             assert ("wrong_share" in said) == (unit.trial.controller == "smal")
+            assert said["clearance_p5_m"] > 0.0 or said["outcome"] == "collision"
             assert one["file"] == (unit.is_example and said["outcome"] == "found")
             if unit.trial.kidnap_tick:
                 # Being carried away is no driving, and its recovery is timed.
@@ -116,3 +117,11 @@ def test_a_belief_is_held_against_the_truth() -> None:
     assert (said["driven_m"], said["aside_max_m"]) == pytest.approx((0.0, 0.0), abs=0.01)
     carried = finding(replace(made, kidnap_tick=1), taught, Criterion(1.0, 25.0))
     assert carried["right_after_s"] == pytest.approx(0.3)
+    assert said["clearance_p5_m"] == pytest.approx(simulation.clearance_m, abs=1e-4)
+    # Half a metre to the cube of the seconds, then carried far away.
+    seconds, carried_m = np.arange(21) / 10, 100.0 * (np.arange(21) >= 10)
+    way = np.column_stack([0.5 * seconds**3 + carried_m, carried_m, np.zeros(21)])
+    atoms = np.array([Atom.LEFT, Atom.LEFT, Atom.RIGHT, Atom.FORWARD, Atom.RIGHT] * 4, dtype=np.int8)
+    moved = finding(replace(made, poses=way, atoms=atoms, kidnap_tick=10), taught, Criterion(1.0, 25.0))
+    assert (moved["jerk_m_s3"], moved["turns"]) == (pytest.approx(3.0), 12)
+    assert moved["driven_m"] == pytest.approx(4.0, abs=0.2)
