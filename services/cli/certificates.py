@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from schemas.codec import printable
-from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX
+from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, ENGINE, KEY_SUFFIX
 from services.kit.errors import UsageError
 from services.table import roles
 
@@ -63,11 +63,15 @@ def begin(folder: Path, robot: str) -> None:
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
-    """Make a certificate of every role in place of the last; UsageError without a known authority's key."""
+    """Make a certificate of every role, and the engine's, in place of the last; UsageError where nobody signs."""
     authority = read_authority(folder)
-    for role in roles():
+    for role in (*roles(), ENGINE):
         key = ec.generate_private_key(ec.SECP256R1())
-        certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
+        if role == ENGINE:
+            nobodys = x509.BasicConstraints(False, None)
+            certificate = _signed(role, _name(role), key.public_key(), key, days, nobodys)
+        else:
+            certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
         _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
         _write(folder / f"{role}{CERTIFICATE_SUFFIX}", certificate.public_bytes(_PEM), mode=0o644)
 
@@ -159,7 +163,7 @@ def check(folder: Path) -> Iterator[Finding]:
 
 
 def _of_roles(folder: Path, authorities: list[x509.Certificate]) -> Iterator[Finding]:
-    for role in roles():
+    for role in (*roles(), ENGINE):
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             yield Finding(path.name, *_verdict(path, role, authorities))
@@ -173,9 +177,10 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         return False, f"it or its key cannot be read: {_why(error)}"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     open_to, is_router = _open_to_others(key_path), _is_router(certificate)
+    signers = [certificate] if role == ENGINE else authorities
     faults = (
         (names != [role], f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"),
-        (not any(_has_signed(one, certificate) for one in authorities), f"no authority in {CA_FILE} has signed it"),
+        (not any(_has_signed(one, certificate) for one in signers), f"no authority in {CA_FILE} has signed it"),
         (key.public_key() != certificate.public_key(), "its key is another certificate's"),
         (bool(open_to), f"its key {open_to}"),
         (is_router and role != ROUTER, "it lets its holder be a router"),

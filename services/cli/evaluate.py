@@ -26,7 +26,7 @@ def evaluate(
     runs: Annotated[int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")] = None,
     changes: options.Changes,
     laps: Annotated[Path | None, Option(metavar="SOURCE", help="Of a real robot: laps in a tub or recordings.")] = None,
-    workers: Annotated[int, Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
+    at_work: options.AtWork,
     report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
 ) -> None:
     """Run the paper's experiments in simulation, and write a page with their figures.
@@ -67,8 +67,11 @@ def evaluate(
     with interrupted_by_signals():
         if not report_only:
             begun = len(results.findings)
-            with tqdm(total=len(planned), initial=begun, desc="evaluating", unit="unit", dynamic_ncols=True) as bar:
-                results.complete(planned, workers, bar.update)
+            with (
+                tqdm(total=len(planned), initial=begun, desc="evaluating", unit="unit", dynamic_ncols=True) as bar,
+                at_work.engine() as engine,
+            ):
+                results.complete(planned, engine, bar.update)
         from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
         page = write_page(plan, results)

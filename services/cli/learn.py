@@ -14,6 +14,7 @@ from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.adding import add_runs, save
 from services.cli.progress import Bars
+from services.experiments.engine import Engine
 from services.experiments.showing.summary import numbers_of
 from services.experiments.words import described_by, remark
 from services.kit.errors import JobError, UsageError
@@ -40,6 +41,7 @@ def learn(
     include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
     add: Annotated[bool, Option("--add", help="Have the model at --out learn more from runs of its own.")] = False,
     memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Paper: stop rather than take more.")] = None,
+    at_work: options.AtWork = options.HERE,
     json_file: options.JsonFile = None,
     progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,
 ) -> None:
@@ -79,9 +81,9 @@ def learn(
     outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
     features = _features(files, scheme, modalities)
-    with closing(Bars(as_json=progress)) as bars:
+    with closing(Bars(as_json=progress)) as bars, at_work.engine() as engine:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bars)
-        model, found = _learn(teaching, scheme, replace(settings, features=features), bars)
+        model, found = _learn(teaching, scheme, replace(settings, features=features), bars, engine)
     save(model, out)
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
     chosen = {"modalities": features.modalities}
@@ -138,12 +140,12 @@ def _read(files: list[Path], features: FeatureSettings, shortest: int, include_r
 
 
 def _learn(
-    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bars: Bars
+    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bars: Bars, engine: Engine
 ) -> tuple[AnyModel, dict[str, Any]]:
     drives = teaching.demonstrations
     try:
         if scheme == "filter":
-            mapped = learn_map(drives, settings.features, progress=partial(bars, "views"))
+            mapped = learn_map(drives, settings.features, progress=partial(bars, "views"), parallel=engine.map)
             taught = mapped.mapped
             return mapped, {
                 "drives": len(taught.goals),

@@ -48,6 +48,7 @@ def match(
     poses: Annotated[tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files.")] = None,
     radius: Annotated[float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")] = None,
     loops: Annotated[Path | None, Option(metavar="FILE", help="Match REFERENCES with itself, as edges of g2o.")] = None,
+    at_work: options.AtWork = options.HERE,
     json_file: options.JsonFile = None,
     plot: Annotated[Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")] = None,
     page: Annotated[Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")] = None,
@@ -112,8 +113,10 @@ def match(
     if expected is not None and method.probable and tolerance is None:
         settings = replace(settings, tolerance=expected.tolerance)
     began_s = time.perf_counter()
-    references = describe_frames(known, settings.features, depths[0], "reading references")
-    queries = references if query is None else describe_frames(asked, settings.features, depths[1], "reading queries")
+    with at_work.engine() as engine:
+        references = queries = describe_frames(known, settings.features, depths[0], "reading references", engine)
+        if query is not None:
+            queries = describe_frames(asked, settings.features, depths[1], "reading queries", engine)
     read_s = time.perf_counter()
     for one in (references, queries)[: 1 if settings.loops else 2]:
         one.say_skipped()

@@ -1,5 +1,6 @@
 """Options that several commands share: declared once, and checked where they are read."""
 
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from schemas.episode import GoalName, Victim
 from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
 from services.cli.stack import flags
+from services.experiments.engine import Engine
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
@@ -170,6 +172,26 @@ class Running:
         """Return the world to start a stack in, and the name that the robot's must have, if any; or UsageError."""
         chosen = world or DEFAULT_WORLD
         return chosen, None if world is None and self.connect is not None else read_world(chosen).name
+
+
+@dataclass(frozen=True)
+class AtWork:
+    """Who computes."""
+
+    workers: Annotated[
+        int | None, Option(min=1, max=1024, help="Processes at work here, one core each. [default: one a core]")
+    ] = None
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")] = None
+    secure: Secure = None
+
+    def engine(self) -> Engine:
+        """Return what computes; UsageError where it cannot be such."""
+        if self.workers is not None and self.scheduler is not None:
+            raise UsageError("--workers: a scheduler (--scheduler) has its own")
+        return Engine(self.workers or len(os.sched_getaffinity(0)), self.scheduler, self.secure)
+
+
+HERE: Final = AtWork()
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,11 @@ app = typer.Typer(
 
 @app.command("init")
 def init(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT, host: Hosts = None, days: Days = DAYS) -> None:
-    """Make a certificate authority, a certificate of every role, and the rules of Eclipse's router.
+    """Make a certificate authority, a certificate of every role and of the engine, and the rules of Eclipse's router.
 
-    Give each machine ca.pem and the certificate and key of what runs there, and keep ca.key where no robot is: whoever
-    has it can be anybody.
+    The engine's is for schedulers of Dask and their workers (`smal evaluate --scheduler`), and for nothing else. Give
+    each machine ca.pem and the certificate and key of what runs there, and keep ca.key where no robot is: whoever has
+    it can be anybody.
 
     Example: smal secure init keys --host robot.example
     """

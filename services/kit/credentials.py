@@ -13,6 +13,9 @@ from services.kit.wire import BusError
 CA_FILE: Final = "ca.pem"
 CERTIFICATE_SUFFIX: Final = ".pem"
 KEY_SUFFIX: Final = ".key"
+#: Of a scheduler of Dask, its workers and who computes there: each shows this one, and takes no other. Its holder can
+#: run anything at them, which no role of a robot's bus may.
+ENGINE: Final = "engine"
 
 #: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
 HANDSHAKE_S: Final = 5.0

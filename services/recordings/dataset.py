@@ -210,14 +210,16 @@ def recorded_images(
     decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
 ) -> Made:
     """Return images as they were recorded, decoded when they are wanted; ValueError names a damaged one's episode."""
+    return Made(len(recorded), lambda frame: partial(_decoded, decode, recorded[frame], episode))
 
-    def image(frame: int) -> NDArray[np.uint8]:
-        try:
-            return decode(copied(memoryview(recorded[frame])))
-        except ValueError as error:
-            raise ValueError(f"an image of episode {episode} is damaged: {error}") from None
 
-    return Made(len(recorded), image)
+def _decoded(
+    decode: Callable[[bytes], NDArray[np.uint8]], payload: bytes | memoryview, episode: str
+) -> NDArray[np.uint8]:
+    try:
+        return decode(copied(memoryview(payload)))
+    except ValueError as error:
+        raise ValueError(f"an image of episode {episode} is damaged: {error}") from None
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:

@@ -78,7 +78,7 @@ class RecordedEpisode:
         way = [self.wheels(tick) for tick in known if tick in self.odometry]
         return Piece(
             ticks,
-            Made(len(known), lambda frame: self.features[known[frame]]()),
+            Made(len(known), lambda frame: self.features[known[frame]]),
             np.array([self._atom(tick) for tick in known], dtype=np.int8),
             np.array([0.0 if one is None else one.linear for one in made], dtype=np.float32),
             images if len(images) == len(known) else None,

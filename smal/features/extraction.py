@@ -4,7 +4,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,14 @@ from smal.features.settings import FeatureSettings
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
+
+
+class Parallel(Protocol):
+    """Yields what a function makes of each item, in order, as `map` of any `concurrent.futures.Executor` does."""
+
+    def __call__(self, function: Callable[[Item], Answer], items: Iterable[Item], /) -> Iterator[Answer]:
+        """Begin."""
+        ...
 
 
 def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:

@@ -105,6 +105,11 @@ def given_as(name: str) -> str:
     return f"{PREFIX}{_given[name].file}"
 
 
+def file_of(name: str) -> str | None:
+    """Return the file of a network that the user gave to this process, None of anything else."""
+    return _given[name].file if name in _given else None
+
+
 def is_digest(name: str) -> bool:
     """Whether a name is that of a network by its contents."""
     return _NAME.fullmatch(name) is not None

@@ -31,6 +31,10 @@ class FeatureSettings:
             if name in self.modalities[:number]:
                 raise ValueError(f"the feature modality {name} is named twice")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process with the names of the files of networks, which are read there."""
+        return _arrived, (type(self), self.modalities, [onnx.file_of(name) for name in self.modalities])
+
     @classmethod
     def of(cls, modalities: Iterable[str]) -> Self:
         """Make the settings of some modalities."""
@@ -94,6 +98,13 @@ def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) ->
         return raw
     where = dict(zip(held.modalities, held.slices, strict=True))
     return np.concatenate([raw[..., where[name]] for name in wanted.modalities], axis=-1)
+
+
+def _arrived(kind: type[FeatureSettings], modalities: tuple[str, ...], files: Iterable[str | None]) -> FeatureSettings:
+    for file in files:
+        if file is not None:
+            onnx.open_network(file)
+    return kind(modalities)
 
 
 def _given(name: str) -> str:

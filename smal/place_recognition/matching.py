@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import FeatureSettings, extract
-from smal.features.extraction import in_parallel
+from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, check_features, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 
@@ -39,6 +39,7 @@ def match(
     features: FeatureSettings | None = None,
     tolerance: int | None = None,
     lag: int | None = None,
+    parallel: Parallel = in_parallel,
 ) -> Matches:
     """Find for each query the reference that was taken at the same place.
 
@@ -48,8 +49,8 @@ def match(
     The method is one of `smal.place_recognition.methods.METHODS`. Only `smal` has loops; a tolerance, references so
     many frames away being right as well (if None, those that look alike); and a lag, how many later queries answer
     a query (if None, all). Features describe images (if None, the method's), or are the modalities of those that
-    are given (if None, all are one). ValueError where there is no such method, it has not got what is chosen, or
-    inputs are others.
+    are given (if None, all are one). `parallel` describes images, threads if not given. ValueError where there is no
+    such method, it has not got what is chosen, or inputs are others.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
@@ -57,8 +58,8 @@ def match(
     if not way.probable and (queries is None or (tolerance, lag) != (None, None)):
         raise ValueError(f"the method {method} has no loops, no tolerance and no lag")
     settings = features or way.features
-    known = _raw(references, settings)
-    asked = known if queries is None else _raw(queries, settings)
+    known = _raw(references, settings, parallel)
+    asked = known if queries is None else _raw(queries, settings, parallel)
     check_features(known, asked)
     if not way.any_features and (settings != way.features or known.shape[1] != settings.size):
         raise ValueError(f"the method {method} has its own features, {', '.join(way.features.modalities)}")
@@ -68,9 +69,9 @@ def match(
     return way.match(known, asked, chosen, ignore)
 
 
-def _raw(frames: Frames, settings: FeatureSettings) -> NDArray[np.float32]:
+def _raw(frames: Frames, settings: FeatureSettings, parallel: Parallel) -> NDArray[np.float32]:
     """Return features as they are given, or those of images."""
     if isinstance(frames, np.ndarray) and frames.ndim == 2:
         return np.asarray(frames, dtype=np.float32)
-    described = list(in_parallel(partial(extract, settings=settings), frames))
+    described = list(parallel(partial(extract, settings=settings), frames))
     return np.array(described, dtype=np.float32).reshape(-1, settings.size)

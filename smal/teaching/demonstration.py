@@ -3,17 +3,20 @@
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import call
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
-from smal.features.extraction import in_parallel
+from smal.features.extraction import Parallel, in_parallel
 from smal.files.map_file import GOAL_NAME
 
 USUAL_GOAL = "victim"  # Where drives lead that do not say so.
 
+Task = Callable[[], Any]  # Makes an array.
 _T = TypeVar("_T", bound=np.generic)
 
 
@@ -73,32 +76,45 @@ def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
             )
 
 
-def every(arrays: NDArray[Any] | Sequence[NDArray[Any]]) -> Iterable[NDArray[Any]]:
+def every(arrays: NDArray[Any] | Sequence[NDArray[Any]], parallel: Parallel = in_parallel) -> Iterable[NDArray[Any]]:
     """Yield arrays one after the other; those that are made when they are asked for are made on every core."""
-    return in_parallel(arrays.__getitem__, range(len(arrays)))
+    return parallel(call, tasks_of(arrays, range(len(arrays))))
 
 
-class Made(Sequence[NDArray[Any]]):
-    """So many arrays, such as images or features, each made when it is asked for by its number."""
+class Made(Sequence[Any]):
+    """So many arrays, such as images or features, each made when it is asked for.
 
-    def __init__(self, count: int, make: Callable[[int], NDArray[Any]]) -> None:
-        self._count, self._make = count, make
+    `task` gives what makes the one of a number, here or in another process.
+    """
+
+    def __init__(self, count: int, task: Callable[[int], Task]) -> None:
+        self._count, self.task = count, task
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
         chosen = range(self._count)[index]
-        return self._make(chosen) if isinstance(chosen, int) else Made(len(chosen), lambda k: self._make(chosen[k]))
+        return self.task(chosen)() if isinstance(chosen, int) else Made(len(chosen), lambda k: self.task(chosen[k]))
+
+
+def task_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], number: int) -> Task:
+    """Return what makes one of some arrays."""
+    return arrays.task(number) if isinstance(arrays, Made) else partial(np.asarray, arrays[number])
+
+
+def tasks_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], numbers: Sequence[int]) -> Sequence[Task]:
+    """Return what makes some of them; nothing is read before it is asked for."""
+    return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
 
 
 def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:
     """Return sequences of arrays as one; none is read or copied before it is asked for."""
     ends = np.cumsum([len(part) for part in parts])
 
-    def of(index: int) -> NDArray[Any]:
+    def of(index: int) -> Task:
         part = int(np.searchsorted(ends, index, side="right"))
-        return np.asarray(parts[part][index - (int(ends[part - 1]) if part else 0)])
+        return task_of(parts[part], index - (int(ends[part - 1]) if part else 0))
 
     return Made(int(ends[-1]), of)
 

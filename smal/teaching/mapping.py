@@ -5,7 +5,7 @@ Read `learn` from top to bottom.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.linalg import eigh
 
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
-from smal.features.extraction import in_parallel
+from smal.features.extraction import Parallel, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
 from smal.likelihood import evenly
@@ -37,10 +37,13 @@ from smal.teaching.demonstration import (
     USUAL_GOAL,
     Demonstration,
     Made,
+    Task,
     chained,
     check_features,
     drives_to_goals,
     every,
+    task_of,
+    tasks_of,
 )
 from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
@@ -53,6 +56,7 @@ def learn(
     features: FeatureSettings | None = None,
     tick_s: float = 0.1,
     progress: Progress = lambda _done, _total: None,
+    parallel: Parallel = in_parallel,
 ) -> Model:
     """Make a map of those drives of one robot that reached the goal and have images.
 
@@ -60,7 +64,8 @@ def learn(
     turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
 
     `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with
-    keyframes done and their number. ValueError where there is no such drive, or none that goes anywhere, or features do
+    keyframes done and their number. What takes long of each image is done by `parallel`, by threads if not given.
+    ValueError where there is no such drive, or none that goes anywhere, or features do
     not fit, or need depth.
     """
     features = FeatureSettings() if features is None else features
@@ -73,7 +78,7 @@ def learn(
     if not whole:
         raise ValueError("no drive reached the goal and has images")
     taught = [drive for _, drive in whole]
-    centering = Centering.fit((row[None] for one in taught for row in every(one.features)), features)
+    centering = Centering.fit((row[None] for one in taught for row in every(one.features, parallel)), features)
     frames = _frames(taught, centering, tick_s)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
@@ -84,7 +89,7 @@ def learn(
     aside = SETTINGS.aside * length
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length)
-    views, basis = _make_views(frames, keyframes, scene, aside, progress)
+    views, basis = _make_views(frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel)
     likelihood, correlation = likelihood_of_views(frames, keyframes, views, length)
     visual_map = VisualMap(
         poses=frames.poses,
@@ -115,19 +120,21 @@ def fit(
     goals: Sequence[str] | None = None,
     camera: Camera | None = None,
     tick_s: float = 0.1,
+    parallel: Parallel = in_parallel,
 ) -> Model:
     """Learn from images and what was done at each of them.
 
     `drives` reached the goal: (images, atoms) or (images, atoms, odometry) of each, images (height, width, 3) uint8
     RGB, an `Atom` for each, and the pose of each by the wheels (x, y, heading in radians). `goals` is where each leads,
     all to one goal if not given, `tick_s` the time between two images; the camera is estimated from them if not given.
+    `parallel` is `map` of an executor of yours (`concurrent.futures`), for more cores than threads use, or machines.
 
     >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
     >>> robot = smal.Robot(model)  # doctest: +SKIP
     >>> atom = robot.step(image)  # doctest: +SKIP
     """
     features = FeatureSettings() if features is None else features
-    return learn(demonstrations_of(drives, features, goals, camera), features, tick_s)
+    return learn(demonstrations_of(drives, features, goals, camera), features, tick_s, parallel=parallel)
 
 
 def demonstrations_of(
@@ -139,7 +146,7 @@ def demonstrations_of(
     """Return drives with what describes their images, made when it is wanted; see `fit`."""
 
     def described(images: Sequence[Image]) -> Made:
-        return Made(len(images), lambda frame: extract(images[frame], features))
+        return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
 
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     return [
@@ -156,6 +163,14 @@ def demonstrations_of(
     ]
 
 
+def _extracted(image: Task, features: FeatureSettings) -> NDArray[np.float32]:
+    return extract(image(), features)
+
+
+def _described(centering: Centering, views: Iterable[Image]) -> NDArray[np.float32]:
+    return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
+
+
 def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:
     """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
     images = chained([one.images for one in taught if one.images is not None])
@@ -166,9 +181,7 @@ def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float
     def centred(some: Iterable[int]) -> NDArray[np.float32]:
         return centering.apply(np.stack([features[frame] for frame in some]))
 
-    def describe(views: Iterable[Image]) -> NDArray[np.float32]:
-        return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
-
+    describe = partial(_described, centering)
     ways = [np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None]
     odometry = len(ways) == len(taught)
     if odometry:
@@ -228,34 +241,36 @@ def virtual_poses(aside: float) -> list[tuple[float, float, float]]:
     return [(0.0, left, math.radians(turn)) for left in (-aside, 0.0, aside) for turn in TURNS_DEG]
 
 
+@lru_cache(maxsize=2)  # Drives may be of cameras of different sizes.
+def _maps_of(scene: Scene, aside: float, shape: tuple[int, ...]) -> list[Maps]:
+    return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
+
+
+def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> NDArray[np.float32]:
+    seen = image()
+    return _described(centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2])))
+
+
 def _make_views(
-    frames: TaughtFrames, keyframes: NDArray[np.int32], scene: Scene, aside: float, progress: Progress
+    frames: TaughtFrames,
+    keyframes: NDArray[np.int32],
+    views_of: Callable[[Task], NDArray[np.float32]],
+    progress: Progress,
+    parallel: Parallel,
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
-
-    # Drives may be of cameras of different sizes.
-    @cache
-    def maps_of(shape: tuple[int, ...]) -> list[Maps]:
-        return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
-
-    def views_of(frame: int) -> NDArray[np.float32]:
-        image = frames.images[frame]
-        return frames.describe(remapped(image, one) for one in maps_of(image.shape[:2]))
-
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
-    each = len(virtual_poses(aside))
+    each = len(virtual_poses(0.0))
     sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
-    made = dict(zip(sample, in_parallel(views_of, sample), strict=True))
+    made = dict(zip(sample, parallel(views_of, tasks_of(frames.images, sample)), strict=True))
     basis = _components(np.concatenate(list(made.values())))
+    others = [frame for frame in keyframes.tolist() if frame not in made]
+    further = iter(parallel(views_of, tasks_of(frames.images, others)))
     views = np.empty((keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
-
-    def keep(key: int) -> None:
-        frame = int(keyframes[key])
-        rows = made[frame] if frame in made else views_of(frame)
+    for key, frame in enumerate(keyframes.tolist()):
+        rows = made.pop(frame) if frame in made else next(further)
         views[key] = packed(rows @ basis).reshape(views.shape[1:])
-
-    for done, _ in enumerate(in_parallel(keep, range(keyframes.size)), 1):
-        progress(done, keyframes.size)
+        progress(key + 1, keyframes.size)
     return views, basis
 
 

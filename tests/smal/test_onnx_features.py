@@ -1,6 +1,7 @@
 """Networks as modalities: what is calculated, what names it, and the files that are refused."""
 
 import os
+import pickle
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -76,7 +77,7 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
     np.testing.assert_allclose(vector, mixed(image), atol=1e-5)
 
 
-def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
+def test_a_network_is_one_modality_among_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = network(tmp_path / "mix.onnx")
     name, chosen = given(text), FeatureSettings.parse(f"hog,{text}")
     image = picture(60, 80)
@@ -84,6 +85,11 @@ def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
     vector = extract(image, chosen)
     np.testing.assert_array_equal(vector[chosen.slices[0]], modality_named("hog").describe(image))
     np.testing.assert_array_equal(vector[chosen.slices[1]], modality_named(name).describe(image))
+    # Another process knows no network, and reads the file that the user gave.
+    travelling = pickle.dumps(chosen)
+    monkeypatch.setattr(onnx_features, "_given", {})
+    onnx_features.open_network.cache_clear()
+    np.testing.assert_array_equal(extract(image, pickle.loads(travelling)), vector)  # noqa: S301
 
 
 def refusal(name: str) -> str:

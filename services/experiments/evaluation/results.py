@@ -1,21 +1,15 @@
 """Results of an evaluation: a file for each unit, named by what determines it, that is there only when it is whole."""
 
 import json
-import multiprocessing
 import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Final
 
+from services.experiments.engine import Engine
 from services.experiments.evaluation.units import Finding, Unit
-from services.kit.errors import JobError
+from services.kit.errors import JobError, UsageError
 from smal.files.container import replacing
-
-_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Results:
@@ -47,37 +41,26 @@ class Results:
             file.write(text.encode())
         self.findings[unit] = finding
 
-    def complete(self, units: Sequence[Unit], workers: int, done: Callable[[], object]) -> None:
-        """Do in processes what is not done, and call `done` after each; JobError where one failed: the rest is kept."""
-        what = ""
-        try:
-            with _pool(workers) as pool:
-                while left := [unit for unit in units if unit not in self.findings]:
-                    ready = [unit for unit in left if self.findings.keys() >= set(unit.needs)]
-                    under_way = {pool.submit(unit.timed, self.work): unit for unit in ready}
-                    for future in as_completed(under_way):
-                        unit = under_way[future]
-                        what = f"{type(unit).__name__.lower()} in {unit.site.world}"
-                        self.add(unit, future.result())
-                        done()
-        except BrokenProcessPool:
-            said = f"a worker was killed, perhaps for memory, at {what} or beside it; run again to go on"
-            raise JobError(said) from None
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
-            raise JobError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())}") from None
+    def complete(self, units: Sequence[Unit], engine: Engine, done: Callable[[], object]) -> None:
+        """Have workers do what is not done, and call `done` after each; JobError where one failed: the rest is kept."""
+        left = [unit for unit in units if unit not in self.findings]
+        if left and engine.scheduler is not None:
+            self._check_shared(engine)
+        for unit, found in engine.graph(left, partial(_timed, self.work.resolve()), lambda unit: unit.needs):
+            try:
+                self.add(unit, found())
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
+                what = f"{type(unit).__name__.lower()} in {unit.site.world}"
+                kind = "" if isinstance(error, JobError) else f"{type(error).__name__}: "
+                raise JobError(f"{what}: {kind}{' '.join(str(error).split())}; run again to go on") from None
+            done()
+
+    def _check_shared(self, engine: Engine) -> None:
+        """Raise UsageError where a worker elsewhere does not see the folder."""
+        for worker, sees in engine.on_each(os.path.isdir, str(self.work.resolve())).items():
+            if not sees:
+                raise UsageError(f"--out {self.folder}: the worker {worker} does not see it; take a shared folder")
 
 
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Start processes when there is work; at the end, however it comes, none is left."""
-    # Read when a process loads its libraries; two that compute with two threads each are slower than with one.
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    before = set(multiprocessing.active_children())
-    ignoring = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the process that ends the others.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), signal.signal, ignoring)
-    try:
-        yield pool
-    finally:
-        for process in set(multiprocessing.active_children()) - before:
-            process.kill()
-        pool.shutdown(cancel_futures=True)
+def _timed(folder: Path, unit: Unit) -> Finding:
+    return unit.timed(folder)

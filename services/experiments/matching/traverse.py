@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from schemas.codec import printable
+from services.experiments.engine import Engine
 from services.experiments.matching.feature_cache import FeatureCache, Features
 from services.experiments.matching.sources import Picture, Source, loaded, quiet_opencv, read_color, read_depth
 from services.experiments.words import listed, remark
@@ -39,7 +41,16 @@ class Traverse:
         remark(f"{self.source.path}: {line}" for line in said.values())
 
 
-def describe_frames(source: Source, settings: FeatureSettings, depth: Source | None, title: str) -> Traverse:
+class _Frame(NamedTuple):
+    name: str
+    key: bytes | None = None
+    read: Sequence[bytes] = ()  # The colour image, and the depth image if there is such, as in their files.
+    known: Features | None = None
+
+
+def describe_frames(
+    source: Source, settings: FeatureSettings, depth: Source | None, title: str, engine: Engine
+) -> Traverse:
     """Compute the features of frames and, where they need it, of depth images; JobError where that cannot be."""
     count = len(source.frames)
     try:
@@ -49,11 +60,12 @@ def describe_frames(source: Source, settings: FeatureSettings, depth: Source | N
     numbers: list[int] = []
     frames = zip(source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True)
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
-        described = in_parallel(partial(_describe, source, settings, cache), frames)
+        looked_up = in_parallel(partial(_looked_up, cache), frames)
+        described = engine.map(partial(_described, str(source.path), settings), looked_up, count)
         bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
-        for number, one in enumerate(bar):
+        for number, (key, one) in enumerate(bar):
             if one is not None:
-                features[len(numbers)] = one
+                features[len(numbers)] = one if key is None else cache.keep(key, one)
                 numbers.append(number)
     if not numbers:
         without = "" if depth is None else f" with a depth image, of one channel of 16 bits, in {depth.path}"
@@ -61,24 +73,28 @@ def describe_frames(source: Source, settings: FeatureSettings, depth: Source | N
     return Traverse(source, features[: len(numbers)], np.array(numbers, np.int64))
 
 
-def _describe(
-    source: Source, settings: FeatureSettings, cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]
-) -> Features | None:
-    """Return the raw features of a frame, of its colour and, if there is such, its depth; None if it cannot be read."""
+def _looked_up(cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]) -> _Frame:
+    """Return what of a frame is known, or what it takes to describe it; nothing if it cannot be read."""
     name, *pictures = frame
     read = [data for data in map(loaded, pictures) if data is not None]
     if len(read) < len(pictures):
-        return None
+        return _Frame(name)
     key = cache.key(*read)
-    if (known := cache.find(key)) is not None:
-        return known
-    image, depths_mm = read_color(read[0]), [read_depth(one) for one in read[1:]]
+    known = cache.find(key)
+    return _Frame(name, key, read) if known is None else _Frame(name, known=known)
+
+
+def _described(path: str, settings: FeatureSettings, frame: _Frame) -> tuple[bytes | None, Features | None]:
+    """Return the raw features of a frame, None if it cannot be read, and by what they are known where they are new."""
+    if not frame.read:
+        return None, frame.known
+    image, depths_mm = read_color(frame.read[0]), [read_depth(one) for one in frame.read[1:]]
     if image is None or any(depth_mm is None for depth_mm in depths_mm):
-        return None
+        return None, None
     try:
-        return cache.keep(key, extract(image, settings, *depths_mm).astype(np.float16))
+        return frame.key, extract(image, settings, *depths_mm).astype(np.float16)
     except ValueError as error:
-        raise JobError(f"{source.path}: {printable(name, 255)}: {error}") from None
+        raise JobError(f"{path}: {printable(frame.name, 255)}: {error}") from None
 
 
 def _named(names: Sequence[str]) -> str:

@@ -1,12 +1,15 @@
 """The map of taught ways: which frames it keeps, what it measures of views, and what it refuses."""
 
 import math
+import multiprocessing
 import threading
 import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -22,6 +25,7 @@ from smal.settings import SETTINGS
 from smal.teaching import mapping
 from smal.teaching.calibration import TaughtFrames, correlation_length
 from smal.teaching.demonstration import Demonstration
+from tests import corridor
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
 ROOM = Room()
@@ -260,3 +264,10 @@ def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: 
     found = usual_map()[0]
     with pytest.raises(ValueError, match=f"do not fit together: .*{named}"):
         replace(found, **{name: harm(getattr(found, name))})
+
+
+def test_an_executor_of_ones_own_learns_the_same_map(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        mapping.fit([corridor.drive()], corridor.FEATURES, parallel=pool.map).save(tmp_path / "there")
+    corridor.save_model(tmp_path / "here")
+    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()

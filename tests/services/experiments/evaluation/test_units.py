@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from services.experiments import engine as engines
+from services.experiments.engine import Engine
 from services.experiments.evaluation import units as of_plan
 from services.experiments.evaluation.plan import Criterion, Plan, in_world
 from services.experiments.evaluation.results import Results
@@ -60,21 +62,42 @@ def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: 
         Results(tmp_path, PLANNED)
 
 
-class KilledLater(Learn):
-    """Needs a drive, and is killed."""
+class Killed(Teach):
+    """Kills the worker that does it: with seed 1 always, with seed 2 the first one."""
+
+    def do(self, folder: Path) -> Finding:
+        """End this process, or answer."""
+        tried = folder / f"tried-{self.seed}"
+        if self.seed == 1 or not tried.exists():
+            tried.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"seed": self.seed}
+
+
+class After(Learn):
+    """Needs a drive, and says what its worker knows of it."""
 
     def do(self, _folder: Path) -> Finding:
-        """End this process."""
-        os.kill(os.getpid(), signal.SIGKILL)
-        return {}
+        """Say it."""
+        return {"needs": len(self.needs), "threads": os.environ["OPENBLAS_NUM_THREADS"]}
 
 
-def test_a_worker_that_is_killed_is_one_line_and_what_was_done_is_kept(tmp_path: Path) -> None:
-    results = Results(tmp_path, [])
-    site = Site("yard", "", (64, 48))
-    first = Teach(site, (), 1)
-    results.add(first, {})
-    with pytest.raises(JobError, match=r"a worker was killed, .* at killedlater in yard or beside it; run again to go"):
-        results.complete([first, KilledLater(site, (first,), 0)], 2, lambda: None)
-    assert list(results.findings) == [first]
+SITE = Site("yard", "", (64, 48))
+
+
+def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "_TRIES", 2)
+    killed = Killed(SITE, (), 2)
+    after = After(SITE, (killed,), 0)
+    always = Killed(SITE, (after,), 1)
+    results, done = Results(tmp_path, []), list[int]()
+    said = "^killed in yard: workers were killed, perhaps for memory; run again to go on"
+    with pytest.raises(JobError, match=said), Engine(2) as engine:
+        results.complete([killed, after, always], engine, lambda: done.append(len(results.findings)))
+    assert done == [1, 2]
+    kept = Results(tmp_path, [killed, after, always]).findings
+    found = [{name: value for name, value in one.items() if name != "cpu_s"} for one in kept.values()]
+    assert found == [{"seed": 2}, {"needs": 1, "threads": "1"}]
     assert multiprocessing.active_children() == []

@@ -1,0 +1,232 @@
+"""The engine of work that one process is too small for: Dask, on this machine or at a scheduler that somebody runs."""
+
+import hashlib
+import logging
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache, partial
+from importlib.metadata import version
+from importlib.util import find_spec
+from itertools import islice
+from operator import length_hint
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
+
+from tqdm import tqdm
+
+from services.kit.credentials import CERTIFICATE_SUFFIX, ENGINE, KEY_SUFFIX, certificate_of, others_reach
+from services.kit.errors import JobError, UsageError
+from smal.features.extraction import in_parallel
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: Start of an engine on two busy cores, seconds; as it may cost a tenth, it is started for ten times as much work.
+_START_S, _WORTH_S = 5.0, 50.0
+_REACHED_S, _WORKER_S = 10.0, 60.0  # A scheduler is there within this time, and has a worker within that.
+_BATCH: Final = 16  # Items of one task: an image takes 5 ms or more, a task 2 ms of the engine's own.
+_AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
+_TRIES = 3  # How many workers may be killed at a task before it is given up.
+#: What the workers of this machine do first: Ctrl-C is left to the process that ends them, and damaged images are named
+#: there alone (`quiet_opencv`).
+_PRELOAD: Final = """import signal, cv2
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+"""
+_PACKAGES: Final = Path(__file__).parents[2]
+_DECIDING: Final = ("numpy", "scipy", "opencv-python-headless")  # Of another version they give other last digits.
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+Task = TypeVar("Task")
+
+
+class Engine:
+    """Workers, started or reached when they are first needed; a context, after which no process is left.
+
+    They are ``workers`` processes of this machine, for nobody else (encrypted, on 127.0.0.1), or those of a
+    ``scheduler``, by the certificate in the folder ``secure``. Where they can be watched is said on standard error.
+    """
+
+    def __init__(self, workers: int, scheduler: str | None = None, secure: Path | None = None) -> None:
+        self.scheduler, self._workers, self._secure = scheduler, workers, secure
+        self._client: Client | None = None
+        if scheduler is not None:
+            _check(scheduler, secure)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._client is not None:
+            cluster = self._client.cluster
+            self._client.close()
+            if cluster is not None:
+                cluster.close()
+
+    @property
+    def client(self) -> "Client":
+        """How work is given to the workers; JobError where there are none."""
+        if self._client is None:
+            self._client = self._begun() if self.scheduler is None else self._reached(self.scheduler)
+        return self._client
+
+    def map(
+        self, function: Callable[[Item], Answer], items: Iterable[Item], count: int | None = None
+    ) -> Iterator[Answer]:
+        """Yield what a function makes of each item, in order, as `in_parallel` does; ``count`` of no sequence is told.
+
+        Where no workers are at work it is done by threads of this process, until as much is left as is worth a start.
+        Function, items and answers travel, a few at a time.
+        """
+        count, items = length_hint(items) if count is None else count, iter(items)
+        if self._client is None and self.scheduler is None:
+            yield from in_parallel(function, _while_little(items, count))
+        waiting: deque[Future[Any]] = deque()
+        for batch in iter(lambda: list(islice(items, _BATCH)), []):
+            waiting.append(self.client.submit(_each, function, batch, pure=False))
+            if len(waiting) >= _AHEAD * self._threads():
+                yield from _result(waiting.popleft())
+        while waiting:
+            yield from _result(waiting.popleft())
+
+    def graph(
+        self, tasks: Sequence[Task], do: Callable[[Task], Answer], needs: Callable[[Task], Iterable[Task]]
+    ) -> Iterator[tuple[Task, Callable[[], Answer]]]:
+        """Yield tasks when they are done, each with what gives its answer or raises why there is none.
+
+        The first that can be done are, when those are done that they need. None waits at a worker for another one: who
+        was there when a worker was killed is known.
+        """
+        from distributed import as_completed  # noqa: PLC0415 - takes a second to import
+
+        waiting, under_way, done = dict.fromkeys(tasks), dict[object, Task](), as_completed(loop=self.client.loop)
+        while waiting or under_way:
+            free = max(self._threads(), 1) - len(under_way)
+            missing = {*waiting, *under_way.values()}
+            ready = (task for task in waiting if missing.isdisjoint(needs(task)))
+            for task in list(islice(ready, max(free, 0))):
+                future = self.client.submit(do, task, pure=False)
+                under_way[future.key] = task
+                del waiting[task]
+                done.add(future)
+            future = next(done)
+            yield under_way.pop(future.key), partial(_result, future)
+
+    def _threads(self) -> int:
+        return sum(self.client.nthreads().values())
+
+    def on_each(self, function: Callable[..., Answer], *arguments: object) -> dict[str, Answer]:
+        """Return what a function says on each worker, by its address."""
+        found: dict[str, Answer] = self.client.run(function, *arguments)
+        return found
+
+    def _begun(self) -> "Client":
+        """Start processes of this machine."""
+        distributed = _quiet_distributed()
+        watched = "127.0.0.1:0" if find_spec("bokeh") else None
+        # Without a limit of memory: it would kill what works today where a unit takes more than its share.
+        cluster = distributed.LocalCluster(
+            n_workers=self._workers, threads_per_worker=1, memory_limit=0, dashboard_address=watched,
+            security=True, silence_logs=logging.CRITICAL, preload=[_PRELOAD],
+            scheduler_kwargs={"allowed_failures": _TRIES - 1},
+        )  # fmt: skip
+        if watched:
+            _say_watched(cluster.dashboard_link)
+        client: Client = distributed.Client(cluster)
+        return client
+
+    def _reached(self, address: str) -> "Client":
+        """Go to a scheduler, and see that its workers run the same program."""
+        distributed = _quiet_distributed()
+        security = None
+        if self._secure is not None and address.startswith("tls://"):
+            certificate, key = (str(self._secure / f"{ENGINE}{end}") for end in (CERTIFICATE_SUFFIX, KEY_SUFFIX))
+            certificate_of(Path(certificate), Path(certificate), Path(key))
+            names = ("tls_ca_file", "tls_client_cert", "tls_client_key")
+            given = dict(zip(names, (certificate, certificate, key), strict=True))
+            security = distributed.Security(require_encryption=True, **given)
+        try:
+            client: Client = distributed.Client(address, security=security, timeout=_REACHED_S)
+        except (OSError, TimeoutError) as error:
+            why = " ".join(str(error).split())
+            raise JobError(f"--scheduler {address}: cannot be reached, or refuses us: {why}") from None
+        self._client = client  # Closed also where what follows fails.
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_S)
+        except TimeoutError:
+            raise JobError(f"--scheduler {address}: has no worker (dask worker {address})") from None
+        try:
+            others = [worker for worker, theirs in self.on_each(program).items() if theirs != program()]
+        except ModuleNotFoundError as error:
+            raise JobError(f"--scheduler {address}: {error} at a worker; install SMAL there") from None
+        if others:
+            raise JobError(f"--scheduler {address}: {others[0]} has another version of SMAL, or of what it needs")
+        if client.dashboard_link:
+            _say_watched(client.dashboard_link)
+        return client
+
+
+def _check(scheduler: str, secure: Path | None) -> None:
+    kind, _, place = scheduler.partition("://")
+    host, _, port = place.rpartition(":")
+    if kind not in ("tcp", "tls") or not host or not port.isdecimal():
+        raise UsageError(f"--scheduler {scheduler}: is no address; for example tls://host:8786")
+    if kind == "tls" and secure is None:
+        raise UsageError(f"--scheduler {scheduler}: give --secure, a folder that `smal secure init` made")
+    if kind == "tcp" and others_reach(host.strip("[]")):
+        raise UsageError(f"--scheduler {scheduler}: whoever reaches it could run anything there; only tls:// will do")
+
+
+@cache
+def program() -> str:
+    """Return the digest of all that decides what workers answer: our code, and the versions of what computes."""
+    digest = hashlib.sha256(" ".join(f"{name} {version(name)}" for name in _DECIDING).encode())
+    for path in sorted(path for name in ("schemas", "services", "smal") for path in (_PACKAGES / name).rglob("*.py")):
+        digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _quiet_distributed() -> Any:  # noqa: ANN401
+    """Import it; what it has to say of its connections is nothing that a user can do anything about."""
+    import dask  # noqa: PLC0415 - takes a second to import
+    import distributed  # noqa: PLC0415
+
+    for name in ("distributed", *(one for one in logging.root.manager.loggerDict if one.startswith("distributed."))):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    logging.getLogger("tornado").setLevel(logging.CRITICAL)
+    dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
+    return distributed
+
+
+def _say_watched(link: str) -> None:
+    tqdm.write(f"smal: the workers can be watched at {link}", file=sys.stderr)
+
+
+def _while_little(items: Iterator[Item], count: int) -> Iterator[Item]:
+    """Yield items as long as the time that the rest will take is not worth a start of workers."""
+    began_s = time.monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        took_s = time.monotonic() - began_s
+        if took_s > _START_S and took_s / done * (count - done) > _WORTH_S:
+            return
+
+
+def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:
+    return [function(one) for one in items]
+
+
+def _result(future: "Future[Any]") -> Any:  # noqa: ANN401
+    """Return what a worker answered, or raise what it raised; JobError where every worker that tried was killed."""
+    from distributed import KilledWorker  # noqa: PLC0415
+
+    try:
+        return future.result()
+    except KilledWorker:
+        raise JobError("workers were killed, perhaps for memory") from None

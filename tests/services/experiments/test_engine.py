@@ -1,0 +1,89 @@
+"""The engine: what it answers is the same in threads, in processes of this machine, and at a scheduler elsewhere."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import smal
+from services.experiments import engine as engines
+from services.experiments.engine import Engine
+from services.experiments.evaluation.results import Results
+from services.kit.errors import JobError, UsageError
+from smal.features import FeatureSettings, extract
+from tests import corridor
+from tests.services.experiments.cluster import scheduler_and_worker
+from tests.services.experiments.evaluation.test_units import SITE, After
+from tests.services.secured import make_keys
+
+IMAGES = list(np.random.default_rng(0).integers(0, 255, (70, 24, 32, 3), dtype=np.uint8))
+describe = partial(extract, settings=FeatureSettings())
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_keys(tmp_path_factory.mktemp("keys"))
+
+
+@pytest.fixture(scope="module")
+def address(keys: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with scheduler_and_worker(keys, tmp_path_factory.mktemp("cluster")) as address:
+        yield address
+
+
+def killing(folder: Path, image: np.ndarray) -> np.ndarray:
+    """Describe an image; the first process that is asked for the fiftieth is killed."""
+    if (image == IMAGES[50]).all() and not (folder / "killed").exists():
+        (folder / "killed").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return describe(image)
+
+
+def same(some: Iterator[np.ndarray]) -> bool:
+    return [one.tobytes() for one in some] == [describe(image).tobytes() for image in IMAGES]
+
+
+def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobody_elses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Engine(2) as engine:
+        assert same(engine.map(describe, IMAGES))
+        assert multiprocessing.active_children() == []  # So little is done without them.
+        monkeypatch.setattr(engines, "_START_S", 0.0)
+        monkeypatch.setattr(engines, "_WORTH_S", 0.0)
+        assert same(engine.map(partial(killing, tmp_path), IMAGES))
+        assert (tmp_path / "killed").exists()
+        me = psutil.Process()
+        listening = [
+            one for process in (me, *me.children()) for one in process.net_connections() if one.status == "LISTEN"
+        ]
+        assert {one.laddr.ip for one in listening} == {"127.0.0.1"}
+        assert engine.client.scheduler_info()["address"].startswith("tls://")
+    assert multiprocessing.active_children() == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
+    address: str, keys: Path, tmp_path: Path
+) -> None:
+    with Engine(1, address, keys) as engine:
+        assert same(engine.map(describe, IMAGES))
+        smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
+        results = Results(tmp_path, [])
+        results.complete([After(SITE, (), 0)], engine, lambda: None)
+    assert [found["threads"] for found in results.findings.values()] == ["1"]
+    corridor.save_model(tmp_path / "here")
+    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
+    with pytest.raises(UsageError, match="only tls:// will do"):
+        Engine(1, "tcp://192.0.2.1:8786")
+    with (
+        pytest.raises(JobError, match="cannot be reached, or refuses us"),
+        Engine(1, address, make_keys(tmp_path / "others")) as one,
+    ):
+        list(one.map(describe, IMAGES))
