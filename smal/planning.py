@@ -137,7 +137,7 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
         self._motion: Share = 0.0, 0.0
-        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = self._waited_s = 0.0
+        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
         self._toward_rad: float | None = None
         if self._tried:
             self._plan(frozenset())
@@ -203,7 +203,6 @@ class Planner:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
-        self._wait(kind, atom, elapsed_s)
         # Round things, and before those that are near, it goes turn by turn.
         drives = kind in ("follow", "guess") or (kind == "search" and self._toward_rad is not None)
         aims = directions if drives and error_rad == wanted_rad and free_m > self._ahead else None
@@ -212,12 +211,11 @@ class Planner:
 
     def _kind(self, clear: bool, looked: bool, guesses: bool) -> Kind:
         """Say what to do if nothing stands in the way: where what to do is clear, or it has looked, or may guess."""
-        self._waited_s = 0.0 if looked and self._waited_s == math.inf else self._waited_s
         if self.said is not None:
             return "goal"
         if self.arrived or self._toward_rad is not None:
             return "search"
-        if clear and self._waited_s < math.inf:
+        if clear:
             return "follow"
         if not looked:
             return "look_around"
@@ -225,15 +223,6 @@ class Planner:
             return "guess"
         self.said = "not_here" if self._tried else None
         return "dead_end"
-
-    def _wait(self, kind: Kind, atom: Atom, elapsed_s: float) -> None:
-        """Count how long something has been in the way: after a while it looks around, be its place another one."""
-        if kind == "blocked":
-            if (waited_s := self._waited_s + elapsed_s) > SETTINGS.waits_s:
-                waited_s, self._looked_rad = math.inf, 0.0
-            self._waited_s = waited_s
-        elif atom in self._going:
-            self._waited_s = 0.0
 
     def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
         """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""

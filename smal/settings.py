@@ -181,7 +181,6 @@ class Settings:
     tight_cost: float = 2.0
     #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
     stands_before: float = 6.0
-    waits_s: float = 10.0  # Until somebody has walked on; then it looks around: it may know its place wrongly.
     most_turns: int = 180  # Turns to each side that are tried: a degree apart.
     #: What a metre costs more a correlation length beside the way, and over ground that nobody has seen.
     aside_cost: float = 1.5

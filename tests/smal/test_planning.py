@@ -15,7 +15,6 @@ from smal.filter import Belief, Filter
 from smal.likelihood import GRID, SHARES
 from smal.model import VisualMap
 from smal.movement import Atom
-from smal.obstacles.clearance import Surroundings
 from smal.planning import Planner, cost_to_go
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
@@ -190,18 +189,6 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     assert decisions[0].atom in (Atom.LEFT, Atom.RIGHT)
     if lost:
         assert decisions[look + 2].atom is Atom.FORWARD
-
-
-def test_before_what_does_not_walk_on_it_waits_then_looks_around_and_waits_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("smal.planning.way_round", lambda *_: None)
-    planner, around = Planner(replace(STRAIGHT, odometry=True)), Surroundings(0.4)
-    decisions = [planner.decide(belief((10, 0.0, 0.0, 0.0)), around=around) for _ in range(500)]
-    runs = [(kind, len(list(one))) for kind, one in itertools.groupby(decision.kind for decision in decisions)]
-    wait, look = SETTINGS.waits_s / TICK, math.ceil(SETTINGS.look_deg / 4.5)
-    assert runs[:3] == [("blocked", pytest.approx(wait, abs=2)), ("look_around", look), runs[0]]
-    assert {decision.atom for decision in decisions} == {Atom.STOP, Atom.LEFT, Atom.RIGHT}
 
 
 def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
