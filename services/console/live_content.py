@@ -36,9 +36,7 @@ _APART_M: Final = 0.1
 _ANSWER_S: Final = 1.0  # How long a service may take to answer.
 #: What a service tells of itself that the page needs.
 _TOLD: Final = ("world", "worlds", "variation", "variations", "speed_m_s", "turn_rate_rad_s", "disk")
-#: How often a robot without an episode, which sends no frames, is asked what it sees; and how long that may take it.
-_PEEK_S: Final = 1.0
-_PEEK_ANSWER_S: Final = 10.0
+_PEEK_S: Final = 1.0  # How often a robot without an episode, which sends no frames, is asked what it sees.
 _THINGS: Final = 200  # Places on the map where something stands, at most.
 
 
@@ -109,32 +107,26 @@ class LiveContent:
 
     def _peek(self) -> None:
         """Show what the camera sees before an episode, if anybody looks."""
-
-        def frames_come() -> bool:
-            return self._board.clock() - self._seen_s < _PEEK_S
-
-        if not self._board.watchers or frames_come():
+        last_s = self._seen_s
+        if not self._board.watchers or self._board.clock() - last_s < _PEEK_S:
             return
         with suppress(RpcError):
-            seen = self.health.bus.call("robot", "look", Nothing(), LookReply, _PEEK_ANSWER_S).picture
-            if seen is not None and is_jpeg(seen) and not frames_come():
+            seen = self.health.bus.call("robot", "look", Nothing(), LookReply).picture
+            if seen is not None and is_jpeg(seen) and last_s == self._seen_s:
                 self._show(seen)
 
     def _look_around(self, episode: str) -> None:
         """Show what stands about the robot, by its depth camera, if anybody looks."""
         around = self._sight.around(episode) if self._board.watchers else None
-        if around is None or self._sight.mounting is None:
+        if around is None or self._sight.mount is None or (seen := around.seen) is None:
             return
-        columns: list[list[float]] = []
-        if (seen := around.seen) is not None:
-            near = seen.hit_m < around.reach_m
-            columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[near].round(3).tolist()
+        columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[seen.hit_m < around.reach_m]
         self._put(
             "around",
-            mounting=self._sight.mounting.model_dump(),
+            mounting=self._sight.mount._asdict(),
             # Of the picture: how far to the left a metre ahead, how far ahead, how high; and how far they are apart.
-            columns=columns,
-            apart=0.0 if seen is None else round(float(seen.across[0] - seen.across[1]), 5),
+            columns=columns.round(3).tolist(),
+            apart=round(float(seen.across[0] - seen.across[1]), 5),
             things=around.things(_THINGS).round(2).tolist(),  # Ahead of the robot and to its left, metres.
         )
 

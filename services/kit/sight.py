@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from schemas.camera import DepthImage, Mounting
+from schemas.camera import DepthImage
 from schemas.motion import Odometry
 from smal.obstacles.clearance import Mount, Surroundings
 
@@ -13,6 +13,7 @@ class Sight:
     def __init__(self) -> None:
         self._odometry: Odometry | None = None
         self._depth: DepthImage | None = None
+        self.mount: Mount | None = None  # How the depth camera sits.
         self._around: tuple[str, Surroundings] | None = None
 
     def roll(self, odometry: Odometry) -> None:
@@ -23,17 +24,12 @@ class Sight:
         """Take a depth image."""
         self._depth = depth
 
-    @property
-    def mounting(self) -> Mounting | None:
-        """How the depth camera sits."""
-        return None if self._depth is None else self._depth.mounting
-
     def around(self, episode: str) -> Surroundings | None:
         """Return what stands about the robot now, by the newest of both; None where no depth has told it."""
         now, depth = self._odometry, self._depth
-        if now is None or depth is None or self.mounting is None or not episode == now.episode == depth.episode:
+        if now is None or depth is None or depth.mounting is None or not episode == now.episode == depth.episode:
             return None
-        mount = Mount(**self.mounting.model_dump())
+        self.mount = mount = Mount(**depth.mounting.model_dump())
         if self._around is None or self._around[0] != episode:
             self._around = episode, Surroundings(mount.radius_m)
         # Where the image is of another frame, only the wheels tell something.

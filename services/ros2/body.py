@@ -158,10 +158,8 @@ class Ros2Body:
     def peek(self) -> bytes | None:
         """Return the newest picture, as JPEG; None where the camera is silent."""
         frame = self._senses.frame
-        if frame is None or self._clock() - frame.captured_s > MAX_AGE_S:
-            return None
         with suppress(MessageError):
-            return picture(frame.message)
+            return picture(frame.message) if frame and self._clock() - frame.captured_s <= MAX_AGE_S else None
         return None
 
     def _take_newest(self) -> None:

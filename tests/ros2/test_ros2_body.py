@@ -90,8 +90,10 @@ def test_why_it_stands_is_logged_once_and_when_that_is_over(rig: Rig, caplog: py
 
 def test_a_camera_that_is_silent_or_sends_no_picture_makes_no_frame_new(rig: Rig) -> None:
     seen = rig.begun().body.look(0)
+    assert rig.body.peek() == seen.jpeg
     rig.passes(0.3, "picture")
     assert rig.body.look(1).captured_s == seen.captured_s
+    assert rig.body.peek() is None, "nor is an old one shown between episodes"
     rig.picture(data=b"\xff\xd8 nothing")
     again = rig.body.look(2)
     assert again.captured_s == seen.captured_s

@@ -186,27 +186,26 @@ def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(page: Page, nob
     def has(*held: float) -> None:
         eventually(lambda: nobody.held == (pytest.approx(held) if held else None))
 
+    def push(x: float, y: float, connected: str = "true") -> None:
+        pad = f"{{connected: {connected}, buttons: [], axes: [{x}, {y}]}}"
+        run_in(page, f"navigator.getGamepads = () => [null, {pad}]")
+
     page.click("#seat")
     eventually(lambda: page.get_attribute("#seat", "aria-pressed") == "true")
-    page.keyboard.down("w")
+    key = page.keyboard
+    for does, name, held in (
+        (key.down, "w", (1, 0)),
+        (key.down, "d", (1, -1)),
+        (key.up, "w", (0, -1)),
+        (key.up, "d", ()),
+    ):
+        does(name)
+        has(*held)
+    # The last one as a worn stick stands.
+    for axes, held in ((-0.3, -0.8), (0.8, 0.3)), ((0.1, 0.5), (-0.5, 0)), ((0.1, -0.1), ()):
+        push(*axes)
+        has(*held)
+    push(0, -1)
     has(1, 0)
-    page.keyboard.down("d")
-    has(1, -1)
-    page.keyboard.up("w")
-    has(0, -1)
-    page.keyboard.up("d")
-    has()
-    stick = "navigator.getGamepads = () => [null, {connected: %s, buttons: [], axes: [%s, %s]}]"
-    run_in(page, stick % ("true", -0.3, -0.8))
-    has(0.8, 0.3)
-    run_in(page, stick % ("true", 0.1, 0.5))
-    has(-0.5, 0)
-    run_in(page, stick % ("true", 0.1, -0.1))  # as a worn one stands
-    has()
-    run_in(page, stick % ("true", 0, -1))
-    has(1, 0)
-    page.keyboard.down("a")  # keys go before it
-    has(0, 1)
-    page.keyboard.up("a")
-    run_in(page, stick % ("false", 0, -1))  # its battery is empty
+    push(0, -1, "false")  # its battery is empty
     has()
