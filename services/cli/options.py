@@ -1,6 +1,5 @@
 """Options that several commands share: declared once, and checked where they are read."""
 
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -179,7 +178,10 @@ class AtWork:
     """Who computes."""
 
     workers: Annotated[
-        int | None, Option(min=1, max=1024, help="Processes at work here, one core each. [default: one a core]")
+        int | None,
+        Option(
+            min=1, max=1024, help="Processes at work here. [default: one a core; threads where images are all the work]"
+        ),
     ] = None
     scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")] = None
     secure: Secure = None
@@ -188,7 +190,7 @@ class AtWork:
         """Return what computes; UsageError where it cannot be such."""
         if self.workers is not None and self.scheduler is not None:
             raise UsageError("--workers: a scheduler (--scheduler) has its own")
-        return Engine(self.workers or len(os.sched_getaffinity(0)), self.scheduler, self.secure)
+        return Engine(self.workers, self.scheduler, self.secure)
 
 
 HERE: Final = AtWork()

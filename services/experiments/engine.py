@@ -2,15 +2,14 @@
 
 import hashlib
 import logging
+import os
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import islice
-from operator import length_hint
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
@@ -24,8 +23,6 @@ from smal.features.extraction import in_parallel
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Start of an engine on two busy cores, seconds; as it may cost a tenth, it is started for ten times as much work.
-_START_S, _WORTH_S = 5.0, 50.0
 _REACHED_S, _WORKER_S = 10.0, 60.0  # A scheduler is there within this time, and has a worker within that.
 _BATCH: Final = 16  # Items of one task: an image takes 5 ms or more, a task 2 ms of the engine's own.
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
@@ -47,11 +44,12 @@ Task = TypeVar("Task")
 class Engine:
     """Workers, started or reached when they are first needed; a context, after which no process is left.
 
-    They are ``workers`` processes of this machine, for nobody else (encrypted, on 127.0.0.1), or those of a
-    ``scheduler``, by the certificate in the folder ``secure``. Where they can be watched is said on standard error.
+    They are ``workers`` processes of this machine, by default one a core, for nobody else (encrypted, on 127.0.0.1), or
+    those of a ``scheduler``, by the certificate in the folder ``secure``. Where they can be watched is said on standard
+    error.
     """
 
-    def __init__(self, workers: int, scheduler: str | None = None, secure: Path | None = None) -> None:
+    def __init__(self, workers: int | None, scheduler: str | None = None, secure: Path | None = None) -> None:
         self.scheduler, self._workers, self._secure = scheduler, workers, secure
         self._client: Client | None = None
         if scheduler is not None:
@@ -76,17 +74,15 @@ class Engine:
             self._client = self._begun() if self.scheduler is None else self._reached(self.scheduler)
         return self._client
 
-    def map(
-        self, function: Callable[[Item], Answer], items: Iterable[Item], count: int | None = None
-    ) -> Iterator[Answer]:
-        """Yield what a function makes of each item, in order, as `in_parallel` does; ``count`` of no sequence is told.
+    def map(self, function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
+        """Yield what a function makes of each item, in order, as `in_parallel` does.
 
-        Where no workers are at work it is done by threads of this process, until as much is left as is worth a start.
-        Function, items and answers travel, a few at a time.
+        Unless workers are asked for it is done by threads of this process: images, which travel, take longer otherwise.
         """
-        count, items = length_hint(items) if count is None else count, iter(items)
-        if self._client is None and self.scheduler is None:
-            yield from in_parallel(function, _while_little(items, count))
+        if self.scheduler is None and self._workers is None:
+            yield from in_parallel(function, items)
+            return
+        items = iter(items)
         waiting: deque[Future[Any]] = deque()
         for batch in iter(lambda: list(islice(items, _BATCH)), []):
             waiting.append(self.client.submit(_each, function, batch, pure=False))
@@ -132,7 +128,8 @@ class Engine:
         watched = find_spec("bokeh") is not None
         # Without a limit of memory: it would kill what works today where a unit takes more than its share.
         cluster = distributed.LocalCluster(
-            n_workers=self._workers, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
+            n_workers=self._workers or len(os.sched_getaffinity(0)),
+            threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
             security=True, silence_logs=logging.CRITICAL, preload=[_PRELOAD],
             scheduler_kwargs={"allowed_failures": _TRIES - 1, "dashboard": watched},
         )  # fmt: skip
@@ -208,16 +205,6 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
 
 def _say_watched(link: str) -> None:
     tqdm.write(f"smal: the workers can be watched at {link}", file=sys.stderr)
-
-
-def _while_little(items: Iterator[Item], count: int) -> Iterator[Item]:
-    """Yield items as long as the time that the rest will take is not worth a start of workers."""
-    began_s = time.monotonic()
-    for done, item in enumerate(items, 1):
-        yield item
-        took_s = time.monotonic() - began_s
-        if took_s > _START_S and took_s / done * (count - done) > _WORTH_S:
-            return
 
 
 def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:

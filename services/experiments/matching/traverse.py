@@ -61,7 +61,7 @@ def describe_frames(
     frames = zip(source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True)
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
         looked_up = in_parallel(partial(_looked_up, cache), frames)
-        described = engine.map(partial(_described, str(source.path), settings), looked_up, count)
+        described = engine.map(partial(_described, str(source.path), settings), looked_up)
         bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
         for number, (key, one) in enumerate(bar):
             if one is not None:

@@ -12,7 +12,6 @@ import psutil
 import pytest
 
 import smal
-from services.experiments import engine as engines
 from services.experiments.engine import Engine
 from services.experiments.evaluation.results import Results
 from services.kit.errors import JobError, UsageError
@@ -50,13 +49,12 @@ def same(some: Iterator[np.ndarray]) -> bool:
 
 
 def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobody_elses(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with Engine(2) as engine:
+    with Engine(None) as engine:
         assert same(engine.map(describe, IMAGES))
-        assert multiprocessing.active_children() == []  # So little is done without them.
-        monkeypatch.setattr(engines, "_START_S", 0.0)
-        monkeypatch.setattr(engines, "_WORTH_S", 0.0)
+        assert multiprocessing.active_children() == []  # Threads, where no workers are asked for.
+    with Engine(2) as engine:
         assert same(engine.map(partial(killing, tmp_path), IMAGES))
         assert (tmp_path / "killed").exists()
         me = psutil.Process()
