@@ -169,7 +169,7 @@ class Settings:
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
-    deep: float = 2.0  # So far behind what is seen to stand it goes on, where nobody has seen what is there.
+    deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
     unseen: float = 2.5  # Nearer, what is unknown ahead does not count: a camera does not see beside its own robot.

@@ -137,7 +137,7 @@ class Surroundings:
         cleared = through & ((lowest <= SETTINGS.ground_m) | (self._top_m > lowest))
         evidence[cleared] = np.maximum(evidence[cleared] - 1, SETTINGS.least_evidence)
         evidence[through & (evidence == 0)] = -1
-        # What stands is as deep as nobody has seen yet: beside it there is no other look at its sides.
+        # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
         hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
         evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
@@ -211,7 +211,7 @@ class Surroundings:
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
         away, aside, circle_m, ratio = np.hypot(along, left), left, math.inf, np.ones(())
-        if bend:
+        if bend:  # Along the circle, and how far outside of it; there a cell is touched a half chord earlier.
             circle_m, out = 1.0 / abs(bend), 1.0 / abs(bend) - math.copysign(1.0, bend) * left
             from_middle = np.maximum(np.hypot(along, out), 1e-9)
             along, aside = circle_m * np.arctan2(along, out), from_middle - circle_m

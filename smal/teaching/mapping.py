@@ -65,8 +65,7 @@ def learn(
 
     `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with
     keyframes done and their number. What takes long of each image is done by `parallel`, by threads if not given.
-    ValueError where there is no such drive, or none that goes anywhere, or features do
-    not fit, or need depth.
+    ValueError where there is no such drive, or none that goes anywhere, or features do not fit, or need depth.
     """
     features = FeatureSettings() if features is None else features
     check_features(demonstrations, features.size)

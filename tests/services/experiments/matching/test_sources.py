@@ -105,7 +105,7 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert folder.frames == ("img1.png", "img2.png", "IMG3", "img4.jpg", "img5.png", "img10.png")
     assert folder.others == ("notes.txt", "truth.csv")
 
-    described = describe_frames(folder, FEATURES, None, "reading", Engine(1))
+    described = describe_frames(folder, FEATURES, None, "reading", Engine(None))
     assert described.numbers.tolist() == [0, 1, 2, 5]
     assert described.unreadable == ["img4.jpg", "img5.png"]
     described.say_skipped()
@@ -138,4 +138,4 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
             open_source(tmp_path / name, "REFERENCE_DIR")
     (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
     with pytest.raises(JobError, match=r"no image can be read: b\.jpg"):
-        describe_frames(open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading", Engine(1))
+        describe_frames(open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading", Engine(None))
