@@ -189,7 +189,8 @@ class Planner:
 
         kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
         if kind == "search":
-            error_rad, directions = self._toward_rad or 0.0, np.full(say.shape, self._toward_rad or 0.0)
+            error_rad = self._toward_rad or 0.0
+            directions = np.full(say.shape, error_rad)
         if not self._map.odometry or self._chassis.car:
             around = None
         wanted_rad = error_rad

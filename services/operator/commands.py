@@ -44,9 +44,8 @@ class Commands:
         self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
         self._car = False  # Whether it turns only in driving, as far as it has told in this episode.
-        self._stood_s = (
-            _NEVER  # First and last time that it was told, while something was held, to stand before something.
-        )
+        #: When the robot first and last told, while something was held, that it stands before something.
+        self._stood_s = _NEVER
         self._insists = False
         self._sent: Velocity | None = None
         self._answered = -1
@@ -75,7 +74,8 @@ class Commands:
         self.stop = applied.emergency_stop
         self._car = self._car or applied.reason == "radius"
         if self.held is not None and applied.reason == "obstacle" and applied.linear == 0.0:
-            self._stood_s = min(self._stood_s[0], self._clock()), self._clock()
+            now_s = self._clock()
+            self._stood_s = min(self._stood_s[0], now_s), now_s
         if self.emergency:
             return self.insist()
         if self.held is not None and applied.tick != self._answered:
