@@ -36,6 +36,9 @@ from services.table import role_of
 REQUEST_QUEUE: Final = 64
 #: How long threads may take to end when a node closes; they end with the process in any case.
 _LAST_WORK_S: Final = 10.0
+#: How often a loop that waits looks whether it was stopped, seconds: a signal just before a wait does not end it, and
+#: Python calls its handler only after the wait.
+_LOOK_S: Final = 0.2
 _SOON: Final = "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
@@ -243,7 +246,7 @@ class Node:
             if deadline is not None and now >= deadline:
                 return False
             dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
-            self._handle(self._inbox.take(max(0.0, min(dues) - now) if dues else None))
+            self._handle(self._inbox.take(max(0.0, min([*dues, now + _LOOK_S]) - now)))
         self._state = "stopping"
         return False
 
@@ -264,7 +267,6 @@ class Node:
             self.log.info("%s: stopping", signal.Signals(number).name)
             # Not stop(): the interrupted thread may hold the inbox's lock. The loop looks at the event itself.
             self._stop.set()
-            threading.Thread(target=self._inbox.wake, daemon=True).start()
 
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:

@@ -69,15 +69,18 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     page = open_page()
     page.begin(goal="dock", name="to-the-dock")
     assert asked[-1].max_ticks is None, "a person ends it"
-    page.held = "forward"
-    eventually(lambda: goes(page, robot) and page.robot(atom="forward", source="teleop"))
+
+    def drive(held: object, **shown: object) -> None:
+        """Hold something until it has moved the robot from a frame to the next, which is what teaches."""
+        page.held = held
+        eventually(lambda: goes(page, robot) and page.robot(atom="forward", source="teleop", **shown))
+        tick = page.state["robot"]["tick"]
+        eventually(lambda: goes(page, robot) and page.state["robot"]["tick"] > tick + 1)
+
+    drive("forward", linear=1.0, angular=0.0)
     eventually(lambda: page.robot(driver="teleop", goal="dock", purpose="drive", world="line"))
     eventually(lambda: page.pictures)
-    page.held = 0.75, -0.25  # as by a stick
-    eventually(lambda: goes(page, robot) and page.robot(atom="forward", linear=0.75, angular=-0.25))
-    # What moves it to the next frame is what teaches.
-    tick = page.state["robot"]["tick"]
-    eventually(lambda: goes(page, robot) and page.state["robot"]["tick"] > tick + 1)
+    drive((0.75, -0.25), linear=0.75, angular=-0.25)  # as by a stick
     page.held = None
     eventually(lambda: not robot.wheels.driven)
     page.say(do="end", found=True)
