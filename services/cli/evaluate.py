@@ -25,6 +25,7 @@ def evaluate(
     world: Annotated[str | None, Option(help="In this one instead: SMAL and teach and repeat, one drive.")] = None,
     runs: Annotated[int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")] = None,
     changes: options.Changes,
+    base: options.Base = None,
     laps: Annotated[Path | None, Option(metavar="SOURCE", help="Of a real robot: laps in a tub or recordings.")] = None,
     at_work: options.AtWork,
     report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
@@ -43,7 +44,8 @@ def evaluate(
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
-        given = {"quick": quick, "world": world, "runs": runs, "report-only": report_only} | asdict(changes)
+        given = {"quick": quick, "world": world, "runs": runs, "base": base, "report-only": report_only}
+        given |= asdict(changes)
         for option, value in given.items():
             if value not in (None, 0, "there"):
                 raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
@@ -61,7 +63,7 @@ def evaluate(
     if runs is not None:
         plan = with_each(plan, lambda trial: replace(trial, runs=runs) if trial.sets > 1 else trial)
     changed = {name: value for name, value in asdict(changes).items() if value not in (0, "there")}
-    plan = with_each(plan, lambda trial: replace(trial, **changed))
+    plan = with_each(replace(plan, base=base or plan.base), lambda trial: replace(trial, **changed))
     planned = units(plan)
     results = Results(out, planned)
     with interrupted_by_signals():

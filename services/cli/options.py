@@ -82,6 +82,9 @@ CameraSize = Annotated[
         "--camera", parser=Camera.parse, metavar="WxH", help="Camera image. [default: 1024x768; of `smal up` 640x480]"
     ),
 ]
+Base = Annotated[
+    BaseKind | None, Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]")
+]
 Goal = Annotated[str | None, Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")]
 GoalOfDrives = Annotated[str, Option(parser=_goal, metavar="NAME", help="Where drives lead; see `smal run --goal`.")]
 Modalities = Annotated[
@@ -117,9 +120,7 @@ class Simulator:
 
     camera: CameraSize = None
     shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")] = None
-    base: Annotated[
-        BaseKind | None, Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]")
-    ] = None
+    base: Base = None
     variation: Annotated[
         str | None,
         Option(parser=_variation, metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),

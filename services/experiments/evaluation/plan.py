@@ -1,12 +1,14 @@
 """What an evaluation runs, as data: `QUICK` and `FULL`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from schemas.episode import Victim
 from schemas.rpc import Start
+from services.simulator.opening import BaseKind
 from smal.paper.learning import LearningSettings
 
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Of sequences; the filter has none.
@@ -24,7 +26,10 @@ CONTROLLERS: Final = {
     "paper": ("the paper's scheme", "a decision every l frames"),
     "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
     "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
+    "smal-waits": ("SMAL, stop and wait", "it sees no depth: its guard alone stops it before what stands there"),
+    "smal-unguarded": ("SMAL, avoidance off", "it has no depth camera, and so no guard"),
 }
+_PARTS: Final = ("smal-waits", "smal-unguarded")  # What SMAL is compared with where something stands in the way.
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
 _RECOVERIES: Final = 5  # For each drive of the paper's scheme: 60 for twelve, which were shown to do.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")  # Light and season other than those of the drives.
@@ -77,6 +82,11 @@ class Trial:
     obstacles: int = 0
     people: int = 0
     blocked: bool = False
+
+    @property
+    def hindered(self) -> bool:
+        """Whether something stands in the way that was not there when it was taught."""
+        return self.obstacles + self.people > 0 or self.blocked
 
     @property
     def recoveries(self) -> int:
@@ -142,6 +152,7 @@ class Plan:
     worlds: tuple[WorldPlan, ...]
     patience: float = 3.0
     camera: tuple[int, int] = (320, 240)
+    base: BaseKind = "physics"  # Of all robots.
     omitted: tuple[str, ...] = ()
 
 
@@ -166,7 +177,7 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
         Trial(name, drives, runs if name in _BEST else others)
         for drives in counts
         for name in CONTROLLERS
-        if drives > 1 or name not in _BEST
+        if name not in _PARTS and (drives > 1 or name not in _BEST)
     )
     paper = (Trial("paper", max(counts), others, length, view) for length in lengths for view in ("clean", "poor"))
     return tuple(dict.fromkeys([*each, *_conditions(runs), *paper]))
@@ -209,7 +220,13 @@ PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
 
 def with_each(plan: Plan, change: Callable[[Trial], Trial]) -> Plan:
     """Return a plan in which each trial is changed; of those that are the same then, one is left."""
-    worlds = (replace(world, trials=tuple(dict.fromkeys(map(change, world.trials)))) for world in plan.worlds)
+
+    def changed(trial: Trial) -> Iterator[Trial]:
+        yield (made := change(trial))
+        if made.controller == "smal" and made.hindered:
+            yield from (replace(made, controller=name) for name in _PARTS)
+
+    worlds = (replace(one, trials=tuple(dict.fromkeys(chain(*map(changed, one.trials))))) for one in plan.worlds)
     return replace(plan, worlds=tuple(worlds))
 
 

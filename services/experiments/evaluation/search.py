@@ -88,8 +88,12 @@ def search(
     picture_ticks: int = 0,
     *,
     until_said: bool = False,
+    waits: bool = False,
 ) -> Search:
-    """Let somebody search who sees degraded images, `until_said` to their word; keep each `picture_ticks`-th."""
+    """Let somebody search who sees degraded images, `until_said` to their word; keep each `picture_ticks`-th.
+
+    Who `waits` is kept from running into things, and does not see them.
+    """
     kind = type(driver)
     says = hasattr(kind, "said") or hasattr(kind, "done")
     episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said and says}))
@@ -109,7 +113,7 @@ def search(
             ended = Ended(episode.outcome)
             break
         sees: dict[str, Any] = {}
-        if isinstance(driver, Robot) and view.depth is not None:
+        if isinstance(driver, Robot) and view.depth is not None and not waits:
             sees = {"depth": (view.depth, simulation.mount)}
         atom = driver.step(image, rounded(view.odometry)[:3], **sees)
         if tells:

@@ -32,7 +32,7 @@ from services.experiments.evaluation.plan import (
 )
 from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
 from services.kit.jpeg import encode_jpeg
-from services.simulator.opening import open_simulation
+from services.simulator.opening import BaseKind, open_simulation
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.simulation import Simulation
 from smal.evaluation.teach_and_repeat import TeachAndRepeat
@@ -68,17 +68,18 @@ def code_fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Site:
-    """Where: a world, what its file holds (another map of the same name is another world), and the camera's size."""
+    """Where: a world, what its file holds (another map of the same name is another world); and with what robot."""
 
     world: str
     content: str
     camera: tuple[int, int]
+    base: BaseKind = "physics"
 
     @classmethod
-    def of(cls, world: str, camera: tuple[int, int]) -> "Site":
+    def of(cls, world: str, camera: tuple[int, int], base: BaseKind) -> "Site":
         """Return the site of a world, a name or a path."""
         path = Path(world)
-        return cls(world, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "", camera)
+        return cls(world, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "", camera, base)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,9 @@ def simulation_in(
 ) -> Simulation:
     """Open a world."""
     camera = CameraSettings(*site.camera)
-    return open_simulation(site.world, camera, shake=shake, variation=variation, clouds_seed=clouds_seed, depth=depth)
+    return open_simulation(
+        site.world, camera, base=site.base, shake=shake, variation=variation, clouds_seed=clouds_seed, depth=depth
+    )
 
 
 @lru_cache(maxsize=1)
@@ -227,8 +230,8 @@ class Searches(Unit):
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
         taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
         # No day has the clouds of the one of teaching.
-        clouds, hindered = CLOUDS_SEED + self.which, trial.obstacles + trial.people > 0 or trial.blocked
-        simulation = simulation_in(self.site, how.shake, trial.variation, clouds, hindered)
+        clouds, depth = CLOUDS_SEED + self.which, trial.hindered and trial.controller != "smal-unguarded"
+        simulation = simulation_in(self.site, how.shake, trial.variation, clouds, depth)
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
         taught_ticks = float(np.mean([len(one.poses) - 1 for one in taught]))
@@ -240,7 +243,8 @@ class Searches(Unit):
             request = ResetRequest(seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked)
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0
-            one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True)
+            waits = trial.controller == "smal-waits"
+            one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True, waits=waits)
             found.append(finding(one, poses, self.criterion) | {"taught_ticks": taught_ticks})
             if keeps and one.outcome == "found":
                 shown = True
@@ -251,7 +255,7 @@ class Searches(Unit):
     def _driver(self, taught: tuple[Drive, ...], folder: Path) -> Driver:
         demonstrations = [one.demonstration for one in taught]
         match self.trial.controller:
-            case "smal":
+            case "smal" | "smal-waits" | "smal-unguarded":
                 (learned,) = self.needed(Learn)
                 return Robot(Model.load(learned.file(folder)), seed=self.which)
             case "paper":
@@ -292,7 +296,7 @@ def units(plan: Plan) -> list[Unit]:
 
 
 def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
-    site = Site.of(world.world, plan.camera)
+    site = Site.of(world.world, plan.camera, plan.base)
 
     def teaching(drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:
         first = TEACHING_SEED + which * drives
@@ -303,7 +307,7 @@ def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
         return (Learn(site, taught, length),)
 
     for trial in world.trials:
-        length = {"smal": 0, "paper": trial.length}.get(trial.controller)
+        length = {"smal": 0, "paper": trial.length}.get(trial.controller.partition("-")[0])
         for which in range(trial.sets):
             taught = teaching(trial.drives, which, trial.recoveries)
             needs = (*taught, *(() if length is None else learned(taught, length)))

@@ -54,7 +54,7 @@ Put = Callable[[str, Figure, str], str]  # Name, figure and caption (HTML) to HT
 #: Of who searches and who recognizes, beside ours and the single image.
 _PEERS: Final = {
     "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "teach-and-repeat-told": "#b5651d",
-    "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
+    "nearest-1": "#8d99ae", "nearest-5": "#5c677d", "smal-waits": "#7aa6c2", "smal-unguarded": "#999999",
 }  # fmt: skip
 VIEWS: Final = 6  # Camera images beside an example route.
 

@@ -11,9 +11,9 @@ import pytest
 from services.experiments import engine as engines
 from services.experiments.engine import Engine
 from services.experiments.evaluation import units as of_plan
-from services.experiments.evaluation.plan import Criterion, Plan, in_world
+from services.experiments.evaluation.plan import Criterion, Plan, in_world, with_each
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import Finding, Learn, Site, Teach, units
+from services.experiments.evaluation.units import Finding, Learn, Searches, Site, Teach, units
 from services.kit.errors import JobError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
 
@@ -37,6 +37,7 @@ def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
     assert not names(SMALL, "Recognize") & names(otherwise, "Recognize")
     for kind in ("Teach", "Learn", "Recognize", "Searches"):
         assert not names(SMALL, kind) & names(replace(SMALL, camera=(128, 96)), kind)
+        assert not names(SMALL, kind) & names(replace(SMALL, base="car"), kind)
     shorter = replace(SMALL, patience=1.5)
     assert not names(SMALL, "Searches") & names(shorter, "Searches")
     assert names(SMALL, "Recognize") == names(shorter, "Recognize")
@@ -48,6 +49,16 @@ def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
     before = names(SMALL, "Searches")
     monkeypatch.setattr(of_plan, "code_fingerprint", lambda: "other")
     assert not names(SMALL, "Searches") & before
+
+
+def test_where_something_stands_in_the_way_smal_is_compared_with_itself_without_its_parts() -> None:
+    def drivers(one: Plan) -> set[str]:
+        return {unit.trial.controller for unit in units(one) if isinstance(unit, Searches)}
+
+    free = in_world("campus", 1.5)
+    assert drivers(free) == {"smal", "teach-and-repeat", "teach-and-repeat-told"}
+    hindered = with_each(free, lambda trial: replace(trial, obstacles=3))
+    assert drivers(hindered) == drivers(free) | {"smal-waits", "smal-unguarded"}
 
 
 def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: Path) -> None:
