@@ -29,12 +29,27 @@ def _names_a_place(goal: str) -> str:
 GoalName = Annotated[str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})]
 
 
+_LEAST: Final = 0.05  # Of the picture's width and height: a box of fewer pixels tells nothing.
+
+
+def _has_an_area(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = box
+    if right - left < _LEAST or bottom - top < _LEAST:
+        raise ValueError("a box is left, top, right and bottom, and has at least a twentieth of the picture each way")
+    return box
+
+
+_Share = Annotated[float, Field(ge=0, le=1)]
+#: Where something is in a picture: left, top, right and bottom, shares of its width and height.
+Box = Annotated[tuple[_Share, _Share, _Share, _Share], AfterValidator(_has_an_area)]
+
+
 class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
-    version: ClassVar[int] = 4
-    reads: ClassVar[tuple[int, ...]] = (1, 2, 3)
+    version: ClassVar[int] = 5
+    reads: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
 
     event: EventName
     """What happened."""
@@ -57,6 +72,8 @@ class Episode(Message):
     """Who says so of ``found``: the task (in simulation: near the victim, and the victim in view), or the operator."""
     right: bool | None = None
     """Whether ``not_here`` is so; None where nobody knows."""
+    box: Box | None = None
+    """Where the goal is in the last frame, where the operator who found it has drawn that."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -64,6 +81,8 @@ class Episode(Message):
             raise ValueError("outcome is given exactly with the event 'ended'")
         if self.judge is not None and self.outcome != "found":
             raise ValueError("judge is given with the outcome 'found' only")
+        if self.box is not None and self.judge != "operator":
+            raise ValueError("box is given with the judge 'operator' only")
         if self.right is not None and self.outcome != "not_here":
             raise ValueError("right is given with the outcome 'not_here' only")
         return self

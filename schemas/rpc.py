@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator, Field
 
 from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
-from schemas.episode import GoalName, Purpose, Said, Victim
+from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
 Start = Literal["start", "anywhere"]  # About the world's start, or anywhere beside the way from there to the victim.
@@ -155,6 +155,7 @@ class EndRequest(Strict):
     episode: EpisodeId  # Which; refused when another one runs.
     #: Whether the operator says that the goal is reached; otherwise the robot's task says whether it is.
     found: bool = False
+    box: Box | None = None  # Where they see it in the last frame; of no account unless they have found it.
     said: Said | None = None  # What the robot says, whom the task judges; None where it has said nothing.
     session: SessionId = ""  # Who asks; while an operator is heard, only they say that something was found.
 

@@ -169,6 +169,7 @@ class Settings:
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
+    lasts: float = 4.0  # Out of view a thing is known for so many times as long as it was seen: 1 in 5 stands longer.
     deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.

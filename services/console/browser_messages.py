@@ -6,7 +6,7 @@ from pydantic import Field, TypeAdapter
 
 from schemas.base import Strict
 from schemas.command import Share
-from schemas.episode import GoalName, Victim
+from schemas.episode import Box, GoalName, Victim
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
 LATE: Final = "that came too late: the connection is slow, or was away; press again"  # What is said of what came late.
@@ -51,10 +51,11 @@ class Press(Asked):
 
 
 class End(Asked):
-    """End the episode; ``found``: at its goal."""
+    """End the episode; ``found``: at its goal, which may be drawn in the picture."""
 
     do: Literal["end"]
     found: bool
+    box: Box | None = None
 
 
 class Begin(Asked):

@@ -132,7 +132,7 @@ class ConsoleService:
             case Press(do="cancel"):
                 self._jobs.cancel()
             case End():
-                self._operator.end(found=ask.found)
+                self._operator.end(found=ask.found, box=ask.box)
             case Drive():
                 self._drive(ask)
             case Run():

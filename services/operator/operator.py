@@ -14,7 +14,7 @@ from typing import Any, Final
 from schemas import topics
 from schemas.base import NO_EPISODE, Atom, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
-from schemas.episode import Episode, Outcome, Purpose, Said
+from schemas.episode import Box, Episode, Outcome, Purpose, Said
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import RpcError
@@ -278,14 +278,14 @@ class Operator:
 
         self.ask(ask)
 
-    def end(self, *, found: bool) -> None:
-        """End the episode, at its goal if the operator says so."""
+    def end(self, *, found: bool, box: Box | None = None) -> None:
+        """End the episode, at its goal if the operator says so, who may say where in the last frame that is."""
         applied = self.commands.applied
         if applied is None:
             self._say("no episode to end")
         elif self._may_ask():
             self.hold(None)
-            request = EndRequest(episode=applied.episode, found=found, session=self._node.session)
+            request = EndRequest(episode=applied.episode, found=found, box=box, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
     def end_mine(self, said: Said | None = None) -> None:

@@ -201,6 +201,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         goal=episode.goal,
         camera=None if episode.camera is None else camera_of(episode.camera),
         ahead=piece.ahead,
+        box=episode.box if piece.at_goal else None,
     )
 
 

@@ -84,7 +84,7 @@ def _take(episode: RecordedEpisode, stored: Stored, fingerprint: str | None) -> 
             episode.world, episode.seed, episode.goal = message.world, message.seed, message.goal
             episode.purpose, episode.driver = message.purpose, message.driver
             if message.event == "ended":
-                episode.outcome, episode.end_tick = message.outcome, tick
+                episode.outcome, episode.end_tick, episode.box = message.outcome, tick, message.box
         case Observation() if message.fingerprint == fingerprint:
             episode.features.setdefault(tick, partial(_features, stored.payload))
         case CommandApplied():

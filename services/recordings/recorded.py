@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from schemas.base import ATOMS, Source
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
-from schemas.episode import Outcome, Purpose
+from schemas.episode import Box, Outcome, Purpose
 from schemas.motion import Imu, Odometry, Pose
 from smal.teaching.demonstration import Made
 
@@ -44,6 +44,7 @@ class RecordedEpisode:
     driver: Source | None = None
     outcome: Outcome | None = None
     end_tick: int | None = None
+    box: Box | None = None  # Where in the last frame the goal is.
     #: Read or make the raw ones, of the wanted fingerprint: a drive's would fill memory.
     features: dict[int, Callable[[], NDArray[np.float32]]] = field(default_factory=dict)
     images: dict[int, memoryview] = field(default_factory=dict)  # As recorded (for ``encoding.decode_image``).

@@ -22,6 +22,7 @@ class Ended(NamedTuple):
     outcome: Outcome
     judge: Judge | None = None
     right: bool | None = None
+    box: tuple[float, float, float, float] | None = None
 
 
 class Episode(Generic[V]):

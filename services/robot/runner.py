@@ -161,7 +161,8 @@ class EpisodeRunner(Generic[V]):
         driven = self.gate.taken_over or run.request.driver == "teleop"
         if request.found or (driven and request.session != run.request.session):
             self._unless(self.gate.not_theirs(request.session))
-        return self.end(run.episode.end(None if request.found else request.said, told=request.found))
+        ended = run.episode.end(None if request.found else request.said, told=request.found)
+        return self.end(ended._replace(box=request.box if request.found else None))
 
     def end(self, ended: Ended | None = None) -> list[Message]:
         """End the running episode; without anybody's word, if that is not given."""

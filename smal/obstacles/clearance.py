@@ -2,7 +2,9 @@
 
 Each look becomes a scan: in every column, how far the ground is free and how near the first thing stands. Ground is
 what lies on the plane below the camera, whose height is known and whose pitch and roll each look tells. Scans add up in
-a grid that goes with the robot (Moravec and Elfes 1985), by its wheels, so that what has left the view is still known.
+a grid that goes with the robot (Moravec and Elfes 1985), by its wheels, so that what has left the view is still known:
+so many times as long as it was seen to stand, since who walks by is soon gone; what is so near that the camera
+looks over it stays.
 Nothing is free because nothing was seen: a look without depth leaves everything as it was, and unknown is not free.
 """
 
@@ -101,6 +103,7 @@ class Surroundings:
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
         self._evidence = np.zeros(self._x_m.shape, dtype=np.int8)
         self._top_m = np.zeros(self._x_m.shape, dtype=np.float32)
+        self._lasts = np.zeros(self._x_m.shape, dtype=np.float32)  # For how many looks what stands there is known.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
         self.heading = 0.0
@@ -112,7 +115,8 @@ class Surroundings:
         cell = round(x / self.cell_m), round(y / self.cell_m)
         if self._cell not in (None, cell):
             by = self._cell[0] - cell[0], self._cell[1] - cell[1]
-            self._evidence, self._top_m = (shift(grid, by, order=0) for grid in (self._evidence, self._top_m))
+            grids = (self._evidence, self._top_m, self._lasts)
+            self._evidence, self._top_m, self._lasts = (shift(grid, by, order=0) for grid in grids)
         self._cell, self._rest = cell, (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
@@ -139,8 +143,9 @@ class Surroundings:
         evidence[through & (evidence == 0)] = -1
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
-        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
-        evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
+        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence >= 0)
+        new = hidden & (evidence == 0)
+        evidence[new], self._top_m[new] = 1, seen.top_m[column[new]]
         near = np.isfinite(seen.hit_m)
         hit_m = seen.hit_m[near]
         places = np.stack([mount.ahead_m + hit_m, hit_m * seen.across[near]], axis=1)
@@ -148,9 +153,13 @@ class Surroundings:
         # Through and hit in one look: at its edges a thing is both.
         evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence)
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
+        hidden[cells] = True
+        self._lasts[hidden] += SETTINGS.lasts
+        self._lasts[~hidden & (self._top_m > mount.height_m - np.hypot(ahead, left) * seen.falls)] -= 1.0
+        evidence[(evidence > 0) & (self._lasts < 0.0)] = 0
         for edge in (0, -1):  # What stands further away is not on the edge.
             evidence[edge] = evidence[:, edge] = 0
-        self._top_m[evidence <= 0] = 0.0
+        self._top_m[evidence <= 0] = self._lasts[evidence <= 0] = 0.0
         return True
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:

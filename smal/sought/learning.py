@@ -25,6 +25,7 @@ from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nea
 
 #: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
+Box = tuple[float, float, float, float]  # Left, top, right, bottom: shares of a view's width and height.
 _FEWEST: Final = 8  # Cells that are the least to be looked for.
 _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
 
@@ -44,6 +45,7 @@ class Taught:
     pictures: Sequence[Image]
     left_s: NDArray[np.float64]
     ends: bool  # Whether it ends before what is sought.
+    box: Box | None = None  # Where that is in its last view, if somebody has drawn it.
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:
@@ -146,17 +148,29 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
         new = nearest(cells, codes)
         if not len(known):
             mask = _piece(new > stands_out, new - stands_out, middle)
+            if one.box is not None:
+                mask = _drawn(one.box, new > stands_out)
             if mask is None:
                 return
         else:
             away = nearest(cells, known)
-            mask = _piece(new > stands_out, np.maximum(new - away, 0.0), middle)
+            # Where it is drawn, what stands beside it is not of it, whatever piece it makes with it.
+            of_it = (new > stands_out) & ((one.box is None) | (away <= SETTINGS.like * new))
+            mask = _piece(of_it, np.maximum(new - away, 0.0), middle)
             # What stands out and is not like what has been followed so far is something else.
             if mask is None or (away[mask] > SETTINGS.like * new[mask]).mean() > 0.5:
                 continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
         yield _Patch(cells, mask, last=k == len(one.pictures) - 1)
+
+
+def _drawn(box: Box, stands_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the cells in a box that stand out; all of them, where hardly any does."""
+    inside = np.zeros(stands_out.shape, dtype=np.bool_)
+    left, top, right, bottom = (round(share * SHAPE[(k + 1) % 2]) for k, share in enumerate(box))
+    inside[top:bottom, left:right] = True
+    return inside & stands_out if (inside & stands_out).sum() >= _FEWEST else inside
 
 
 def _piece(

@@ -41,6 +41,8 @@ class Demonstration:
     #: (f,) how fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does;
     #: on the spot if not given.
     ahead: NDArray[np.float32] | None = None
+    #: Where in the last image the goal is, if somebody has drawn it: left, top, right, bottom, shares of its size.
+    box: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         shape = getattr(self.features, "shape", (len(self.features), None))

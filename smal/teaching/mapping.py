@@ -21,7 +21,7 @@ from smal.likelihood import evenly
 from smal.model import Model, VisualMap
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
-from smal.sought.learning import Taught, learn_sight
+from smal.sought.learning import Box, Taught, learn_sight
 from smal.sought.sight import Sight
 from smal.teaching.calibration import (
     USUAL_CAMERAS,
@@ -110,7 +110,7 @@ def learn(
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
     )
-    return Model(centering, stitched(visual_map), _sights(frames.images, visual_map))
+    return Model(centering, stitched(visual_map), _sights(frames.images, visual_map, [one.box for one in taught]))
 
 
 def fit(
@@ -207,8 +207,8 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
-def _sights(images: Sequence[Image], mapped: VisualMap) -> dict[str, Sight]:
-    """Learn what is sought at each goal, of the goals where anything stands out."""
+def _sights(images: Sequence[Image], mapped: VisualMap, boxes: Sequence[Box | None]) -> dict[str, Sight]:
+    """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view."""
     keys, of = mapped.keyframes, mapped.key_drives
     pictures = list(in_parallel(lambda frame: small(images[frame]), keys.tolist()))
     ends = np.searchsorted(of, of, side="right") - 1
@@ -217,7 +217,7 @@ def _sights(images: Sequence[Image], mapped: VisualMap) -> dict[str, Sight]:
     found = {}
     for goal in sorted(set(mapped.goals)):
         taught = [
-            Taught([pictures[k] for k in one], left_s[one], ends=mapped.goals[drive] == goal)
+            Taught([pictures[k] for k in one], left_s[one], mapped.goals[drive] == goal, boxes[drive])
             for drive, one in enumerate(drives)
         ]
         if (sight := learn_sight(taught)) is not None:

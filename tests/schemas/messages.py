@@ -105,7 +105,10 @@ GOLDEN = Path(__file__).parent / "golden.json"
 _floats32 = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=20)
 _arrays = _floats32.map(lambda values: Float32Array.from_numpy(np.array(values, np.float32)))
 #: What is checked by a function of our own, of which no strategy can be derived.
-_OWN: dict[str, st.SearchStrategy[object]] = {"goal": st.from_regex(r"\w[\w .-]{0,63}", fullmatch=True)}
+_OWN: dict[str, st.SearchStrategy[object]] = {
+    "goal": st.from_regex(r"\w[\w .-]{0,63}", fullmatch=True),
+    "box": st.none() | st.tuples(*[st.floats(0.0, 0.4)] * 2, *[st.floats(0.5, 1.0)] * 2),
+}
 
 
 def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
@@ -176,6 +179,7 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
         fields["event"] = "ended" if ended else fields["event"].replace("ended", "started")
         fields["judge"] = fields["judge"] if fields["outcome"] == "found" else None
         fields["right"] = fields["right"] if fields["outcome"] == "not_here" else None
+        fields["box"] = fields["box"] if fields["judge"] == "operator" else None
     elif cls is State:
         if fields["status"] == "idle":
             fields |= {"model": None, "places": ()}

@@ -2,6 +2,7 @@
 
 import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
+import { Box } from "./box.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { drawHealth } from "./health.js";
@@ -14,6 +15,7 @@ import { drawWorlds, opening, showNews, wireWorlds } from "./world.js";
 const OLD_S = 1, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
 const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
 const watch = new Watch(onNews, onPicture);
+const box = new Box(camera);
 const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
 const since = (ms) => seconds((performance.now() - ms) / 1000);
 
@@ -48,6 +50,7 @@ async function onPicture(blob) {
   const pen = camera.getContext("2d");
   pen.drawImage(image, 0, 0);
   drawAhead(pen, watch.state, (channel) => watch.age(channel));
+  box.draw(pen);
   image.close();
 }
 
@@ -103,6 +106,7 @@ function drawSeat() {
   const held = { forward: linear > 0, backward: linear < 0, left: angular > 0, right: angular < 0 };
   seat.setAttribute("aria-pressed", String(sits));
   say(seat, sits ? "Leave control" : watch?.state.taken ? "Somebody else drives" : "Take control");
+  if (drive?.held) box.clear();
   for (const button of pad.children) button.classList.toggle("held", held[button.dataset.atom]);
 }
 
@@ -130,10 +134,10 @@ function stop() {
 $("#stop").onclick = stop;
 $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
 const asks = {
-  resume: { do: "resume" }, found: { do: "end", found: true }, end: { do: "end", found: false },
-  withdraw: { do: "withdraw" },
+  resume: { do: "resume" }, end: { do: "end", found: false }, withdraw: { do: "withdraw" },
 };
 for (const id in asks) $(`#${id}`).onclick = () => drive.ask(asks[id]);
+$("#found").onclick = () => (drive.ask({ do: "end", found: true, box: box.drawn }), box.clear());
 wireTeaching((what) => {
   drive.ask(what);
   if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });  // to be looked at now

@@ -83,12 +83,13 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     drive((0.75, -0.25), linear=0.75, angular=-0.25)  # as by a stick
     page.held = None
     eventually(lambda: not robot.wheels.driven)
-    page.say(do="end", found=True)
+    page.say(do="end", found=True, box=(0.4, 0.5, 0.6, 0.9))
     eventually(lambda: page.robot(outcome="found", episode=None))
     (recording,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
     assert (recording["outcome"], recording["goal"], recording["useless"]) == ("found", "dock", "")
     assert recording["name"].startswith("drives/to-the-dock-")
     (recorded,) = read_recording(tmp_path / recording["name"]).episodes
+    assert recorded.box == (0.4, 0.5, 0.6, 0.9)
     assert {("forward", KEYS["forward"]), ("forward", (0.75, -0.25))} <= {
         (one.atom, one.velocity) for one in recorded.applied.values()
     }

@@ -182,6 +182,37 @@ def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
     assert drawn(250, 60) == [128, 128, 128]
 
 
+def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_moves_on(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
+    def draw(*corners: tuple[float, float]) -> None:
+        """Drag over the picture, which is 4 to 3, and shown whole."""
+        at = page.locator("#camera canvas").bounding_box()
+        assert at is not None
+        for number, (x, y) in enumerate(corners):
+            page.mouse.move(at["x"] + at["width"] * x, at["y"] + at["height"] * y)
+            if number == 0:
+                page.mouse.down()
+        page.mouse.up()
+
+    def found() -> tuple[float, ...] | None:
+        page.click("#found")
+        eventually(lambda: nobody.asked)
+        return nobody.asked.pop().box  # type: ignore[attr-defined, no-any-return]
+
+    told = {"episode": "e", "answers": True, "waiting": False, "emergency": False, "at": board.clock()}
+    board.put("robot", told)
+    page.click("#seat")
+    eventually(lambda: page.get_attribute("#seat", "aria-pressed") == "true")
+    draw((0.7, 0.5), (0.4, 0.9))
+    assert found() == pytest.approx((0.4, 0.5, 0.7, 0.9), abs=0.01)
+    draw((0.4, 0.5), (0.41, 0.51))  # as by a click
+    assert found() is None
+    draw((0.4, 0.5), (0.7, 0.9))
+    page.keyboard.press("w")
+    assert found() is None
+
+
 def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(page: Page, nobody: Nobody) -> None:
     def has(*held: float) -> None:
         eventually(lambda: nobody.held == (pytest.approx(held) if held else None))

@@ -57,6 +57,16 @@ def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(step: flo
     assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
 
 
+def test_what_a_person_has_drawn_a_box_round_is_sought_and_not_what_stands_beside_it() -> None:
+    size = 14  # Of each, in the last view; the blue one stands to the right of the middle.
+    box = 40 / SHAPE[1], 40 / SHAPE[0], (40 + size) / SHAPE[1], (40 + size) / SHAPE[0]
+    learned = learn_sight([replace(taught(ORANGE, BLUE), box=box)])
+    assert learned is not None
+    for colours, seen in (((ORANGE, BLUE), True), ((GREY, BLUE), True), ((ORANGE, GREY), False)):
+        assert (Witness(learned).look(view(STEPS - 1.4, *colours)).probability > 0.99) == seen
+    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, GREY)).probability > 0.99, "both are, without a box"
+
+
 def test_on_the_way_nothing_is_seen() -> None:
     seen = [Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)]
     assert max(one.probability for one in seen) < 0.5
