@@ -169,7 +169,14 @@ class Settings:
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
-    lasts: float = 4.0  # Out of view a thing is known for so many times as long as it was seen: 1 in 5 stands longer.
+    #: What has come where it was free moves until it was seen there in so many looks, half a second; not within so many
+    #: cells of what stands, since distances err by one, and edges with them. Out of view it is known for so many times
+    #: as long as it was seen there; for ever, once that was for so many looks, 3 s.
+    still: float = 5.0
+    edge: int = 3
+    lasts: float = 4.0
+    stays: float = 30.0
+    walks_m: float = 0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
     deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.

@@ -2,9 +2,8 @@
 
 Each look becomes a scan: in every column, how far the ground is free and how near the first thing stands. Ground is
 what lies on the plane below the camera, whose height is known and whose pitch and roll each look tells. Scans add up in
-a grid that goes with the robot (Moravec and Elfes 1985), by its wheels, so that what has left the view is still known:
-so many times as long as it was seen to stand, since who walks by is soon gone; what is so near that the camera
-looks over it stays.
+a grid that goes with the robot (Moravec and Elfes 1985), by its wheels, so that what has left the view is still known.
+What stands where it was free has come there: it moves, until it has stood for a while, and out of view is soon gone.
 Nothing is free because nothing was seen: a look without depth leaves everything as it was, and unknown is not free.
 """
 
@@ -15,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, shift
+from scipy.ndimage import binary_dilation, distance_transform_edt, shift
 
 from smal.settings import SETTINGS
 
@@ -104,6 +103,7 @@ class Surroundings:
         self._evidence = np.zeros(self._x_m.shape, dtype=np.int8)
         self._top_m = np.zeros(self._x_m.shape, dtype=np.float32)
         self._lasts = np.zeros(self._x_m.shape, dtype=np.float32)  # For how many looks what stands there is known.
+        self._came = np.zeros(self._x_m.shape, dtype=np.bool_)  # Whether it was free before something stood there.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
         self.heading = 0.0
@@ -115,8 +115,8 @@ class Surroundings:
         cell = round(x / self.cell_m), round(y / self.cell_m)
         if self._cell not in (None, cell):
             by = self._cell[0] - cell[0], self._cell[1] - cell[1]
-            grids = (self._evidence, self._top_m, self._lasts)
-            self._evidence, self._top_m, self._lasts = (shift(grid, by, order=0) for grid in grids)
+            grids = (self._evidence, self._top_m, self._lasts, self._came)
+            self._evidence, self._top_m, self._lasts, self._came = (shift(grid, by, order=0) for grid in grids)
         self._cell, self._rest = cell, (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
@@ -143,24 +143,30 @@ class Surroundings:
         evidence[through & (evidence == 0)] = -1
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
-        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence >= 0)
-        new = hidden & (evidence == 0)
-        evidence[new], self._top_m[new] = 1, seen.top_m[column[new]]
         near = np.isfinite(seen.hit_m)
-        hit_m = seen.hit_m[near]
-        places = np.stack([mount.ahead_m + hit_m, hit_m * seen.across[near]], axis=1)
-        cells = self.cells(places)
+        hit_m = np.where(near, seen.hit_m, 0.0)
+        cells = self.cells(np.stack([mount.ahead_m + hit_m, hit_m * seen.across], axis=1))
+        self._came[cells] |= near & (evidence[cells] < -1)
+        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
+        evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
+        self._came[hidden] = self._came[cells][column[hidden]]
+        cells = cells[0][near], cells[1][near]
         # Through and hit in one look: at its edges a thing is both.
         evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence)
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
-        hidden[cells] = True
-        self._lasts[hidden] += SETTINGS.lasts
-        self._lasts[~hidden & (self._top_m > mount.height_m - np.hypot(ahead, left) * seen.falls)] -= 1.0
-        evidence[(evidence > 0) & (self._lasts < 0.0)] = 0
+        hit = np.zeros_like(self._came)
+        hit[cells] = True
+        self._forget_what_walks(hit)
         for edge in (0, -1):  # What stands further away is not on the edge.
             evidence[edge] = evidence[:, edge] = 0
-        self._top_m[evidence <= 0] = self._lasts[evidence <= 0] = 0.0
+        self._top_m[evidence <= 0] = self._lasts[evidence <= 0] = self._came[evidence <= 0] = 0
         return True
+
+    def _forget_what_walks(self, seen: NDArray[np.bool_]) -> None:
+        """Forget what has come where it was free, and is out of view for so many times as long as it was seen there."""
+        self._came &= self._lasts < SETTINGS.lasts * SETTINGS.stays
+        self._lasts += np.where(seen, SETTINGS.lasts, np.where(self._came, -1.0, 0.0))
+        self._evidence[(self._evidence > 0) & self._came & (self._lasts < 0.0)] = 0
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
@@ -172,6 +178,12 @@ class Surroundings:
     def occupied(self) -> NDArray[np.bool_]:
         """Cells in which something stands."""
         return np.asarray(self._evidence > 0)
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Cells in which something stands that has just come where it was free, and is no edge of what stood before."""
+        stood = (self._evidence > SETTINGS.hit + 1) & (self._lasts > SETTINGS.lasts * SETTINGS.still)
+        return np.asarray((self._evidence > 1) & self._came & ~binary_dilation(stood, iterations=SETTINGS.edge))
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
@@ -216,9 +228,11 @@ class Surroundings:
         """Return how far the robot may go on ahead, or back, touching nothing that it sees or does not see.
 
         It goes straight on, or in a circle of radius 1 / `bend` (1 / m) whose middle lies to its left, if positive.
+        What moves, ahead or to a side, may come nearer until the robot stands.
         """
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
+        moves_m = np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
         away, aside, circle_m, ratio = np.hypot(along, left), left, math.inf, np.ones(())
         if bend:  # Along the circle, and how far outside of it; there a cell is touched a half chord earlier.
             circle_m, out = 1.0 / abs(bend), 1.0 / abs(bend) - math.copysign(1.0, bend) * left
@@ -234,7 +248,7 @@ class Surroundings:
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m)
         unseen &= along > (SETTINGS.unseen if ahead else 1.0) * self.radius_m
         touches_m, unseen_m = (along - half)[touches], along[unseen] - self.radius_m
-        free_m = np.concatenate([touches_m, unseen_m]).min(initial=self.reach_m)
+        free_m = np.concatenate([touches_m, unseen_m, moves_m]).min(initial=self.reach_m)
         return max(0.0, float(free_m) - SETTINGS.margin * self.radius_m)
 
 

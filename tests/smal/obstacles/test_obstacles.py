@@ -72,6 +72,45 @@ def test_what_has_left_the_view_is_still_known_and_what_has_walked_away_is_forgo
     assert made.free_m(ahead=True) > 3.5
 
 
+def test_out_of_view_what_has_come_is_soon_forgotten_and_what_stands_there_is_not() -> None:
+    box, aside = (2.5, -0.2, 2.9, 0.2, 1.7), (0.0, 0.0, math.radians(80.0))
+    for before, known in ([], False), ([box], True):
+        made = Surroundings(MOUNT.radius_m)
+        for boxes in [before] * 4 + [[box]] * 3:
+            made.look(HERE, depth(boxes, HERE), MOUNT)
+        for _ in range(40):
+            made.look(aside, depth([], aside), MOUNT)
+        assert bool(made.occupied[made.cells(np.array([0.4, -2.5]))]) == known
+
+
+def test_from_what_walks_it_keeps_off_and_what_stands_beside_the_way_it_passes() -> None:
+    def aside_at(y_m: float) -> Box:
+        return 2.6, y_m, 3.0, y_m + 0.4, 1.7
+
+    made, walks = around(), [aside_at(1.8 - 0.1 * tick) for tick in range(10)]  # at 1 m/s, towards the way
+    for box in walks:
+        made.look(HERE, depth([box], HERE), MOUNT)
+    assert made.moving.any()
+    assert made.free_m(ahead=True) < 1.6  # half a second of a person's from there
+    for _ in range(20):  # it stands
+        made.look(HERE, depth([walks[-1]], HERE), MOUNT)
+    assert not made.moving.any()
+    assert made.free_m(ahead=True) > 3.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_that_stands_moves_because_the_robot_does(seed: int) -> None:
+    """Distances err by a hundredth, as those of a depth camera; what seems to come does so far off, and is let pass."""
+    rng, made, pose = np.random.default_rng(seed), Surroundings(MOUNT.radius_m), (0.0, 0.0, 0.3)
+    boxes: list[Box] = [(3.0, 0.7, 3.5, 1.2, 1.0), (4.5, -1.6, 5.0, -1.0, 0.6), (7.0, -6.0, 7.4, 6.0, 2.0)]
+    for tick in range(30):
+        measured = depth(boxes, pose) * rng.normal(1.0, 0.01, (60, 80))
+        made.look(pose, measured.astype(np.float32), MOUNT)
+        ahead, left = made.seen_from(0.0)
+        assert np.hypot(ahead, left)[made.moving].min(initial=9.0) > 1.5
+        pose = moved(pose, Atom.RIGHT if tick < 4 else Atom.FORWARD, 0.8)
+
+
 @given(st.floats(0.0, 10.0), st.floats(0.2, 3.0), st.floats(0.0, 0.5), st.floats(0.05, 0.3))
 def test_a_robot_stands_before_what_it_comes_to(
     free_m: float, speed_m_s: float, braking_s: float, wait_s: float
