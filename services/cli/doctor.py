@@ -21,7 +21,7 @@ from schemas.base import Strict
 from schemas.command import Command
 from services.cli import options
 from services.cli.stack import answers, free_endpoint
-from services.kit.bus import Bus, BusError, Router, check_credentials, host_and_port
+from services.kit.bus import Bus, BusError, Router, addresses, check_credentials, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.errors import JobError
 from services.kit.process import EXIT_FAILED
@@ -112,15 +112,21 @@ def check_zenoh() -> str:
 def check_port(settings: ServiceSettings) -> str:
     """Look who listens on the router's port: nobody, a running stack, or somebody else; and who gets in there."""
     endpoint, robot = settings.router, settings.robot
-    host, port = host_and_port(endpoint)
     credentials = settings.credentials("watcher")
     check_credentials(endpoint, credentials)
-    try:
-        socket.create_connection((host, port), 1.0).close()
-    except ConnectionRefusedError:
-        return f"{endpoint} is free, {how_secure(credentials, host)}"
-    except OSError as error:
-        raise JobError(f"{endpoint}: {error}; give another with --router or SMAL_ROUTER") from None
+    free = []
+    for address in addresses(endpoint):
+        try:
+            socket.create_connection(host_and_port(address), 1.0).close()
+        except ConnectionRefusedError:
+            free.append(address)
+        except OSError as error:
+            raise JobError(f"{address}: {error}; give another with --router or SMAL_ROUTER") from None
+    if ",".join(free) == endpoint:
+        return f"{endpoint} is free, {how_secure(credentials, *(host_and_port(address)[0] for address in free))}"
+    if free:
+        raise JobError(f"no router at {', '.join(free)}, beside which others are: start it")
+    port = host_and_port(addresses(endpoint)[0])[1]
     elsewhere = f"stop it if it should not be there (ss -ltnp 'sport = :{port}'), or set SMAL_ROUTER to another port"
     try:
         with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:

@@ -17,7 +17,7 @@ from typing import Final, Self
 from schemas.rpc import Nothing, Status
 from services.cli.child import tied
 from services.cli.interrupts import interrupted_by_signals
-from services.kit.bus import Bus, BusError, RpcError
+from services.kit.bus import Bus, BusError, RpcError, addresses
 from services.kit.errors import JobError
 from services.kit.settings import ServiceSettings
 from services.table import SERVICES
@@ -45,13 +45,18 @@ def flags(**values: object) -> tuple[str, ...]:
     return tuple(part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value))
 
 
+def routers_at(endpoint: str) -> dict[str, str]:
+    """Return the addresses of a stack's routers, which commas separate, by the names of their children."""
+    return {f"router-{k}" if k > 1 else "router": address for k, address in enumerate(addresses(endpoint), 1)}
+
+
 @dataclass(frozen=True)
 class StackPlan:
     """What to start."""
 
     services: tuple[str, ...]  # Names out of `services.table`, the router first.
     robot: str
-    endpoint: str  # Address of the stack's own router.
+    endpoint: str  # Address of the stack's own router; commas separate several, of which each is started.
     flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # Command line flags of single services.
     secure: Path | None = None  # Folder of certificates; without one whoever reaches the router gets in.
     logs: Path | None = None  # Folder for one log file a service; None lets them write to this terminal.
@@ -79,6 +84,7 @@ class Stack:
 
     def __init__(self, plan: StackPlan) -> None:
         self.plan = plan
+        self._routers = routers_at(plan.endpoint)
         self._children: dict[str, _Child] = {}
 
     @property
@@ -95,11 +101,11 @@ class Stack:
 
     def __enter__(self) -> Self:
         try:
-            router, *others = self.plan.services
-            self._start(router)
+            for router in self._routers:
+                self._start(router)
             # The others would each give up on a router that takes longer than their patience.
-            with closing(self._reach_router()) as bus:
-                for service in others:
+            with closing(self._reach_routers()) as bus:
+                for service in self.plan.services[1:]:
                     self._start(service)
                 self._wait(self.plan.services, lambda name: (told := answers(bus, name)) and told.state == "ready")
         except BaseException:
@@ -114,6 +120,10 @@ class Stack:
         """Raise JobError, with the last line of its log, if a service has ended."""
         for service in self._dead():
             raise JobError(self._epitaph(service))
+
+    def pid(self, service: str) -> int:
+        """Return the process id of a service, or of one of several routers (`routers_at`)."""
+        return self._children[service].process.pid
 
     def restart_dead(self) -> list[str]:
         """Start again the services that have ended, one that keeps dying ever less often; return which."""
@@ -133,7 +143,7 @@ class Stack:
 
     def stop(self) -> None:
         """Ask every service to stop, router last, and end those that do not within five seconds."""
-        routers = [service for service in self._children if service == "router"]
+        routers = [service for service in self._children if service in self._routers]
         for group in ([service for service in self._children if service not in routers], routers):
             for service in group:
                 self._children[service].process.send_signal(signal.SIGTERM)
@@ -152,8 +162,11 @@ class Stack:
         environment |= {"SMAL_ROBOT": plan.robot, "SMAL_ROUTER": plan.endpoint}
         if plan.secure is not None:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
+        if service in self._routers:
+            others = [address for name, address in self._routers.items() if name != service]
+            environment |= {"SMAL_ROUTER": self._routers[service], "SMAL_PEERS": ",".join(others)}
         module = plan.modules.get(service)
-        program = SERVICES[service].command if module is None else ("-m", module)
+        program = SERVICES[service.partition("-")[0]].command if module is None else ("-m", module)
         command = tied(sys.executable, *program, *plan.flags.get(service, ()))
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
@@ -162,17 +175,21 @@ class Stack:
             process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)  # noqa: S603
         self._children[service] = _Child(process, time.monotonic(), spacing_s)
 
-    def _reach_router(self) -> Bus:
-        """Connect to the router; notice at once when it could not start."""
-        reached: list[Bus] = []
+    def _reach_routers(self) -> Bus:
+        """Connect to each router; notice at once when one could not start."""
+        reached: dict[str, Bus] = {}
 
-        def is_reached(_router: str) -> bool:
+        def is_reached(router: str) -> bool:
             with suppress(BusError):
-                reached.append(self.settings.open_bus("watcher", patience_s=0.0))
-            return bool(reached)
+                at = self.settings.model_copy(update={"router": self._routers[router]})
+                reached[router] = at.open_bus("watcher", patience_s=0.0)
+            return router in reached
 
-        self._wait(self.plan.services[:1], is_reached)
-        return reached[0]
+        self._wait(tuple(self._routers), is_reached)
+        bus, *others = reached.values()
+        for other in others:
+            other.close()
+        return bus
 
     def _wait(self, services: Sequence[str], is_ready: Callable[[str], object]) -> None:
         """Wait until services are ready, and tell which is not and what it said last."""

@@ -12,9 +12,9 @@ from typer import Option
 from services.cli import certificates, options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
-from services.cli.stack import Stack, StackPlan, flags
+from services.cli.stack import Stack, StackPlan, flags, routers_at
 from services.console.config import ConsoleSettings, listen
-from services.kit.bus import Router, host_and_port
+from services.kit.bus import Router, addresses, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
 from services.kit.process import configure_logging
@@ -50,6 +50,7 @@ def up(
     """Start the services, from the router to the recorder, and keep them running.
 
     A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
+    Of several addresses, --router A,B, each has a router: where one is killed or frozen, all go on at the other.
     A browser drives, teaches and watches it at http://127.0.0.1:8080; other terminals use it as well: smal teleop, smal
     topic hz, smal run --connect.
 
@@ -84,13 +85,14 @@ def up(
         "console": flags(console=console) + below,
     }
     # For this machine only.
-    ports = {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(services)}
+    names = dict.fromkeys((*services, *routers_at(reach.settings.router)))
+    ports = {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(names)}
     heard = {name: flags(http=f"127.0.0.1:{port}") for name, port in ports.items()}
     plan = StackPlan(
         services,
         reach.robot,
         reach.settings.router,
-        {name: own.get(name, ()) + heard.get(name, ()) for name in services},
+        {name: own.get(name.partition("-")[0], ()) + heard.get(name, ()) for name in names},
         secure=reach.secure,
         modules={} if base is None else {"robot": "services.ros2"},
     )
@@ -129,8 +131,9 @@ def _check_addresses(reach: options.Reach, services: tuple[str, ...], *, insecur
     if reach.secure is not None and encrypted(settings.router):
         certificates.require(reach.secure, roles)
     credentials = settings.credentials("router")
-    Router(settings.router, credentials, reach.robot, insecure=insecure).close()
-    return how_secure(credentials, host_and_port(settings.router)[0])
+    for address in addresses(settings.router):
+        Router(address, credentials, reach.robot, insecure=insecure).close()
+    return how_secure(credentials, *(host_and_port(address)[0] for address in addresses(settings.router)))
 
 
 def _chain_flags(model: Path | None, use: options.Use) -> tuple[tuple[str, ...], FeatureSettings | None]:

@@ -16,20 +16,42 @@ Rule = dict[str, object]
 KEPT_KEYS: Final = "@adv/pub/**"
 #: Of the router itself: who is connected, and what is declared. It can be read, never written.
 ADMINISTRATION: Final = "@/**"
+#: Between two routers.
+_PASSED_ON: Final[Rule] = {
+    "id": "router: all",
+    "permission": "allow",
+    "flows": ["ingress", "egress"],
+    "messages": [
+        *("put", "delete", "declare_subscriber", "query", "declare_queryable", "reply"),
+        *("liveliness_token", "declare_liveliness_subscriber", "liveliness_query"),
+    ],
+    "key_exprs": ["**", "**/@adv/**", "**/@group/**"],
+}
 
 
-def access_control(robot: str) -> dict[str, object]:
-    """Return the router's rules for one robot: who may do what is told by the certificate."""
-    known = roles().values()
+def access_control(robot: str, *, linked: bool = False) -> dict[str, object]:
+    """Return the router's rules for one robot: who may do what is told by the certificate.
+
+    A router that is linked with another one passes on whatever that has let in, and hands it all: each has looked at it
+    at its own door.
+    """
+    rules = {role.name: list(_rules(role, robot)) for role in roles().values()}
+    if linked:
+        rules["router"] = [_PASSED_ON]
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": [rule for role in known for rule in _rules(role, robot)],
-        "subjects": [{"id": role.name, "cert_common_names": [role.name]} for role in known],
+        "rules": [rule for of_role in rules.values() for rule in of_role],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in rules],
         "policies": [
-            {"rules": [rule["id"] for rule in _rules(role, robot)], "subjects": [role.name]} for role in known
+            {"rules": [rule["id"] for rule in of_role], "subjects": [name]} for name, of_role in rules.items()
         ],
     }
+
+
+def _lost(kept: set[str]) -> set[str]:
+    """Return by which keys Zenoh asks for what was lost on the way: it knows whose, and not of which kind they are."""
+    return {key.replace("@adv/pub/", "@adv/*/") for key in kept}
 
 
 def _rules(role: Role, robot: str) -> Iterator[Rule]:
@@ -60,7 +82,7 @@ def _allowed(role: Role, robot: str) -> Iterator[tuple[str, set[str], set[str]]]
     # A sender is told who listens, and a caller who serves: without that neither sends.
     yield "declare_subscriber", takes | replayed | listens, gives | kept
     yield "declare_queryable", serves | kept, asked
-    yield "query", asked, serves | kept
+    yield "query", asked | _lost(replayed), serves | kept | _lost(kept)
     # What a sender kept is answered on the topic's own key.
     yield "reply", serves | kept | recorded, asked | fetches
     yield "liveliness_token", kept, replayed

@@ -1,4 +1,4 @@
-"""The bus: messages and calls over Zenoh between all at one router; ``wire`` says what may be counted on."""
+"""The bus: messages and calls over Zenoh between all at one router, or at several; ``wire`` says what to count on."""
 
 import logging
 import re
@@ -22,6 +22,7 @@ from services.kit.wire import BusError, Refused, Take, flaw
 from services.kit.zenoh_session import (
     DEFAULT_ROUTER,
     Router,
+    addresses,
     check_credentials,
     host_and_port,
     open_client,
@@ -38,6 +39,7 @@ __all__ = [
     "Router",
     "RpcError",
     "Take",
+    "addresses",
     "check_credentials",
     "host_and_port",
     "zenohd_configuration",
@@ -71,11 +73,11 @@ class RpcError(JobError):
 
 
 class Bus:
-    """One process's connection to the router; the robot's id is part of every key.
+    """One process's connection to a router; the robot's id is part of every key.
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
-    an outage the connection is made again in the background. Raises BusError when the address is malformed, or no
-    router is there within ``patience_s`` that lets us in.
+    an outage the connection is made again in the background, with the next of several routers where one is gone. Raises
+    BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
     def __init__(
@@ -85,7 +87,6 @@ class Bus:
         patience_s: float = PATIENCE_S,
         credentials: Credentials = None,
     ) -> None:
-        host_and_port(endpoint)
         check_credentials(endpoint, credentials)
         self.robot = robot
         self.endpoint = endpoint

@@ -1,6 +1,7 @@
 """How a process shows the router who it is: by a certificate, as the router does; the connection is encrypted."""
 
 import ipaddress
+import os
 import socket
 import ssl
 import stat
@@ -52,11 +53,11 @@ def encrypted(endpoint: str) -> bool:
     return endpoint.startswith("tls/")
 
 
-def how_secure(credentials: Credentials, host: str | None = None) -> str:
-    """Say who gets in at a router, which listens on a host; a client does not know on which others as well."""
+def how_secure(credentials: Credentials, *hosts: str) -> str:
+    """Say who gets in at routers, which listen on some hosts; a client does not know on which others as well."""
     if credentials is not None:
         return "for holders of a certificate, encrypted"
-    return "for whoever reaches it" if host is None or others_reach(host) else "for whoever is on this machine"
+    return "for whoever is on this machine" if hosts and not any(map(others_reach, hosts)) else "for whoever reaches it"
 
 
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
@@ -96,9 +97,14 @@ def others_reach(host: str) -> bool:
 
 
 def secret(path: Path) -> str:
-    """Read a file that is nobody else's business. Raises BusError when it cannot be read, or others can read it."""
+    """Read a file that is nobody else's business. Raises BusError when it cannot be read, or others can read it.
+
+    What root gives to a group of ours to read, as Kubernetes gives its secrets to a pod, is for us.
+    """
     try:
-        if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        status = path.stat()
+        given = stat.S_IRGRP if status.st_uid == 0 and status.st_gid in os.getgroups() and os.geteuid() != 0 else 0
+        if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO) & ~given:
             raise BusError(f"{path} can be read by others; run: chmod 600 {path}")
         return path.read_text().strip()
     except OSError as error:

@@ -22,7 +22,7 @@ class ServiceSettings(BaseSettings):
     robot: Annotated[str, Field(pattern=ROBOT_ID_PATTERN)] = "rescuebot"
     """Robot id, part of every topic's key."""
     router: str = DEFAULT_ROUTER
-    """Address of the Zenoh router; with certificates it begins with tls/."""
+    """Address of the Zenoh router, or of several, separated by commas; with certificates it begins with tls/."""
     secure: Path | None = None
     """Folder of certificates that `smal secure init` made."""
     tls_ca: Path | None = None

@@ -9,6 +9,8 @@ import re
 import socket
 import threading
 import time
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 import zenoh
@@ -22,11 +24,14 @@ from services.table import roles
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
-ATTEMPT_MS: Final = 500  # How long one attempt to reach the router lasts; between two attempts a signal is noticed.
+ATTEMPT_MS: Final = 500  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
 LEASE_MS: Final = 2000  # After so long a silence a link is dead, and so is one that has not said who it is.
+#: After so long a silence of a router that has others beside it its clients go to one of those: with one attempt at the
+#: silent one, which their next attempt may be, they are there within two seconds.
+PAIR_LEASE_MS: Final = 1000
 #: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
 #: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
 #: lease. The rest is for 16 programs of people.
@@ -35,6 +40,9 @@ MAX_SESSIONS: Final = 96
 #: themselves alone. A process on the bus has one more, for a robot's own router.
 ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
+#: Threads on which lost connections are made again, each of which waits there for what is in its way: with Zenoh's one
+#: the sessions of a process wait for each other, and what comes of the first ones is lost (1.10.2, a frozen router).
+NET_THREADS: Final = 16
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
@@ -101,19 +109,21 @@ def _everything(key: str) -> list[str]:
     return [key, f"{key}/{KEPT_KEYS}"]
 
 
-def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
-    """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
-    where = "listen" if mode == "router" else "connect"
-    if mode == "client":
-        endpoint = named(endpoint)
+def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Sequence[str] = ()) -> dict[str, object]:
+    """Return what a router, or a client of one or of several, tells Zenoh, by the paths of Zenoh's own settings.
+
+    A router links itself with its peers, and does so again for as long as it takes; itself among them it refuses.
+    """
+    several = [named(one) for one in (peers if mode == "router" else addresses(endpoint))]
     settings: dict[str, object] = {
         "mode": mode,
-        f"{where}/endpoints": [endpoint],
+        **({"listen/endpoints": [endpoint]} if mode == "router" else {}),
+        **({"connect/endpoints": several} if several else {}),
         # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
         "scouting/multicast/enabled": False,
         # A router would otherwise wait half a second for the scouting that is off.
         "scouting/delay": 0,
-        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/lease": PAIR_LEASE_MS if peers else LEASE_MS,
         "transport/shared_memory/enabled": False,
         # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
         "transport/link/rx/max_message_size": LINK_BYTES,
@@ -140,11 +150,15 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+        if len(several) > 1:
+            # A frozen router takes connections, and never answers: after so long it is the next one's turn.
+            settings["transport/unicast/open_timeout"] = ATTEMPT_MS
     if credentials is not None:
+        for side in ("listen", "connect"):  # A router that is linked with another one does both.
+            settings[f"transport/link/tls/{side}_certificate"] = str(credentials.certificate)
+            settings[f"transport/link/tls/{side}_private_key"] = str(credentials.key)
         settings |= {
             "transport/link/tls/root_ca_certificate": str(credentials.ca),
-            f"transport/link/tls/{where}_certificate": str(credentials.certificate),
-            f"transport/link/tls/{where}_private_key": str(credentials.key),
             "transport/link/tls/enable_mtls": True,
             "transport/link/tls/verify_name_on_connect": True,
             "transport/link/tls/close_link_on_expiration": True,
@@ -157,13 +171,15 @@ def named(endpoint: str) -> str:
     return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
 
 
-def router_settings(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+def router_settings(
+    endpoint: str, robot: str, credentials: Credentials, peers: Sequence[str] = ()
+) -> dict[str, object]:
     """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
-    settings = settings_of("router", endpoint, credentials)
+    settings = settings_of("router", endpoint, credentials, peers)
     if credentials is None:
         return settings | {"adminspace": {"enabled": False}}
     return settings | {
-        "access_control": access_control(robot),
+        "access_control": access_control(robot, linked=bool(peers)),
         "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
     }
 
@@ -182,7 +198,15 @@ def zenohd_configuration(endpoint: str, robot: str, credentials: Credentials) ->
 
 def runtime(threads: int) -> str:
     """Return what Zenoh's variable ``ZENOH_RUNTIME`` says of a process in which so many threads take in what comes."""
-    return f"(rx: (worker_threads: {threads}))"
+    return f"(rx: (worker_threads: {threads}), net: (worker_threads: {NET_THREADS}))"
+
+
+def addresses(endpoint: str) -> list[str]:
+    """Return the addresses of one router, or of several, which commas separate; BusError for a malformed one."""
+    found = endpoint.split(",")
+    for one in found:
+        host_and_port(one)
+    return found
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
@@ -195,11 +219,12 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
 
 
 def check_credentials(endpoint: str, credentials: Credentials) -> None:
-    """Check that an address is encrypted where the credentials are a certificate, and only there; else a BusError."""
-    if encrypted(endpoint) and credentials is None:
-        raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
-    if credentials is not None and not encrypted(endpoint):
-        raise BusError(f"{endpoint} is not encrypted: with a certificate give an address that begins with tls/")
+    """Check that addresses are encrypted where the credentials are a certificate, and only there; else a BusError."""
+    for one in addresses(endpoint):
+        if encrypted(one) and credentials is None:
+            raise BusError(f"{one} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
+        if credentials is not None and not encrypted(one):
+            raise BusError(f"{one} is not encrypted: with a certificate give an address that begins with tls/")
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
@@ -218,14 +243,17 @@ def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
 
 
 def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
-    """Connect to a router; BusError where none lets us in before the patience ends."""
+    """Connect to the first router that lets us in; BusError where none does before the patience ends."""
     deadline = time.monotonic() + patience_s
+    # At the start Zenoh goes to the first address alone, and comes to the others when it has lost that one.
+    order = addresses(endpoint)
     while True:
-        try:
-            return _open(settings_of("client", endpoint, credentials), CLIENT_THREADS)
-        except zenoh.ZError:
-            if time.monotonic() > deadline:
-                raise BusError(_why_no_router(endpoint, credentials)) from None
+        for _ in order:
+            with suppress(zenoh.ZError):
+                return _open(settings_of("client", ",".join(order), credentials), CLIENT_THREADS)
+            order = [*order[1:], order[0]]
+        if time.monotonic() > deadline:
+            raise BusError("; ".join(_why_no_router(one, credentials) for one in order))
 
 
 def _why_no_router(endpoint: str, credentials: Credentials) -> str:
@@ -245,8 +273,9 @@ class Router:
     """A Zenoh router in this process.
 
     With credentials only who has some as well gets in, and may do on the robot's bus what their role may; without them
-    everybody may do everything, and it must be told to be ``insecure`` to listen where other machines reach it. Raises
-    BusError when the endpoint is malformed, its port is taken, or strangers would get in.
+    everybody may do everything, and it must be told to be ``insecure`` to listen where other machines reach it. With
+    ``peers``, addresses of other routers, all their clients are on one bus. Raises BusError when an address is
+    malformed, its port is taken, or strangers would get in.
     """
 
     def __init__(
@@ -256,16 +285,18 @@ class Router:
         robot: str = "",
         *,
         insecure: bool = False,
+        peers: Sequence[str] = (),
     ) -> None:
         host, _ = host_and_port(endpoint)
-        check_credentials(endpoint, credentials)
+        for one in (endpoint, *peers):
+            check_credentials(one, credentials)
         if credentials is None and not insecure and others_reach(host):
             raise BusError(
                 f"{endpoint} can be reached from other machines, and whoever reaches it could drive the robot: "
                 "give --secure DIR (`smal secure init` makes it), or --insecure"
             )
         try:
-            self._session = _open(router_settings(endpoint, robot, credentials), ROUTER_THREADS)
+            self._session = _open(router_settings(endpoint, robot, credentials, peers), ROUTER_THREADS)
         except zenoh.ZError as error:
             reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
             raise BusError(

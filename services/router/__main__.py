@@ -1,6 +1,10 @@
-"""Run the router: ``python -m services.router --router tcp/127.0.0.1:7447``."""
+"""Run a router: ``python -m services.router --router tcp/127.0.0.1:7447``, and one beside it with ``--peers``.
 
-from services.kit.bus import Router, host_and_port
+Clients that are told of several (``--router A,B``) go to the first, and to the next within two seconds where that one
+is killed or frozen. Routers that are linked pass on what their clients say: it does not matter who is at which.
+"""
+
+from services.kit.bus import Router, addresses, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
@@ -10,6 +14,8 @@ from services.kit.settings import ServiceSettings
 class RouterSettings(ServiceSettings):
     """Listens on ``--router``."""
 
+    peers: str | None = None
+    """Addresses of the routers beside it, separated by commas; its own among them does no harm."""
     insecure: bool = False
     """Whether it may listen without certificates where other machines reach it."""
 
@@ -19,7 +25,8 @@ def serve() -> None:
     settings = read_settings(RouterSettings, "router")
     configure_logging(settings.log_level)
     credentials = settings.credentials("router")
-    router = Router(settings.router, credentials, settings.robot, insecure=settings.insecure)
+    peers = addresses(settings.peers) if settings.peers else []
+    router = Router(settings.router, credentials, settings.robot, insecure=settings.insecure, peers=peers)
     try:
         with Node("router", settings) as node:
             node.stop_on_signals()

@@ -17,6 +17,7 @@ and the longest time that it took.
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from tqdm import tqdm
@@ -66,8 +67,9 @@ def _run(cells: Sequence[Cell], model: Path, folder: Path) -> Iterator[Outcome]:
     with tqdm(total=len(waiting), desc="faults", unit="cell", dynamic_ncols=True) as bar:
         while waiting:
             stacks += 1
-            with rig_for(RigPlan(model, folder / f"stack{stacks}")) as rig:
-                while waiting:
+            routers = waiting[0].routers
+            with rig_for(RigPlan(model, folder / f"stack{stacks}", routers=routers)) as rig:
+                while waiting and waiting[0].routers == routers:
                     name = waiting[0].name
                     bar.set_postfix_str(name)
                     try:
@@ -102,6 +104,11 @@ def as_text(results: dict[str, Any]) -> str:
         | {"": "met" if one["met"] else f"NOT MET: {', '.join(one['not_met'])}"} for one in results["cells"]
     ]  # fmt: skip
     text = table("faults", rows)
+    for name in dict.fromkeys(one["name"] for one in results["cells"]):
+        pauses = [one["pause_s"] for one in results["cells"] if one["name"] == name]
+        if len(pauses) > 1:
+            told = f"{len(pauses)} times, without a command for {median(pauses):.2f} s, at most {max(pauses):.2f} s"
+            text += f"\n{name}: {told}\n"
     for name, each in results["floods"].items():
         stops = [Stop(**stop) for stop in each]
         latest_s = max((stop.late_s for stop in stops if stop.late_s is not None), default=None)
@@ -114,6 +121,7 @@ def main(arguments: list[str]) -> None:
     parser = Parser("faults", __doc__)
     parser.add_model()
     parser.add_argument("--cell", action="append", default=[], metavar="NAME", help="only this cell; may be repeated")
+    parser.add_argument("--times", type=int, default=1, metavar="N", help="how often each cell, one after another")
     chosen = parser.parse(arguments)
     known = (*MATRIX, *FLOODS)
     wrong = [name for name in chosen.cell if name not in known]
@@ -122,5 +130,6 @@ def main(arguments: list[str]) -> None:
     if chosen.model is not None:
         options.read_model(chosen.model, "filter", None)
     with folder_for(chosen.out) as folder:
-        results = benchmark(chosen.cell or (QUICK if chosen.quick else known), chosen.model, folder)
+        names = chosen.cell or (QUICK if chosen.quick else known)
+        results = benchmark([name for name in names for _ in range(chosen.times)], chosen.model, folder)
     say(chosen, results, as_text(results))

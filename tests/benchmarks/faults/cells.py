@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from schemas.topics import KEPT_S
-from services.kit.bus import host_and_port
+from services.kit.bus import addresses, host_and_port
 from services.kit.errors import JobError
 from services.recordings.sink import PARTIAL_SUFFIX
 from services.table import stack_services
@@ -30,6 +30,7 @@ _LOOKS_ON_S: Final = 1.0
 _RESTARTED_S, _RECOVERED_S = 15.0, 1.0
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
+_AT_THE_OTHER_S: Final = 2.5  # Two seconds to the other router, and half a one to the next command.
 _UNDISTURBED_S: Final = 1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
 
 
@@ -56,7 +57,8 @@ class Cell:
 
     ``watched`` is a service that must be another process, and ready, after the fault. With ``drives_on`` episodes go on
     meanwhile; with ``stands`` the robot has to stand; if ``abandoned`` it may stand already when the fault begins. With
-    ``next_episode`` the next episode's recording is judged; what there is of this one's must be readable.
+    ``next_episode`` the next episode's recording is judged; what there is of this one's must be readable. The stack
+    has so many ``routers``.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Cell:
     stands: bool = False
     abandoned: bool = False
     next_episode: bool = False
+    routers: int = 1
 
 
 @contextmanager
@@ -152,6 +155,19 @@ def restart_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Wi
     return Window(*times)
 
 
+def lose_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Window:
+    """Kill or freeze the one of two routers at which all are; then all are at the other, which is the next to go."""
+    pid = rig.stack.pid(("router", "router-2")[rig.lost % 2])
+    rig.lost += 1
+    if number == signal.SIGSTOP:
+        return _frozen(rig, pid, seconds)
+    os.kill(pid, number)
+    now_s = time.monotonic()
+    if not rig.until(lambda: all(map(_accepts, addresses(rig.bus.endpoint))), _RESTART_S):
+        raise JobError(f"the router did not come back within {_RESTART_S:.0f} s")
+    return Window(now_s, now_s)
+
+
 def _accepts(endpoint: str) -> bool:
     try:
         socket.create_connection(host_and_port(endpoint), timeout=0.2).close()
@@ -208,6 +224,11 @@ def _matrix() -> Iterator[Cell]:
         ("router down 20 s", signal.SIGKILL, _OUTAGE_S),
     ):  # fmt: skip
         yield Cell(name, partial(restart_router, number=number, seconds=seconds), watched="router")
+    # Of two routers the loss of one is over when all are at the other, and the robot has a command again.
+    gone = Limits(pause_s=_AT_THE_OTHER_S)
+    for name, number, seconds in (("kill -9", signal.SIGKILL, 0.0), ("freeze", signal.SIGSTOP, 5.0)):
+        harm = partial(lose_router, number=number, seconds=seconds)
+        yield Cell(f"{name} one router of two", harm, gone, stands=number == signal.SIGSTOP, routers=2)
     for service in LINKED:
         harm = partial(link_down, service=service, seconds=_OUTAGE_S)
         yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")

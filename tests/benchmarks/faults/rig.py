@@ -46,6 +46,7 @@ class RigPlan:
     robot: Literal["moving base", "noting", "simulated"] = "moving base"
     console: str = "127.0.0.1:0"
     secure: Path | None = None
+    routers: int = 1
 
     @property
     def notes(self) -> Path:
@@ -90,6 +91,7 @@ class Rig:
         self.notes: list[str] = []
         self.seed = 100
         self.begun = 0  # How many episodes have begun.
+        self.lost = 0  # How many routers of two were lost.
         self.since_s = time.monotonic()  # When the account began, monotonic seconds.
         self._armed = False
         self._arrived = arrived
@@ -230,13 +232,13 @@ class Rig:
 @contextmanager
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
     """Set everything up, and leave no process behind."""
-    endpoint, arrived = free_endpoint(), list[Entry]()
+    endpoint, arrived = ",".join(free_endpoint() for _ in range(plan.routers)), list[Entry]()
     if plan.secure is not None:
         endpoint = endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     plan.folder.mkdir(parents=True, exist_ok=True)
     plan.notes.touch()
     with ExitStack() as stacked:
-        linked = LINKED if plan.robot == "moving base" else ()
+        linked = LINKED if plan.robot == "moving base" and plan.routers == 1 else ()
         links = {service: stacked.enter_context(link(endpoint)) for service in linked}
         wheels = stacked.enter_context(rolling(plan.world, plan.steps)) if plan.robot == "moving base" else None
         stack = Stack(plan.stack(endpoint, {service: address for service, (address, _) in links.items()}, wheels))
