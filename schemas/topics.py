@@ -13,6 +13,7 @@ from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.motion import Imu, Odometry, Pose, TrackedPose
 from schemas.observation import Observation
+from schemas.snapshot import Snapshot
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 
@@ -63,6 +64,10 @@ TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, True)
 STATE: Final = Topic("state", State, 10, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
+#: By the service whose instances hand robots on by it; see `services.kit.group`.
+SNAPSHOTS: Final = {
+    service: Topic(f"snapshot/{service}", Snapshot, 1, 1, False) for service in ("recognition", "policy")
+}
 ACTION: Final = Topic("action", Action, None, 8, True)
 COMMANDS: Final = {
     source: Topic(
@@ -87,7 +92,7 @@ TOPICS: Final[dict[str, Topic]] = {
     for topic in (
         *(JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
-        *(OBSERVATION, MAP, STATE, ACTION),
+        *(OBSERVATION, MAP, STATE, ACTION, *SNAPSHOTS.values()),
         *(*COMMANDS.values(), APPLIED, PULSE, HEARTBEAT, EPISODE),
     )
 }
@@ -118,3 +123,8 @@ def key_of(message: Message) -> str:
 def rpc_key(robot: str, service: str, verb: str) -> str:
     """Return the Zenoh key of a service's queryable."""
     return f"{ROOT}/{robot}/rpc/{service}/{verb}"
+
+
+def group_key(fleet: str, service: str) -> str:
+    """Return the Zenoh key below which the instances of a service are seen; no wildcard matches a part with ``@``."""
+    return f"{ROOT}/{fleet}/@group/{service}"

@@ -3,11 +3,13 @@
 A new service is a folder and a row here. What the rows say is checked where all services run (`tests/system`).
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final, Literal
 
 from schemas import topics
-from schemas.topics import COMMANDS, TOPICS, Topic
+from schemas.topics import COMMANDS, SNAPSHOTS, TOPICS, Topic
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Service:
     #: Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
     image: Literal["services", "recognition", "simulator"] | None = "services"
     module: str = ""  # What ``python -m`` runs; ``services.<name>`` if not given.
+    grouped: bool = False  # Whether it may run any number of times, for any number of robots (`services.kit.group`).
     role: str = ""  # Whose certificate it shows to the router; its own if not given.
 
     @property
@@ -51,22 +54,24 @@ SERVICES: Final = {
             image="simulator",
             module="services.simulator",
         ),
-        Service("features", "describes images", (topics.JPEG, topics.DEPTH), (topics.OBSERVATION,)),
+        Service("features", "describes images", (topics.JPEG, topics.DEPTH), (topics.OBSERVATION,), grouped=True),
         Service(
             "recognition",
             "knows where the robot is",
-            (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED),
-            (topics.STATE, topics.MAP),
+            (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED, SNAPSHOTS["recognition"]),
+            (topics.STATE, topics.MAP, SNAPSHOTS["recognition"]),
             serves=("load",),
             image="recognition",
+            grouped=True,
         ),
         Service(
             "policy",
             "decides",
-            (topics.STATE, topics.APPLIED, topics.ODOMETRY, topics.DEPTH),
-            (topics.ACTION, COMMANDS["policy"]),
+            (topics.STATE, topics.APPLIED, topics.ODOMETRY, topics.DEPTH, SNAPSHOTS["policy"]),
+            (topics.ACTION, COMMANDS["policy"], SNAPSHOTS["policy"]),
             serves=("load",),
             image="recognition",
+            grouped=True,
         ),
         Service(
             "recorder",
@@ -75,7 +80,7 @@ SERVICES: Final = {
             fetches=tuple(topic for topic in TOPICS.values() if topic.recorded),
             serves=("start", "flush", "stop"),
         ),
-        Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
+        Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,), grouped=True),
         Service(
             "console",
             "the page in a browser: drive, teach, watch",
@@ -122,10 +127,14 @@ def takers(topic: Topic) -> tuple[str, ...]:
     return tuple(service.name for service in SERVICES.values() if topic in service.takes)
 
 
-def graph() -> str:
-    """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all."""
+def graph(more: Mapping[str, Sequence[str]] = MappingProxyType({})) -> str:
+    """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all.
+
+    ``more`` are further lines of services.
+    """
     drawn = [service for service in SERVICES.values() if service.takes or service.gives]
-    lines = ["flowchart LR", *(f'    {one.name}["<b>{one.name}</b><br>{one.meaning}"]' for one in drawn)]
+    texts = {one.name: "<br>".join([f"<b>{one.name}</b>", one.meaning, *more.get(one.name, ())]) for one in drawn}
+    lines = ["flowchart LR", *(f'    {name}["{text}"]' for name, text in texts.items())]
     for giver in SERVICES.values():
         for taker in SERVICES.values():
             shared = [topic.name for topic in giver.gives if topic in taker.takes]
@@ -148,6 +157,7 @@ class Role:
     calls: tuple[str, ...]
     #: Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics.
     person: bool = False
+    grouped: bool = False  # Whether it is seen by, and sees, who holds the same.
 
 
 def role_of(name: str) -> str:
@@ -165,7 +175,7 @@ def roles() -> dict[str, Role]:
     for one in SERVICES.values():
         if one.image is not None:
             serves = tuple(f"{one.name}/{verb}" for verb in ("status", *one.serves))
-            named[one.name] = Role(one.name, one.takes, one.gives, one.fetches, serves, one.calls)
+            named[one.name] = Role(one.name, one.takes, one.gives, one.fetches, serves, one.calls, grouped=one.grouped)
     everything = tuple(TOPICS.values())
     own = [service for service in SERVICES.values() if service.role == "operator"]
     served = tuple(key for role in named.values() for key in role.serves)

@@ -122,8 +122,8 @@ class Filter:
         _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
         self.reset()
 
-    def reset(self) -> None:
-        """Forget everything, for a new episode."""
+    def reset(self, belief: Belief | None = None) -> None:
+        """Forget everything, for a new episode; or but a belief, which may be a summary."""
         self._rng = np.random.default_rng(self._seed)
         keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
         aside = max(self._map.aside, SETTINGS.start_s * self._map.speed)
@@ -137,6 +137,14 @@ class Filter:
         self._last, self._since = np.zeros(self._map.basis.shape[1], dtype=np.float32), np.zeros(3)
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
+        if belief is not None:
+            which = systematic(belief.weights, SETTINGS.particles, self._rng)
+            keyframes, between = belief.keyframes[which], self._map.correlation_length / SETTINGS.views_a_length
+            self._tracked = self._beside(keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0)
+            here = self._map.key_poses[keyframes]
+            self._tracked.poses += placed(belief.offsets[which], here) - here
+            self._tracked.tracked += belief.tracked
+            self._odds, self._started = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost), True
 
     def observe(
         self, raw_features: NDArray[Any], movement: Movement = STILL, noise: MotionNoise = BY_ODOMETRY

@@ -49,10 +49,10 @@ class Localizer:
         self._near = (mapped.key_goals == goal) & (np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget everything, for a new episode."""
-        self._filter.reset()
-        self._pose: Sequence[float] | None = None
+    def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
+        """Forget everything, for a new episode, or but a belief, and the pose by the wheels at its frame."""
+        self._filter.reset(belief)
+        self._pose = pose if self._map.odometry else None
         self._since_near, self._time_s = math.inf, 0.0
         if self._witness is not None:
             self._witness.reset()

@@ -20,7 +20,7 @@ from schemas import topics
 from schemas.base import Strict
 from schemas.command import Command
 from services.cli import options
-from services.cli.stack import answers, free_endpoint
+from services.cli.stack import answers, free_endpoint, instances
 from services.kit.bus import Bus, BusError, Router, addresses, check_credentials, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.errors import JobError
@@ -131,11 +131,18 @@ def check_port(settings: ServiceSettings) -> str:
     try:
         with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
             running = [service for service in stack_services() if answers(bus, service) is not None]
+            shared = instances(bus)
     except BusError as error:
         raise JobError(f"{error}; {elsewhere}") from None
     if not running:
         raise JobError(f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
-    return f"{endpoint} is used by the running stack of {robot}, {how_secure(credentials)}: {', '.join(running)}"
+    told = f"{endpoint} is used by the running stack of {robot}, {how_secure(credentials)}: {', '.join(running)}"
+    if all(served == [robot] for by in shared.values() for served in by.values()):
+        return told
+    return told + "".join(
+        f"; {service}: " + ", ".join(f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
+        for service, by in shared.items()
+    )
 
 
 def check_disk() -> str:

@@ -18,7 +18,7 @@ from services.experiments.engine import Engine
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
-from services.kit.settings import DEFAULT_SECURE_ROUTER, ServiceSettings
+from services.kit.settings import DEFAULT_SECURE_ROUTER, MAX_ROBOTS, ServiceSettings
 from services.simulator.opening import BaseKind
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import World as LoadedWorld
@@ -68,6 +68,9 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
 
 _goal, _variation = checked(TypeAdapter(GoalName).validate_python), checked(lambda name: variation_named(name).name)
 Robot = Annotated[str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")]
+Robots = Annotated[
+    int, Option(envvar="SMAL_ROBOTS", min=1, max=MAX_ROBOTS, help="How many robots; the others are ROBOT-2 and so on.")
+]
 Secure = Annotated[Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")]
 Json = Annotated[bool, Option("--json", help="Print JSON.")]
 JsonFile = Annotated[Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")]

@@ -15,6 +15,7 @@ from services.kit.bus import zenohd_configuration
 from services.kit.credentials import Certificate
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
+from services.kit.settings import fleet
 from services.table import roles
 
 #: What deploy/secure.yml shows Eclipse's router.
@@ -32,7 +33,13 @@ app = typer.Typer(
 
 
 @app.command("init")
-def init(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT, host: Hosts = None, days: Days = DAYS) -> None:
+def init(
+    folder: Folder,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+    host: Hosts = None,
+    days: Days = DAYS,
+    robots: options.Robots = 1,
+) -> None:
     """Make a certificate authority, a certificate of every role and of the engine, and the rules of Eclipse's router.
 
     The engine's is for schedulers of Dask and their workers (`smal evaluate --scheduler`), and for nothing else. Give
@@ -46,7 +53,7 @@ def init(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT, host: Hos
     hosts = _hosts(host)
     certificates.begin(folder, robot)
     certificates.issue(folder, hosts, days)
-    settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
+    settings = zenohd_configuration("tls/0.0.0.0:7447", fleet(robot, robots), ZENOHD_SEES)
     (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
     (folder / ".gitignore").write_text("*\n")  # A folder in a checkout must not be committed.
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")

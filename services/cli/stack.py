@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self
@@ -19,7 +19,7 @@ from services.cli.child import tied
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.bus import Bus, BusError, RpcError, addresses
 from services.kit.errors import JobError
-from services.kit.settings import ServiceSettings
+from services.kit.settings import ServiceSettings, fleet
 from services.table import SERVICES
 
 STOP_TIMEOUT_S: Final = 5.0
@@ -60,8 +60,26 @@ class StackPlan:
     flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # Command line flags of single services.
     secure: Path | None = None  # Folder of certificates; without one whoever reaches the router gets in.
     logs: Path | None = None  # Folder for one log file a service; None lets them write to this terminal.
+    robots: int = 1  # Of the fleet, each with its robot, recorder and page; whatever is grouped serves all of them.
+    scale: Mapping[str, int] = field(default_factory=dict)  # Instances of grouped services; one if not given.
     #: What ``python -m`` runs in place of a service's own module, for example a robot with another body.
     modules: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def fleet(self) -> tuple[str, ...]:
+        """The robots."""
+        return fleet(self.robot, self.robots)
+
+    def processes(self) -> dict[str, tuple[str, str]]:
+        """Return by name which service each process runs, and for which robot; from the second on they are numbered."""
+        found = {}
+        for service in self.services:
+            many = len(routers_at(self.endpoint)) if service == "router" else self.scale.get(service, 1)
+            of_each = service != "router" and not SERVICES[service].grouped
+            whose = self.fleet if of_each else (self.robot,) * many
+            for number, robot in enumerate(whose, 1):
+                found[service if number == 1 else f"{service}-{number}"] = service, robot
+        return found
 
 
 @dataclass
@@ -85,6 +103,7 @@ class Stack:
     def __init__(self, plan: StackPlan) -> None:
         self.plan = plan
         self._routers = routers_at(plan.endpoint)
+        self._processes = plan.processes()
         self._children: dict[str, _Child] = {}
 
     @property
@@ -104,10 +123,20 @@ class Stack:
             for router in self._routers:
                 self._start(router)
             # The others would each give up on a router that takes longer than their patience.
-            with closing(self._reach_routers()) as bus:
-                for service in self.plan.services[1:]:
-                    self._start(service)
-                self._wait(self.plan.services, lambda name: (told := answers(bus, name)) and told.state == "ready")
+            with closing(self._reach_routers()) as bus, ExitStack() as opened:
+                buses = {robot: opened.enter_context(closing(bus.of_robot(robot))) for robot in self.plan.fleet}
+
+                def is_ready(process: str) -> bool:
+                    service, robot = self._processes[process]
+                    if SERVICES[service].grouped:  # Whichever instance answers, each robot is served.
+                        told = [answers(one, service) for one in buses.values() if process == service]
+                    else:
+                        told = [answers(buses[robot], service)]
+                    return all(one is not None and one.state == "ready" for one in told)
+
+                for process in [name for name in self._processes if name not in self._routers]:
+                    self._start(process)
+                self._wait(tuple(self._processes), is_ready)
         except BaseException:
             self.stop()
             raise
@@ -156,24 +185,24 @@ class Stack:
                     process.wait()
         self._children.clear()
 
-    def _start(self, service: str, spacing_s: float = FIRST_S) -> None:
-        plan = self.plan
+    def _start(self, process: str, spacing_s: float = FIRST_S) -> None:
+        plan, (service, robot) = self.plan, self._processes[process]
         environment = {name: value for name, value in os.environ.items() if name not in _KEYS}
-        environment |= {"SMAL_ROBOT": plan.robot, "SMAL_ROUTER": plan.endpoint}
+        environment |= {"SMAL_ROBOT": robot, "SMAL_ROBOTS": str(plan.robots), "SMAL_ROUTER": plan.endpoint}
         if plan.secure is not None:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
-        if service in self._routers:
-            others = [address for name, address in self._routers.items() if name != service]
-            environment |= {"SMAL_ROUTER": self._routers[service], "SMAL_PEERS": ",".join(others)}
+        if process in self._routers:
+            others = [address for name, address in self._routers.items() if name != process]
+            environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": ",".join(others)}
         module = plan.modules.get(service)
-        program = SERVICES[service.partition("-")[0]].command if module is None else ("-m", module)
-        command = tied(sys.executable, *program, *plan.flags.get(service, ()))
+        program = SERVICES[service].command if module is None else ("-m", module)
+        command = tied(sys.executable, *program, *plan.flags.get(process, plan.flags.get(service, ())))
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
         # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
-        with nullcontext() if plan.logs is None else (plan.logs / f"{service}.log").open("ab") as log:
-            process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)  # noqa: S603
-        self._children[service] = _Child(process, time.monotonic(), spacing_s)
+        with nullcontext() if plan.logs is None else (plan.logs / f"{process}.log").open("ab") as log:
+            child = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)  # noqa: S603
+        self._children[process] = _Child(child, time.monotonic(), spacing_s)
 
     def _reach_routers(self) -> Bus:
         """Connect to each router; notice at once when one could not start."""
@@ -227,9 +256,22 @@ class Stack:
 def answers(bus: Bus, service: str) -> Status | None:
     """Ask a service for its status; None where it does not answer."""
     try:
-        return bus.call(service, "status", Nothing(), Status, timeout_s=1.0)
+        return bus.call(service, "status", Nothing(), Status, timeout_s=1.0, patience_s=0.0)
     except RpcError:
         return None
+
+
+def instances(bus: Bus) -> dict[str, dict[str, list[str]]]:
+    """Return of each grouped service that answers which instance serves which robots of the fleet."""
+    router = answers(bus, "router")
+    robots = fleet(bus.robot, int(router.detail.get("robots") or 1)) if router is not None else ()
+    found: dict[str, dict[str, list[str]]] = {}
+    for robot in robots:
+        with closing(bus.of_robot(robot)) as one:
+            for service in (service.name for service in SERVICES.values() if service.grouped):
+                if (told := answers(one, service)) is not None:
+                    found.setdefault(service, {}).setdefault(str(told.detail.get("instance")), []).append(robot)
+    return found
 
 
 @dataclass(frozen=True)

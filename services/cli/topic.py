@@ -1,6 +1,7 @@
 """``smal topic``: what can be heard on the bus, and what is heard."""
 
 import json
+from contextlib import closing
 from difflib import get_close_matches
 from typing import Annotated
 
@@ -11,7 +12,8 @@ from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
 from services.cli import options
 from services.cli.grouping import STYLE, grouped
-from services.cli.listening import echo, hz, say
+from services.cli.listening import CONNECT_S, echo, hz, say
+from services.cli.stack import instances
 from services.experiments.words import table
 from services.kit.errors import UsageError
 from services.table import givers, graph, takers
@@ -73,17 +75,26 @@ def info(
     say(json.dumps(schema, indent=2))
 
 
-@app.command("graph")
-def draw_graph() -> None:
-    """Draw services and topics as a Mermaid flowchart; needs no running stack.
+def draw_graph(
+    *,
+    live: Annotated[bool, Option("--live", help="With the instances of a running stack, and whom they serve.")] = False,
+    reach: options.Reach,
+) -> None:
+    """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show its instances.
 
     Example: smal topic graph > graph.mmd
     """
-    say(graph())
+    if not live:
+        say(graph())
+        return
+    with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
+        found = instances(bus)
+    lines = {name: [f"{one}: {' '.join(robots)}" for one, robots in by.items()] for name, by in found.items()}
+    say(graph(lines))
 
 
-for listening in (echo, hz):
-    app.command(listening.__name__)(grouped(listening))
+for name, command in (("echo", echo), ("hz", hz), ("graph", draw_graph)):
+    app.command(name)(grouped(command))
 
 
 def _row(topic: Topic) -> dict[str, object]:

@@ -1,9 +1,10 @@
 """``smal up``: the whole stack on this machine, without Docker."""
 
 import logging
+import re
 import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -12,17 +13,21 @@ from typer import Option
 from services.cli import certificates, options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
-from services.cli.stack import Stack, StackPlan, flags, routers_at
+from services.cli.stack import Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, addresses, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
 from services.kit.process import configure_logging
-from services.table import role_of, stack_services
+from services.kit.settings import fleet
+from services.table import SERVICES, role_of, stack_services
 from smal.features import FeatureSettings
 
 WATCH_S: Final = 0.5  # How often dead services are looked for, seconds.
 CAMERA: Final = Camera(640, 480)
+LAST_PORT: Final = 65535
+GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
+MOST_FURTHER: Final = 8  # A quarter of the sessions that are for a stack, at the router.
 RobotBody = Literal["simulator", "ros2", "none"]
 
 
@@ -38,13 +43,18 @@ def up(
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     metrics_port: Annotated[
-        int | None, Option(min=1, max=65535 - len(stack_services()), help="First of the ports for health and metrics.")
+        int | None, Option(min=1, max=LAST_PORT, help="First of the ports for health and metrics.")
     ] = None,
     console: Annotated[str, Option(envvar="SMAL_CONSOLE", help="Where the page is, HOST:PORT.")] = "127.0.0.1:8080",
     no_console: Annotated[bool, Option("--no-console", help="Without that page.")] = False,
     robot_body: Annotated[RobotBody, Option(help="What the robot drives; none is for smal replay.")] = "simulator",
     ros2_config: Annotated[Path | None, Option(help="Which ROS 2 base; the file may begin with a preset.")] = None,
     reach: options.Reach,
+    robots: options.Robots = 1,
+    scale: Annotated[
+        list[str] | None,
+        Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; may be repeated."),
+    ] = None,
     insecure: Annotated[bool, Option("--insecure", help="Let everybody in, from other machines too.")] = False,
 ) -> None:
     """Start the services, from the router to the recorder, and keep them running.
@@ -58,20 +68,39 @@ def up(
     default the current folder. With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz
     and what Prometheus wants on /metrics, the simulator on 9101, and so on.
 
+    With --robots 3 there are ROBOT-2 and ROBOT-3 as well, each with its own simulator, recorder and page (at the ports
+    that follow): smal run --connect --robot ROBOT-2. All other services serve them all; of several instances (--scale)
+    each serves some robots, and those of one that is killed are another's within a moment.
+
     Example: smal up --world campus --model campus.smal
     """
     world = world or options.DEFAULT_WORLD
     options.read_world(world)
     base = _base(robot_body, ros2_config)
-    if recordings is not None:
-        outputs.make_folder(recordings, "--recordings")
+    if robots > 1 and base is not None:
+        raise UsageError("--robots: a file of --ros2-config is of one base")
     chain, learned_on = _chain_flags(model, use)
     features = options.feature_flags(modalities, learned_on)
     left_out = {name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out}
     services = tuple(name for name in stack_services() if name not in left_out)
-    who = _check_addresses(reach, services, insecure=insecure)
-    if not no_console:
-        listen(ConsoleSettings(console=console, root=root)).socket.close()
+    who = _check_addresses(reach, services, robots, insecure=insecure)
+    plan = StackPlan(
+        services,
+        reach.robot,
+        reach.settings.router,
+        secure=reach.secure,
+        modules={} if base is None else {"robot": "services.ros2"},
+        robots=robots,
+        scale=_scale(scale),
+    )
+    processes = plan.processes()
+    pages = dict(zip(plan.fleet, _ports_from(console, robots), strict=True))
+    for page in () if no_console else pages.values():
+        listen(ConsoleSettings(console=page, root=root)).socket.close()
+    folders = {robot: recordings and recordings / robot for robot in plan.fleet} | {reach.robot: recordings}
+    for folder in folders.values():
+        if folder is not None:
+            outputs.make_folder(folder, "--recordings")
     configure_logging("info")
     log = logging.getLogger("up")
     below = flags(root=root.resolve())
@@ -81,24 +110,24 @@ def up(
         "features": features,
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
-        "recorder": flags(recordings=recordings) + below,
-        "console": flags(console=console) + below,
     }
     # For this machine only.
-    names = dict.fromkeys((*services, *routers_at(reach.settings.router)))
-    ports = {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(names)}
-    heard = {name: flags(http=f"127.0.0.1:{port}") for name, port in ports.items()}
-    plan = StackPlan(
-        services,
-        reach.robot,
-        reach.settings.router,
-        {name: own.get(name.partition("-")[0], ()) + heard.get(name, ()) for name in names},
-        secure=reach.secure,
-        modules={} if base is None else {"robot": "services.ros2"},
-    )
+    ports = {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(processes)}
+    if max(ports.values(), default=0) > LAST_PORT:
+        raise UsageError(f"--metrics-port {metrics_port}: {len(processes)} processes need as many ports")
+    given = {}
+    for name, (service, robot) in processes.items():
+        of_robot = {
+            "recorder": flags(recordings=folders[robot]) + below,
+            "console": flags(console=pages[robot]) + below,
+        }
+        heard = flags(http=f"127.0.0.1:{ports[name]}") if name in ports else ()
+        given[name] = own.get(service, of_robot.get(service, ())) + heard
+    plan = replace(plan, flags=given)
     with interrupted_by_signals(), Stack(plan) as stack:
         where = "without a robot" if robot_body == "none" else f"in {base or world}"
-        log.info("ready: robot %s %s on %s, %s; Ctrl-C stops", plan.robot, where, plan.endpoint, who)
+        named = ("robot " if robots == 1 else "robots ") + ", ".join(plan.fleet)
+        log.info("ready: %s %s on %s, %s; Ctrl-C stops", named, where, plan.endpoint, who)
         if ports:
             told = ", ".join(f"{name} {port}" for name, port in ports.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", told)
@@ -122,7 +151,26 @@ def _base(body: RobotBody, config: Path | None) -> str | None:
     return read_config(config).name
 
 
-def _check_addresses(reach: options.Reach, services: tuple[str, ...], *, insecure: bool) -> str:
+def _scale(given: list[str] | None) -> dict[str, int]:
+    """Read how many instances of which services are wanted; UsageError says what is wrong with it."""
+    found: dict[str, int] = {}
+    for text in given or ():
+        name, _, many = text.partition("=")
+        if name not in GROUPED or not re.fullmatch(r"[1-9]\d?", many):
+            raise UsageError(f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}")
+        found[name] = int(many)
+    if sum(found.values()) - len(found) > MOST_FURTHER:
+        raise UsageError(f"--scale: the router has room for {MOST_FURTHER} further instances in all")
+    return found
+
+
+def _ports_from(address: str, many: int) -> list[str]:
+    """Return an address, and as many as are wanted in all, at the ports that follow."""
+    host, _, port = address.rpartition(":")
+    return [address] + [f"{host}:{int(port) + k}" for k in range(1, many if port.isdecimal() else 1)]
+
+
+def _check_addresses(reach: options.Reach, services: tuple[str, ...], robots: int, *, insecure: bool) -> str:
     """Check in one line, before a process starts and fails, that the router can start and all get in; say who does."""
     settings = reach.settings
     roles = (*map(role_of, services), "watcher")
@@ -132,7 +180,7 @@ def _check_addresses(reach: options.Reach, services: tuple[str, ...], *, insecur
         certificates.require(reach.secure, roles)
     credentials = settings.credentials("router")
     for address in addresses(settings.router):
-        Router(address, credentials, reach.robot, insecure=insecure).close()
+        Router(address, credentials, *fleet(reach.robot, robots), insecure=insecure).close()
     return how_secure(credentials, *(host_and_port(address)[0] for address in addresses(settings.router)))
 
 

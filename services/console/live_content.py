@@ -66,7 +66,7 @@ class Health:
 
     def _status(self, service: str) -> Status | None:
         try:
-            return self.bus.call(service, "status", Nothing(), Status, _ANSWER_S)
+            return self.bus.call(service, "status", Nothing(), Status, _ANSWER_S, patience_s=0.0)
         except RpcError:
             return None
 

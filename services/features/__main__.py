@@ -3,7 +3,7 @@
 from schemas import topics
 from services.features.service import FeaturesService, FeaturesSettings
 from services.kit.node import Node
-from services.kit.process import run_node
+from services.kit.process import run_group
 
 
 def serve(node: Node, settings: FeaturesSettings) -> None:
@@ -19,4 +19,4 @@ def serve(node: Node, settings: FeaturesSettings) -> None:
 
 
 if __name__ == "__main__":
-    run_node("features", FeaturesSettings, serve)
+    run_group("features", FeaturesSettings, serve)

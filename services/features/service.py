@@ -9,7 +9,7 @@ from schemas.camera import CompressedImage, DepthImage
 from schemas.observation import Observation
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
-from services.kit.settings import ServiceSettings
+from services.kit.settings import FleetSettings
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
 from smal.features.resizing import small
@@ -17,7 +17,7 @@ from smal.features.resizing import small
 _log = logging.getLogger("features")
 
 
-class FeaturesSettings(ServiceSettings):
+class FeaturesSettings(FleetSettings):
     """Which features to make."""
 
     modalities: str = ",".join(FeatureSettings().modalities)

@@ -5,10 +5,10 @@ message is looked at where it comes into the router (ingress, what a role may sa
 role may hear); both must allow it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
-from schemas.topics import ROOT, rpc_key
+from schemas.topics import ROOT, group_key, rpc_key
 from services.table import Role, roles
 
 Rule = dict[str, object]
@@ -29,13 +29,13 @@ _PASSED_ON: Final[Rule] = {
 }
 
 
-def access_control(robot: str, *, linked: bool = False) -> dict[str, object]:
-    """Return the router's rules for one robot: who may do what is told by the certificate.
+def access_control(robots: Sequence[str], *, linked: bool = False) -> dict[str, object]:
+    """Return the router's rules for the robots of a fleet: who may do what is told by the certificate.
 
     A router that is linked with another one passes on whatever that has let in, and hands it all: each has looked at it
     at its own door.
     """
-    rules = {role.name: list(_rules(role, robot)) for role in roles().values()}
+    rules = {role.name: list(_rules(role, robots)) for role in roles().values()}
     if linked:
         rules["router"] = [_PASSED_ON]
     return {
@@ -54,8 +54,8 @@ def _lost(kept: set[str]) -> set[str]:
     return {key.replace("@adv/pub/", "@adv/*/") for key in kept}
 
 
-def _rules(role: Role, robot: str) -> Iterator[Rule]:
-    for message, says, hears in _allowed(role, robot):
+def _rules(role: Role, robots: Sequence[str]) -> Iterator[Rule]:
+    for message, says, hears in _allowed(role, robots):
         for flow, keys in (("ingress", says), ("egress", hears)):
             if keys:
                 yield {
@@ -67,16 +67,21 @@ def _rules(role: Role, robot: str) -> Iterator[Rule]:
                 }
 
 
-def _allowed(role: Role, robot: str) -> Iterator[tuple[str, set[str], set[str]]]:
+def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str], set[str]]]:
     """Yield each kind of message, and the keys with which a role may send it to the router, and be sent it."""
-    gives, takes, fetches = (
-        {topic.key(robot) for topic in topics} for topics in (role.gives, role.takes, role.fetches)
+    gives, takes, fetches, recorded = (
+        {topic.key(robot) for topic in topics for robot in robots}
+        for topics in (role.gives, role.takes, role.fetches, [topic for topic in role.gives if topic.recorded])
     )
-    recorded = {topic.key(robot) for topic in role.gives if topic.recorded}
     kept = {f"{key}/{KEPT_KEYS}" for key in recorded}
-    replayed = {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in role.fetches if topic.recorded}
-    serves, calls = ({rpc_key(robot, *name.split("/", 1)) for name in names} for names in (role.serves, role.calls))
-    listens = {f"{ROOT}/{robot}/**"} if role.person else set()
+    replayed = {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in role.fetches if topic.recorded for robot in robots}
+    serves, calls = (
+        {rpc_key(robot, *name.split("/", 1)) for name in names for robot in robots}
+        for names in (role.serves, role.calls)
+    )
+    listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
+    #: An instance is seen by those of its own service, and sees them.
+    seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()
     asked = calls | replayed | ({ADMINISTRATION} if role.name == "operator" else set())
     yield "put", gives | kept, takes | replayed
     # A sender is told who listens, and a caller who serves: without that neither sends.
@@ -85,6 +90,6 @@ def _allowed(role: Role, robot: str) -> Iterator[tuple[str, set[str], set[str]]]
     yield "query", asked | _lost(replayed), serves | kept | _lost(kept)
     # What a sender kept is answered on the topic's own key.
     yield "reply", serves | kept | recorded, asked | fetches
-    yield "liveliness_token", kept, replayed
-    yield "declare_liveliness_subscriber", replayed, kept
+    yield "liveliness_token", kept | seen, replayed | seen
+    yield "declare_liveliness_subscriber", replayed | seen, kept | seen
     yield "liveliness_query", replayed, kept

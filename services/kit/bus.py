@@ -29,6 +29,7 @@ from services.kit.zenoh_session import (
     quality,
     zenohd_configuration,
 )
+from services.table import SERVICES
 
 __all__ = [
     "DEFAULT_ROUTER",
@@ -58,6 +59,8 @@ REPLAY_TIMEOUT_S: Final = 10.0  # How long a sender that does not answer can hol
 HELD_BYTES: Final = 64 << 20
 WAITING_CALLS: Final = 32  # Calls of one key that wait; where more come, nobody answers the oldest.
 CALLS_SHARE: Final = 0.1  # Most of a processor's time that answering the calls of one key takes.
+MOVE_S: Final = 2.0  # Longest that a robot is without an instance, where one of several is gone.
+_AGAIN_S: Final = 0.05  # From one call that nobody answers to the next.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW  # Of calls: ahead of images and of what is replayed.
 _LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
 #: How a publisher that keeps samples calls itself: its session, and its number there.
@@ -86,16 +89,25 @@ class Bus:
         endpoint: str = DEFAULT_ROUTER,
         patience_s: float = PATIENCE_S,
         credentials: Credentials = None,
+        *,
+        of: "Bus | None" = None,
     ) -> None:
-        check_credentials(endpoint, credentials)
+        if of is None:
+            check_credentials(endpoint, credentials)
         self.robot = robot
         self.endpoint = endpoint
-        self.sessions = {lane: open_client(endpoint, credentials, patience_s) for lane in LANES}
+        self._of = of
+        opened = of.sessions if of else {lane: open_client(endpoint, credentials, patience_s) for lane in LANES}
+        self.sessions: dict[Lane, zenoh.Session] = opened
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._matching: dict[str, zenoh.Publisher] = {}
         self._held = Budget(HELD_BYTES)
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
         self._answering: list[threading.Thread] = []
+
+    def of_robot(self, robot: str) -> "Bus":
+        """Return another robot's bus by the same connection; close it before this one."""
+        return Bus(robot, self.endpoint, of=self)
 
     def connected(self) -> bool:
         """Whether every session has a router."""
@@ -235,6 +247,25 @@ class Bus:
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
+    # -- who is there ---------------------------------------------------------------------------------------------
+
+    def stand(self, key: str) -> Callable[[], None]:
+        """Be seen at a key until what is returned is called, or this process is gone."""
+        return cast("Callable[[], None]", self.sessions["ordinary"].liveliness().declare_token(key).undeclare)
+
+    def watch(self, keys: str, take: Callable[[str, bool], None]) -> None:
+        """Call ``take(key, whether_there)``, on the bus's thread, for who is seen at the keys, comes, and leaves.
+
+        By another session than the one that stands: so one hears of oneself what the router has heard, and after all
+        that it had heard before. Without a router nobody is there.
+        """
+
+        def on_token(token: zenoh.Sample) -> None:
+            take(str(token.key_expr), token.kind == _PUT)
+
+        session = self.sessions["urgent"]
+        self._declared.append(session.liveliness().declare_subscriber(keys, _in_order(on_token), history=True))
+
     # -- calls ----------------------------------------------------------------------------------------------------
 
     def serve(
@@ -289,20 +320,19 @@ class Bus:
         self._answering.append(thread)
         thread.start()
 
-    def call(self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0) -> R:
-        """Call a service; RpcError when it refuses, does not answer in time, or answers nonsense."""
-        key = rpc_key(self.robot, service, verb)
-        replies = self.sessions["ordinary"].get(
-            key,
-            # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
-            zenoh.handlers.FifoChannel(1),
-            payload=request.model_dump_json().encode(),
-            encoding=JSON_ENCODING,
-            timeout=timeout_s,
-            priority=_CALL_PRIORITY,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        )
-        reply = next(iter(replies), None)
+    def call(
+        self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0,
+        patience_s: float | None = None,
+    ) -> R:  # fmt: skip
+        """Call a service; RpcError when it refuses, does not answer in time, or answers nonsense.
+
+        Where nobody serves the robot it is asked again for so long; by default as a move between instances may take.
+        """
+        key, began_s = rpc_key(self.robot, service, verb), time.monotonic()
+        if patience_s is None:
+            patience_s = MOVE_S if service in SERVICES and SERVICES[service].grouped else 0.0
+        while (reply := self._ask(key, request, timeout_s)) is None and time.monotonic() < began_s + patience_s:
+            time.sleep(_AGAIN_S)
         if reply is None:
             raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
         result = reply.result
@@ -320,12 +350,30 @@ class Bus:
         except ValidationError as error:
             raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
 
+    def _ask(self, key: str, request: Strict, timeout_s: float) -> zenoh.Reply | None:
+        """Return the first reply to a call; None where nobody answers."""
+        replies = self.sessions["ordinary"].get(
+            key,
+            # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
+            zenoh.handlers.FifoChannel(1),
+            payload=request.model_dump_json().encode(),
+            encoding=JSON_ENCODING,
+            timeout=timeout_s,
+            priority=_CALL_PRIORITY,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        return next(iter(replies), None)
+
     def close(self) -> None:
         """Take back every declaration and leave the router."""
         while self._declared:
             self._declared.pop().undeclare()
-        for session in self.sessions.values():
-            session.close()
+        if self._of is None:
+            for session in self.sessions.values():
+                session.close()
+        else:
+            for publisher in (*self._publishers.values(), *self._matching.values()):
+                publisher.undeclare()
         # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
         for thread in self._answering:
             if thread is not threading.current_thread():

@@ -99,6 +99,29 @@ class Metrics(Collector):
                 yield _gauge(metric, f"{name}, as the service tells it.", labels, value)
 
 
+class Together(Collector):
+    """The metrics of all nodes of a process, each metric told once, with a line a robot."""
+
+    def __init__(self, registries: Callable[[], Iterable[CollectorRegistry]]) -> None:
+        self._registries = registries
+        self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        self.registry.register(self)
+
+    def describe(self) -> Iterator[Metric]:
+        """Name nothing beforehand, as each of them does."""
+        return iter(())
+
+    def collect(self) -> Iterator[Metric]:
+        """Put together what is of one name, but for what is of the process."""
+        together: dict[str, Metric] = {}
+        for family in (family for registry in self._registries() for family in registry.collect()):
+            together.setdefault(family.name, family)
+            if together[family.name] is not family:
+                together[family.name].samples += family.samples
+        return (family for name, family in together.items() if not name.startswith("process_"))
+
+
 def _by_topic(family: GaugeMetricFamily | CounterMetricFamily, labels: Labels, counts: dict[str, int]) -> Metric:
     for topic, count in counts.items():
         family.add_metric((*labels, topic), count)

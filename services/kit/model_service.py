@@ -1,34 +1,45 @@
 """What the services that work with a learned model share: its settings, loading it, and the main function."""
 
 import logging
-from dataclasses import dataclass
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final, Protocol, Self, TypeVar, cast
+from typing import IO, Annotated, Final, Protocol, Self, TypeVar, cast
+from weakref import WeakValueDictionary
 
 from pydantic import Field
 
-from schemas.base import Message
+from schemas.base import NO_EPISODE, Message
 from schemas.codec import printable
 from schemas.episode import GoalName
 from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Scheme
+from schemas.snapshot import Snapshot
+from schemas.state import State
 from schemas.topics import Topic
-from services.kit.node import Detail, Node, ServiceError
+from services.kit.node import SNAPSHOT_S, Detail, Node, ServiceError
 from services.kit.root import RootSettings, open_below
-from smal.files.container import ModelError, NoModelError
+from services.kit.settings import FleetSettings
+from smal.files.container import ModelError, NoModelError, open_regular
 from smal.files.stored import Stored
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.planning import chosen_goal
 
 _DIGITS: Final = 16  # So many hex digits of a model's checksum tell one model from another.
+Wheels = tuple[float, float, float]  # A pose by odometry: metres, metres and radians.
 #: Frames after which a run times out, at least; and how many times those of the longest taught drive.
 LEAST_TICKS, PATIENCE = 3000, 3
 _log = logging.getLogger("models")
 AnyModel = Model | PaperModel  # Of either scheme.
+_MODELS: Final[WeakValueDictionary[tuple[int, ...], AnyModel]] = WeakValueDictionary()
+_READING: Final = threading.Lock()
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
-class ModelSettings(RootSettings):
+class ModelSettings(RootSettings, FleetSettings):
     """The model to start with, wherever it lies; another, below the root, is loaded by the queryable ``load``."""
 
     model: Path | None = None
@@ -71,7 +82,25 @@ def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: st
 
 def load_model(path: Path) -> AnyModel:
     """Read the model at a path; ModelError as of `Stored.read`."""
-    return cast("AnyModel", Stored.load(path))  # There is no third scheme.
+    try:
+        descriptor = open_regular(path)
+    except OSError as error:
+        raise NoModelError(f"{path}: cannot be read: {error.strerror}") from error
+    with os.fdopen(descriptor, "rb") as file:
+        return _read(file, str(path))
+
+
+def _read(file: IO[bytes], name: str) -> AnyModel:
+    """Read an open file, or return what was made of it: the robots of a process share one map.
+
+    It is the same file where nothing has changed it: models are replaced, never written over.
+    """
+    with _READING:
+        told = os.fstat(file.fileno())
+        identity = told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns, told.st_ctime_ns
+        if (model := _MODELS.get(identity)) is None:
+            model = _MODELS[identity] = cast("AnyModel", Stored.read(file, name))  # There is no third scheme.
+        return model
 
 
 @dataclass(frozen=True)
@@ -82,6 +111,7 @@ class LoadedModel:
     name: str  # Its file: the path in the settings, or the name that a call gave.
     stride: int  # Frames from one decision to the next; 1 but for the paper's scheme.
     goal: str | None  # Where to go; None for the only goal.
+    asked: LoadRequest | None = None  # By which call it was loaded; None for the model of the settings.
 
     @property
     def identity(self) -> str:
@@ -115,13 +145,13 @@ class LoadedModel:
         """Read the model that a call names; ServiceError when it is of no use, which says nothing of other files."""
         try:
             with open_below(root, request.model) as file:
-                model = cast("AnyModel", Stored.read(file, request.model))
+                model = _read(file, request.model)
         except (OSError, NoModelError) as error:
             _log.warning("model %r: %s", request.model, error)
             raise ServiceError(f"no model {printable(request.model)!r} below the root of this service") from None
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        return cls.of(model, request.model, request.scheme, request.stride, request.goal)
+        return replace(cls.of(model, request.model, request.scheme, request.stride, request.goal), asked=request)
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
@@ -150,18 +180,67 @@ class ModelService(Protocol[M_contra]):
     def detail(self) -> Detail:
         """Tell how the service is."""
 
+    def hands_on(self) -> tuple[State, Wheels | None] | None:
+        """Return the last state and the odometry of its frame, for who goes on from there; None where there is none."""
 
-def serve_loads(node: Node, service: ModelService[M_contra], root: Path) -> None:
+    def resume(self, state: State, wheels: Wheels | None) -> None:
+        """Go on from what another instance, with the same model, has handed on."""
+
+    @property
+    def loaded(self) -> LoadedModel | None:
+        """The model that it works with."""
+
+
+def serve_loads(
+    node: Node, service: ModelService[M_contra], root: Path, then: Callable[[], None] = lambda: None
+) -> None:
     """Load the models that calls name below a root; when one is refused, go on with the one before."""
-    node.serve("load", LoadRequest, lambda request: service.load(LoadedModel.named(request, root)))
+
+    def load(request: LoadRequest) -> LoadReply:
+        reply = service.load(LoadedModel.named(request, root))
+        then()
+        return reply
+
+    node.serve("load", LoadRequest, load)
     node.detail = lambda: {"root": str(root)} | service.detail()
 
 
 def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_contra], topic: Topic) -> None:
-    """Load the model of the settings, if any, and handle the messages of a topic until stopped."""
-    if settings.model is not None:
+    """Load the model of the settings, or that of who served the robot before, and handle a topic until stopped."""
+    handed = node.inherited
+    if handed is not None and handed.model is not None:
+        try:
+            service.load(LoadedModel.named(handed.model, settings.root))
+        except ServiceError as error:
+            node.log.error("the model that %s went by is not at hand here: %s", node.robot, error)  # noqa: TRY400 - one line
+    elif settings.model is not None:
         service.load(LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal))
-    serve_loads(node, service, settings.root)
+    if handed is not None and handed.state is not None and service.loaded is not None:
+        if handed.checksum == handed.state.model == service.loaded.identity:
+            service.resume(handed.state, handed.wheels)
+        else:
+            node.log.warning("what was handed on of %s belongs to model %s", node.robot, handed.checksum)
+
+    def hand_on() -> None:
+        node.publish(_snapshot(node, service))
+
+    serve_loads(node, service, settings.root, hand_on)  # At once: a model that was said to be loaded is not forgotten.
     node.subscribe(topic, service.handle)
-    node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{node.name}/load")
+    node.every(SNAPSHOT_S, hand_on)
+    name = None if service.loaded is None else service.loaded.name
+    node.log.info("model %s", name or f"not loaded yet; waiting for rpc/{node.name}/load")
     node.spin()
+    hand_on()
+
+
+def _snapshot(node: Node, service: ModelService[M_contra]) -> Snapshot | None:
+    """Return what whoever serves the robot next goes on from; None without a model."""
+    if service.loaded is None:
+        return None
+    state, wheels = service.hands_on() or (None, None)
+    header: dict[str, object] = {"robot": node.robot, "episode": NO_EPISODE, "tick": 0, "stamp_ns": time.time_ns()}
+    if state is not None:
+        header = {name: getattr(state, name) for name in header}
+    checksum, model = service.loaded.identity, service.loaded.asked
+    told = {"service": node.name, "checksum": checksum, "model": model, "state": state, "wheels": wheels}
+    return Snapshot.model_validate(header | told)

@@ -24,12 +24,13 @@ from schemas.base import Message, Strict
 from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
+from schemas.snapshot import Snapshot
 from schemas.topics import Topic, key_of
-from services.kit.bus import PATIENCE_S, Refused
+from services.kit.bus import PATIENCE_S, Bus, Refused
 from services.kit.errors import JobError
 from services.kit.health import Metrics, ailment, serve_http
-from services.kit.inbox import Inbox, Item
-from services.kit.settings import ServiceSettings
+from services.kit.inbox import MOST_BYTES, Inbox, Item
+from services.kit.settings import FleetSettings, ServiceSettings
 from services.kit.throttle import Throttle
 from services.table import role_of
 
@@ -39,6 +40,7 @@ _LAST_WORK_S: Final = 10.0
 #: How often a loop that waits looks whether it was stopped, seconds: a signal just before a wait does not end it, and
 #: Python calls its handler only after the wait.
 _LOOK_S: Final = 0.2
+SNAPSHOT_S: Final = 1.0  # How often a node publishes what it would hand on.
 _SOON: Final = "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
@@ -57,23 +59,50 @@ class _Timer:
     due_s: float
 
 
+def on_signals(log: logging.Logger, stop: Callable[[], None]) -> None:
+    """Call ``stop`` on SIGTERM, SIGINT and, unless started with ``nohup``, SIGHUP (the terminal was closed).
+
+    It may take no lock, which the interrupted thread might hold; loops look at what it sets by themselves.
+    """
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        log.info("%s: stopping", signal.Signals(number).name)
+        stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, on_signal)
+
+
 class Node:
     """One process on the bus, by the name of its service, which is part of the keys of its queryables.
 
     Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
     that calls ``spin``. An exception in a handler is logged and counted; the node goes on. Raises BusError when there
-    is no router within ``patience_s``, JobError when ``settings.http`` cannot be listened on.
+    is no router within ``patience_s``, JobError when ``settings.http`` cannot be listened on. Nodes of several robots
+    in one process share the ``bus`` of that process.
     """
 
-    def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        name: str,
+        settings: ServiceSettings,
+        patience_s: float = PATIENCE_S,
+        *,
+        bus: Bus | None = None,
+        instance: str = "",
+    ) -> None:
         self.name = name
         self.robot = settings.robot
         #: Which process this is: drawn anew at every start, for those who have to tell two of a name apart.
         self.session = secrets.token_hex(8)
         self.log = logging.getLogger(name)
-        self.bus = settings.open_bus(role_of(name), patience_s)
+        self.bus = settings.open_bus(role_of(name), patience_s) if bus is None else bus.of_robot(settings.robot)
+        self.instance = instance  # Which instance of a group it belongs to, if any.
+        self.inherited: Snapshot | None = None  # What the instance that served the robot before has handed on.
         self.detail: Callable[[], Detail] = dict
-        self._inbox = Inbox()
+        robots = settings.robots if isinstance(settings, FleetSettings) else 1
+        self._inbox = Inbox(most_bytes=MOST_BYTES // robots)  # What one robot sends is never at the cost of another.
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
         self._apart: list[threading.Thread] = []
@@ -262,15 +291,7 @@ class Node:
 
     def stop_on_signals(self) -> None:
         """Stop on SIGTERM and SIGINT, and on SIGHUP (the terminal was closed) unless started with ``nohup``."""
-
-        def on_signal(number: int, _frame: FrameType | None) -> None:
-            self.log.info("%s: stopping", signal.Signals(number).name)
-            # Not stop(): the interrupted thread may hold the inbox's lock. The loop looks at the event itself.
-            self._stop.set()
-
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, on_signal)
+        on_signals(self.log, self._stop.set)
 
     def _handle(self, item: Item | None) -> None:
         with self._surviving(item.name if item is not None else "a timer"):
@@ -335,7 +356,7 @@ class Node:
             dropped=dict(self._inbox.dropped),
             bad=dict(self._bad),
             failed=self._failed,
-            detail=self.detail(),
+            detail=self.detail() | ({"instance": self.instance} if self.instance else {}),
         )
 
     def close(self) -> None:

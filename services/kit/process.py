@@ -9,12 +9,14 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.kit.errors import JobError, UsageError
-from services.kit.node import Node
-from services.kit.settings import ServiceSettings
+from services.kit.group import Group
+from services.kit.node import Node, on_signals
+from services.kit.settings import FleetSettings, ServiceSettings
 
 EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 S = TypeVar("S", bound=ServiceSettings)
+F = TypeVar("F", bound=FleetSettings)
 
 
 def read_settings(cls: type[S], service: str) -> S:
@@ -43,6 +45,19 @@ def run_node(name: str, settings: type[S], serve: Callable[[Node, S], None]) -> 
         with Node(name, given) as node:
             node.stop_on_signals()
             serve(node, given)
+
+    run_service(name, run)
+
+
+def run_group(name: str, settings: type[F], serve: Callable[[Node, F], None]) -> None:
+    """Run an instance of a service that may run any number of times, by its settings; it ends on a signal."""
+
+    def run() -> None:
+        given = read_settings(settings, name)
+        configure_logging(given.log_level)
+        group = Group(name, given, serve)
+        on_signals(group.log, group.stop)
+        group.run()
 
     run_service(name, run)
 

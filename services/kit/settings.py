@@ -7,11 +7,16 @@ from pydantic import Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from schemas.base import ROBOT_ID_PATTERN
+from schemas.topics import check_robot_id
 from services.kit.bus import DEFAULT_ROUTER, PATIENCE_S, Bus
 from services.kit.credentials import Credentials, certificate_of, credentials_in
 
 #: Where a router is that takes certificates, unless something else is said.
 DEFAULT_SECURE_ROUTER: Final = DEFAULT_ROUTER.replace("tcp/", "tls/")
+
+
+#: Robots of a fleet, at most: each has threads of its own in every process that serves it, and sessions at the router.
+MAX_ROBOTS: Final = 32
 
 
 class ServiceSettings(BaseSettings):
@@ -54,3 +59,24 @@ class ServiceSettings(BaseSettings):
     def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
         """Connect to the router as one of the roles; BusError when there is none, or it does not let us in."""
         return Bus(self.robot, self.router, patience_s, self.credentials(role))
+
+
+class FleetSettings(ServiceSettings):
+    """Settings of what serves several robots."""
+
+    robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = 1
+    """Robots that are served: ROBOT, ROBOT-2 and so on."""
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        fleet(self.robot, self.robots)
+        return self
+
+    def of_robot(self, robot: str) -> Self:
+        """Return the settings of the node of one robot, which tells its health by its process."""
+        return self.model_copy(update={"robot": robot, "http": None})
+
+
+def fleet(robot: str, robots: int) -> tuple[str, ...]:
+    """Return the ids of the robots of a fleet, the first as it is called; ValueError where one becomes too long."""
+    return (robot, *(check_robot_id(f"{robot}-{number}") for number in range(2, robots + 1)))

@@ -36,9 +36,10 @@ PAIR_LEASE_MS: Final = 1000
 #: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
 #: lease. The rest is for 16 programs of people.
 MAX_SESSIONS: Final = 96
-#: Threads that take in what comes: one for each session, so that whoever sends more than its receivers take holds up
-#: themselves alone. A process on the bus has one more, for a robot's own router.
-ROUTER_THREADS: Final = MAX_SESSIONS
+#: What each further robot of a fleet brings: its own process, a recorder, a page and one program of people.
+SESSIONS_A_ROBOT: Final = 4 * len(LANES)
+#: Threads that take in what comes. A router has one for each session, so that whoever sends more than its receivers
+#: take holds up themselves alone; a process on the bus has one more, for a robot's own router.
 CLIENT_THREADS: Final = len(LANES) + 1
 #: Threads on which lost connections are made again, each of which waits there for what is in its way: with Zenoh's one
 #: the sessions of a process wait for each other, and what comes of the first ones is lost (1.10.2, a frozen router).
@@ -138,7 +139,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
     if mode == "router":
-        settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
+        settings["transport/unicast/accept_timeout"] = LEASE_MS
         settings["low_pass_filter"] = [
             {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
         ]
@@ -171,23 +172,29 @@ def named(endpoint: str) -> str:
     return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
 
 
+def most_sessions(robots: Sequence[str]) -> int:
+    """Return how many sessions the router of so many robots takes, and threads that it has: one for each."""
+    return MAX_SESSIONS + SESSIONS_A_ROBOT * max(len(robots) - 1, 0)
+
+
 def router_settings(
-    endpoint: str, robot: str, credentials: Credentials, peers: Sequence[str] = ()
+    endpoint: str, robots: Sequence[str], credentials: Credentials, peers: Sequence[str] = ()
 ) -> dict[str, object]:
     """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
     settings = settings_of("router", endpoint, credentials, peers)
+    settings["transport/unicast/max_sessions"] = most_sessions(robots)
     if credentials is None:
         return settings | {"adminspace": {"enabled": False}}
     return settings | {
-        "access_control": access_control(robot, linked=bool(peers)),
+        "access_control": access_control(robots, linked=bool(peers)),
         "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
     }
 
 
-def zenohd_configuration(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+def zenohd_configuration(endpoint: str, robots: Sequence[str], credentials: Credentials) -> dict[str, object]:
     """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
     tree: dict[str, Any] = {}
-    for path, value in router_settings(endpoint, robot, credentials).items():
+    for path, value in router_settings(endpoint, robots, credentials).items():
         *folders, last = path.split("/")
         at = tree
         for folder in folders:
@@ -282,8 +289,7 @@ class Router:
         self,
         endpoint: str = DEFAULT_ROUTER,
         credentials: Credentials = None,
-        robot: str = "",
-        *,
+        *robots: str,
         insecure: bool = False,
         peers: Sequence[str] = (),
     ) -> None:
@@ -296,7 +302,7 @@ class Router:
                 "give --secure DIR (`smal secure init` makes it), or --insecure"
             )
         try:
-            self._session = _open(router_settings(endpoint, robot, credentials, peers), ROUTER_THREADS)
+            self._session = _open(router_settings(endpoint, robots, credentials, peers), most_sessions(robots))
         except zenoh.ZError as error:
             reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
             raise BusError(

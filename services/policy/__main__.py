@@ -3,7 +3,7 @@
 from schemas import topics
 from services.kit.model_service import ModelSettings, serve_model
 from services.kit.node import Node
-from services.kit.process import run_node
+from services.kit.process import run_group
 from services.policy.service import PolicyService
 
 
@@ -17,4 +17,4 @@ def serve(node: Node, settings: ModelSettings) -> None:
 
 
 if __name__ == "__main__":
-    run_node("policy", ModelSettings, serve)
+    run_group("policy", ModelSettings, serve)

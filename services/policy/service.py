@@ -10,7 +10,7 @@ from schemas.base import Message, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
-from services.kit.model_service import LoadedModel
+from services.kit.model_service import LoadedModel, Wheels
 from services.kit.node import Detail
 from services.kit.sight import Sight
 from services.kit.throttle import Throttle
@@ -45,6 +45,17 @@ class PolicyService:
         maker = _ByFilter(model, loaded.goal) if isinstance(model, Model) else _ByPaper(model)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
+
+    @property
+    def loaded(self) -> LoadedModel | None:
+        """The model that it works with."""
+        return self._loaded
+
+    def hands_on(self) -> None:
+        """Return nothing: what it plans follows from the next state."""
+
+    def resume(self, state: State, wheels: Wheels | None) -> None:
+        """Plan anew."""
 
     def see_applied(self, applied: CommandApplied) -> None:
         """Take what the actuator tells of how long a command took."""

@@ -3,7 +3,7 @@
 from schemas import topics
 from services.kit.model_service import ModelSettings, serve_model
 from services.kit.node import Node
-from services.kit.process import run_node
+from services.kit.process import run_group
 from services.recognition.service import RecognitionService
 
 
@@ -18,4 +18,4 @@ def serve(node: Node, settings: ModelSettings) -> None:
 
 
 if __name__ == "__main__":
-    run_node("recognition", ModelSettings, serve)
+    run_group("recognition", ModelSettings, serve)

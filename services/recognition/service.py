@@ -14,8 +14,9 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply
 from schemas.state import State
 from schemas.taught_map import TaughtMap
-from services.kit.model_service import LoadedModel
+from services.kit.model_service import LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
+from smal.filter import Belief
 from smal.model import Model, in_common_axes
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
@@ -23,7 +24,6 @@ from smal.robot import Localizer
 
 _KEPT: Final = 100  # Odometry and commands that are kept until the observation of their frame comes, frames.
 _MOST_DRIVES: Final = 1000  # Drives whose beginnings a message of the map has room for.
-Pose = tuple[float, float, float]
 
 
 class RecognitionService:
@@ -41,7 +41,7 @@ class RecognitionService:
         self._loaded: LoadedModel | None = None
         self._localizer: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
-        self._odometry: dict[tuple[str, int], Pose] = {}
+        self._odometry: dict[tuple[str, int], Wheels] = {}
         self._applied: dict[tuple[str, int], CommandApplied] = {}
         self._waiting: Observation | None = None
 
@@ -51,6 +51,21 @@ class RecognitionService:
         localizer = _ByFilter(model, loaded) if isinstance(model, Model) else _ByPaper(model, loaded)
         self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
         return loaded.reply()
+
+    @property
+    def loaded(self) -> LoadedModel | None:
+        """The model that it works with."""
+        return self._loaded
+
+    def hands_on(self) -> tuple[State, Wheels | None] | None:
+        """Return the last state and the odometry of its frame; None where there was none."""
+        last = self._last
+        return None if last is None else (last, self._odometry.get((last.episode, last.tick)))
+
+    def resume(self, state: State, wheels: Wheels | None) -> None:
+        """Go on from what another instance believed; from nothing where that does not fit the model."""
+        if self._localizer is not None and self._localizer.resume(state, wheels):
+            self._last = state
 
     def see(self, odometry: Odometry) -> State | None:
         """Take the odometry of a frame, which may come before or after its observation."""
@@ -147,8 +162,16 @@ class _ByFilter:
         self._localizer.reset()
         self._stamp_ns: int | None = None
 
+    def resume(self, state: State, wheels: Wheels | None) -> bool:
+        keyframes, offsets, weights = state.belief()
+        if not weights.any() or keyframes.max() >= len(self._mapped.keyframes):
+            return False
+        self._localizer.reset(Belief(keyframes, offsets, weights, state.lost, state.cosine, state.tracked_m), wheels)
+        self._stamp_ns = state.stamp_ns
+        return True
+
     def observe(
-        self, observation: Observation, odometry: Pose | None, atoms: Sequence[Atom | Velocity], *, behind: bool
+        self, observation: Observation, odometry: Wheels | None, atoms: Sequence[Atom | Velocity], *, behind: bool
     ) -> State | None:
         if behind:
             return None
@@ -182,12 +205,15 @@ class _ByPaper:
     def reset(self) -> None:
         self._recognizer.reset()
 
+    def resume(self, _state: State, _wheels: Wheels | None) -> bool:
+        return False  # Its window is of frames, which nobody keeps.
+
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield nothing: states of the paper have no places."""
         yield from ()
 
     def observe(
-        self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom | Velocity], *, behind: bool
+        self, observation: Observation, _odometry: Wheels | None, _atoms: Sequence[Atom | Velocity], *, behind: bool
     ) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
         first = self._length - 1

@@ -8,10 +8,10 @@ from services.kit.bus import Router, addresses, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
-from services.kit.settings import ServiceSettings
+from services.kit.settings import FleetSettings, fleet
 
 
-class RouterSettings(ServiceSettings):
+class RouterSettings(FleetSettings):
     """Listens on ``--router``."""
 
     peers: str | None = None
@@ -26,10 +26,12 @@ def serve() -> None:
     configure_logging(settings.log_level)
     credentials = settings.credentials("router")
     peers = addresses(settings.peers) if settings.peers else []
-    router = Router(settings.router, credentials, settings.robot, insecure=settings.insecure, peers=peers)
+    robots = fleet(settings.robot, settings.robots)
+    router = Router(settings.router, credentials, *robots, insecure=settings.insecure, peers=peers)
     try:
         with Node("router", settings) as node:
             node.stop_on_signals()
+            node.detail = lambda: {"robots": len(robots)}
             who = how_secure(credentials, host_and_port(settings.router)[0])
             node.log.info("listening on %s, %s", settings.router, who)
             node.spin()

@@ -2,7 +2,7 @@
 
 from schemas import topics
 from services.kit.node import Node
-from services.kit.process import run_node
+from services.kit.process import run_group
 from services.tracker.service import TrackerService, TrackerSettings
 from services.tracker.tag_tracking import Tag
 
@@ -17,4 +17,4 @@ def serve(node: Node, settings: TrackerSettings) -> None:
 
 
 if __name__ == "__main__":
-    run_node("tracker", TrackerSettings, serve)
+    run_group("tracker", TrackerSettings, serve)

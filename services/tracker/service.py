@@ -9,13 +9,13 @@ from schemas.camera import OverheadImage
 from schemas.motion import TrackedPose
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
-from services.kit.settings import ServiceSettings
+from services.kit.settings import FleetSettings
 from services.tracker.tag_tracking import Tag, TagNotSeen, locate
 
 _log = logging.getLogger("tracker")
 
 
-class TrackerSettings(ServiceSettings):
+class TrackerSettings(FleetSettings):
     """Which tag lies on the robot, and how; the defaults are the TurtleBot's."""
 
     tag_number: Annotated[int, Field(ge=0, le=49)] = 7

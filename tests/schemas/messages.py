@@ -23,6 +23,8 @@ from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
 from schemas.observation import Observation
+from schemas.rpc import LoadRequest
+from schemas.snapshot import Snapshot
 from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
@@ -97,6 +99,14 @@ EXAMPLES: dict[type[Message], Message] = {
         **HEADER, event="ended", purpose="drive", driver="teleop", world="campus", seed=7, outcome="found", judge="task"
     ),
 }
+EXAMPLES[Snapshot] = Snapshot(
+    **HEADER,
+    service="recognition",
+    checksum="0123456789abcdef",
+    model=LoadRequest(model="ways/campus.smal", goal="victim"),
+    state=EXAMPLES[State],
+    wheels=(2.5, -0.25, 0.125),
+)
 CLASSES = list(EXAMPLES)
 assert set(CLASSES) == {topic.message for topic in TOPICS.values()}, "every message has an example"
 
@@ -109,6 +119,7 @@ _OWN: dict[str, st.SearchStrategy[object]] = {
     "goal": st.from_regex(r"\w[\w .-]{0,63}", fullmatch=True),
     "box": st.none() | st.tuples(*[st.floats(0.0, 0.4)] * 2, *[st.floats(0.5, 1.0)] * 2),
 }
+_requests = st.builds(LoadRequest, model=st.from_regex(r"[a-z]{1,9}(/[a-z]{1,9})?", fullmatch=True), goal=_OWN["goal"])
 
 
 def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
@@ -126,10 +137,10 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
         least, most = bounds.get("min_length", 0), min(bounds.get("max_length", 9), 100)
         several = st.lists(_any_of(arguments[0]), min_size=least, max_size=most).map(tuple)
         return several if arguments[-1] is ... else st.tuples(*map(_any_of, arguments))
-    if kind is Float32Array:
-        return _arrays
+    if kind in (Float32Array, LoadRequest):
+        return _arrays if kind is Float32Array else _requests
     if isinstance(kind, type) and issubclass(kind, Strict):
-        return st.builds(kind, **_fields_of(kind))
+        return messages_of(kind) if issubclass(kind, Message) else st.builds(kind, **_fields_of(kind))
     if kind is str and "pattern" in bounds:
         return st.from_regex(bounds["pattern"].strip("^$"), fullmatch=True)
     size = {"min_size": bounds.get("min_length", 0), "max_size": bounds.get("max_length", 99)}

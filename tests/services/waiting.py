@@ -55,7 +55,7 @@ def stalls() -> Iterator[Lost]:
 def status_of(client: Bus, service: str) -> Status | None:
     """Return a service's status, or None while it does not answer."""
     try:
-        return client.call(service, "status", Nothing(), Status, timeout_s=5.0)
+        return client.call(service, "status", Nothing(), Status, timeout_s=5.0, patience_s=0.0)
     except RpcError:
         return None
 

@@ -1,16 +1,25 @@
 """The main job once, as a user does it: demonstrate, learn, run, with real processes and real pixels."""
 
 import json
+import os
+import signal
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import cv2
 import pytest
 
+from schemas import topics
+from schemas.codec import decode
+from schemas.rpc import Nothing, Status
+from schemas.snapshot import Snapshot
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from smal.model import Model
 from tests.command import run_smal
+from tests.services.waiting import eventually
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
 
@@ -83,3 +92,35 @@ def test_the_papers_scheme_runs_in_real_time(near: Path, taught_paper: Path, tmp
     more = ("--scheme", "paper", "--realtime", "--connect", running, "--max-ticks", 60)
     found = run_json(near, taught_paper, tmp_path / "paper.json", *more)
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}
+
+
+def test_two_robots_of_one_stack_find_their_victims_while_an_instance_is_killed(
+    near: Path, taught: Path, tmp_path: Path
+) -> None:
+    """On two instances of each service that follows: whatever the dead one served, the other one goes on with."""
+    own = {
+        "robot": flags(world=near, camera_width=160, camera_height=120),
+        **dict.fromkeys(("recognition", "policy"), flags(root=taught)),
+    }
+    services, scale = ("router", "robot", "features", "recognition", "policy"), {"recognition": 2, "policy": 2}
+    plan = StackPlan(services, "rescuebot", free_endpoint(), own, logs=tmp_path, robots=2, scale=scale)
+    with Stack(plan) as stack, closing(stack.settings.open_bus("watcher")) as bus, ThreadPoolExecutor(2) as pool:
+
+        def run(robot: str) -> list[str]:
+            out = tmp_path / f"{robot}.json"
+            return outcomes(run_json(near, taught / "model.smal", out, "--connect", plan.endpoint, "--robot", robot))
+
+        running = [pool.submit(run, robot) for robot in plan.fleet]
+        with closing(bus.of_robot(plan.fleet[1])) as other:
+            for service in ("recognition", "policy"):
+                told: list[Snapshot] = []
+
+                def take(payload: bytes, encoding: str, _transit_s: float | None, told: Any = told) -> None:
+                    told.append(decode(Snapshot, payload, encoding))
+
+                other.subscribe(topics.SNAPSHOTS[service], take)
+                # What it recognizes with, and where the robot is: what has been heard here, the other one has as well.
+                heard = lambda told=told, of=service: told and (of == "policy" or told[-1].state)  # noqa: E731
+                eventually(lambda heard=heard: heard() or running[1].done())
+                os.kill(other.call(service, "status", Nothing(), Status).pid, signal.SIGKILL)
+        assert [one.result() for one in running] == [["found"], ["found"]]

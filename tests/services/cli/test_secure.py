@@ -1,6 +1,8 @@
 """``smal secure`` as a user has it: make, check, renew and replace certificates, and a stack that uses them."""
 
+import os
 import shutil
+import signal
 import threading
 from contextlib import closing
 from pathlib import Path
@@ -9,9 +11,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from schemas import topics
+from schemas.rpc import Nothing, Status
 from schemas.state import State
 from services.cli import certificates
-from services.cli.stack import Stack, StackPlan
+from services.cli.stack import Stack, StackPlan, instances
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
 from services.kit.errors import UsageError
@@ -200,12 +203,15 @@ def test_two_authorities_replace_each_other_while_a_driver_goes_on(
 def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
     tls_endpoint: str, keys: Path, tmp_path: Path, smal: Smal
 ) -> None:
-    plan = StackPlan(("router", "recorder"), ROBOT, tls_endpoint, secure=keys, logs=tmp_path / "logs")
+    services, many = ("router", "features"), {"robots": 8, "scale": {"features": 2}}
+    plan = StackPlan(services, ROBOT, tls_endpoint, secure=keys, logs=tmp_path / "logs", **many)
     with Stack(plan) as stack:
         status, out, err = smal("doctor", "--router", tls_endpoint, "--secure", keys)
-        assert "for holders of a certificate, encrypted: router, recorder" in out
+        assert "for holders of a certificate, encrypted: router, features" in out
         with closing(stack.settings.open_bus("watcher")) as bus:
-            assert bus.connected()
+            eventually(lambda: len(instances(bus)["features"]) == 2)  # They see each other.
+            os.kill(bus.call("features", "status", Nothing(), Status).pid, signal.SIGKILL)
+            eventually(lambda: [len(robots) for robots in instances(bus).get("features", {}).values()] == [8])
         status, out, err = smal("topic", "hz", "--seconds", "0.1", "--router", tls_endpoint)
         assert status != 0
         assert "needs a certificate" in err

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,11 @@ import pytest
 
 from schemas.rpc import Nothing, Status
 from services.cli import stack
-from services.cli.stack import Stack, StackPlan, flags
+from services.cli.doctor import check_port
+from services.cli.stack import Stack, StackPlan, flags, instances
 from services.kit.bus import Bus
 from services.kit.errors import JobError
+from tests.services.cli.conftest import Smal
 from tests.services.waiting import eventually, ready
 
 START = """
@@ -144,3 +147,28 @@ def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_
         spacings_s.append(stack.next_spacing_s(spacings_s[-1], lived_s=0.5))
     assert spacings_s == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert stack.next_spacing_s(30.0, lived_s=stack.STEADY_S) == stack.FIRST_S
+
+
+def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
+    robot: str, free_endpoint: str, tmp_path: Path, smal: Smal
+) -> None:
+    wanted = replace(plan(robot, free_endpoint, tmp_path, "features", "recorder"), robots=3, scale={"features": 2})
+    assert wanted.processes() == {
+        "router": ("router", robot),
+        "features": ("features", robot),
+        "features-2": ("features", robot),
+        "recorder": ("recorder", robot),
+        "recorder-2": ("recorder", f"{robot}-2"),
+        "recorder-3": ("recorder", f"{robot}-3"),
+    }
+    with Stack(wanted) as running, closing(Bus(robot, free_endpoint)) as bus:
+        (tmp_path / "logs" / "features-2.log").read_text()
+        for one in map(bus.of_robot, wanted.fleet):
+            ready(one, "recorder")
+            one.close()
+        served = eventually(lambda: instances(bus).get("features"))
+        assert sorted(robot for robots in served.values() for robot in robots) == sorted(wanted.fleet)
+        _, out, _ = smal("topic", "graph", "--live", "--robot", robot, "--router", free_endpoint)
+        assert all(f"<br>{instance}: " in out for instance in served)
+        found = check_port(running.settings)
+        assert all(f"{instance} serves {' '.join(robots)}" in found for instance, robots in served.items())

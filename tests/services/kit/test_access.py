@@ -204,7 +204,7 @@ def test_only_the_operator_sees_who_is_connected(endpoint: str, keys: Path, with
 
 def _router_configuration(endpoint: str, credentials: Credentials) -> zenoh.Config:
     config = zenoh.Config()
-    for key, value in router_settings(endpoint, ROBOT, credentials).items():
+    for key, value in router_settings(endpoint, [ROBOT], credentials).items():
         config.insert_json5(key, json.dumps(value))
     return config
 

@@ -25,7 +25,7 @@ from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES
-from services.kit.zenoh_session import ROUTER_THREADS, runtime, zenohd_configuration
+from services.kit.zenoh_session import MAX_SESSIONS, runtime, zenohd_configuration
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
@@ -220,10 +220,10 @@ def test_the_other_router_is_told_the_same() -> None:
     comment, configured = (ROOT / "deploy" / "zenohd.json5").read_text().split("{", 1)
     assert all(line.startswith("//") for line in comment.splitlines())
     rows = (
-        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in zenohd_configuration(OTHERS, "", None).items()
+        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in zenohd_configuration(OTHERS, [], None).items()
     )
     assert "{" + configured == "{\n" + ",\n".join(rows) + "\n}\n", "what differs is to be written there"
-    assert f"ZENOH_RUNTIME: {runtime(ROUTER_THREADS)!r}" in (ROOT / "docker-compose.yml").read_text()
+    assert f"ZENOH_RUNTIME: {runtime(MAX_SESSIONS)!r}" in (ROOT / "docker-compose.yml").read_text()
 
 
 def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:

@@ -1,0 +1,250 @@
+"""Who serves which robot, where a service runs any number of times: nobody coordinates.
+
+- The robots of a fleet are known beforehand (`FleetSettings`): no name that comes by the wire is ever served.
+- An instance of a service is seen (a liveliness token of Zenoh) at ``smal/<fleet>/@group/<service>/<instance>``, and
+  for each robot that it serves at that key with the robot's id behind it. Whoever is killed is seen no more at once;
+  whoever freezes or is cut off, after `zenoh_session.LEASE_MS`.
+- Whose a robot is follows from who is seen, by rendezvous hashing: where one leaves, its robots alone move.
+- Whoever loses a robot closes its node, and then is seen there no more. Whoever gets it is seen there first, looks
+  again, and opens a node when nobody else is seen there: of two who look, one has seen the other. So no frame is
+  answered twice; those that come meanwhile are lost.
+- Who is not seen by the router lets go of what others might take.
+- Services that have something to hand on publish it (`schemas.snapshot`): every instance keeps the newest one of each
+  robot, and the node that gets the robot begins with it.
+"""
+
+import logging
+import math
+import re
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
+from hashlib import blake2b
+from typing import Final, Generic, NamedTuple, TypeVar
+
+from prometheus_client import CollectorRegistry
+
+from schemas.codec import DecodeError, decode
+from schemas.snapshot import Snapshot
+from schemas.topics import SNAPSHOTS, group_key, key_of
+from services.kit.health import Together, ailment, serve_http
+from services.kit.node import SNAPSHOT_S, Node
+from services.kit.settings import FleetSettings, fleet
+from services.kit.zenoh_session import LEASE_MS
+from services.table import role_of
+
+LOOK_S: Final = 0.2  # How often an instance looks whether it was frozen, or stopped by a signal.
+#: A belief that is older is of no use: the robot may have been carried elsewhere.
+OLD_S: Final = 10.0
+_STUCK_S: Final = 100.0  # A node that does not end within this time, at the end, is left to the end of its process.
+S = TypeVar("S", bound=FleetSettings)
+
+
+def owner(robot: str, instances: Iterable[str]) -> str:
+    """Return whose a robot is: the instance whose digest together with it is the highest (rendezvous hashing)."""
+    return max(instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one))
+
+
+class Seen(NamedTuple):
+    """Who is there: the instances, and of each robot who serves it."""
+
+    instances: frozenset[str]
+    serving: dict[str, frozenset[str]]
+
+    @classmethod
+    def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
+        """Read keys at which somebody is seen; what no instance of ours says is left out."""
+        found = [re.fullmatch(rf"{re.escape(prefix)}/([0-9a-f]{{8}})(?:/([a-z0-9_-]{{1,32}}))?", key) for key in keys]
+        pairs = {(match[1], match[2]) for match in found if match}
+        robots = {robot for _, robot in pairs if robot is not None}
+        return cls(
+            frozenset(one for one, robot in pairs if robot is None),
+            {robot: frozenset(one for one, of in pairs if of == robot) for robot in sorted(robots)},
+        )
+
+
+class _Kept(NamedTuple):
+    """A snapshot as it came."""
+
+    payload: bytes
+    encoding: str
+    arrived_s: float
+
+
+class _Served:
+    """A robot that is this instance's: it is seen there, and when nobody else is, a thread runs its node."""
+
+    def __init__(self, go: Callable[[], None]) -> None:
+        self.go = go  # Nobody is seen here any more.
+        self.node: Node | None = None
+        self.thread: threading.Thread | None = None
+        self.leaving = False
+
+    def leave(self) -> bool:
+        """Have the node end; return whether it has, and nobody is seen here any more."""
+        self.leaving = True
+        if self.node is not None:
+            self.node.stop()
+        if self.thread is not None and self.thread.is_alive():
+            return False
+        go, self.go = self.go, lambda: None
+        go()
+        return True
+
+
+class Group(Generic[S]):
+    """One instance of a service: it runs a node for each robot that is its own, by ``serve``, until it is stopped.
+
+    Raises BusError where there is no router, and whatever JobError a node ends by.
+    """
+
+    def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
+        self._name, self._settings, self._serve = name, settings, serve
+        self.log = logging.getLogger(name)
+        self.instance = secrets.token_hex(4)
+        self.robots = fleet(settings.robot, settings.robots)
+        self._prefix = group_key(settings.robot, name)
+        self._seen: set[str] = set()
+        self._served: dict[str, _Served] = {}
+        self._kept: dict[str, _Kept] = {}
+        self._failure: Exception | None = None
+        self._here = self._others = self._stopped = False
+        self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
+        self._news = threading.Event()
+
+    def run(self) -> None:
+        """Serve until stopped."""
+        http = None
+        with ExitStack() as closing_last:
+            self._bus = closing_last.enter_context(closing(self._settings.open_bus(role_of(self._name))))
+            try:
+                if self._settings.http is not None:
+                    http = serve_http(self._settings.http, self._ailment, Together(self._registries).registry)
+                self._keep_snapshots(closing_last)
+                self._bus.watch(f"{self._prefix}/**", self._note)
+                go = self._bus.stand(f"{self._prefix}/{self.instance}")
+                looked_s = time.monotonic()
+                while not self._stopped and self._failure is None:
+                    # Who was frozen for so long is taken for dead, though it has not heard of it yet.
+                    frozen = time.monotonic() - looked_s > LEASE_MS / 1000.0
+                    looked_s = time.monotonic()
+                    self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix))
+                    self._news.wait(LOOK_S)
+                    self._news.clear()
+                go()  # First, so that who is next knows at once.
+            finally:
+                self._end()
+                if http is not None:
+                    http.shutdown()
+                    http.server_close()
+        if self._failure is not None:
+            raise self._failure
+
+    def _note(self, key: str, there: bool) -> None:
+        (self._seen.add if there else self._seen.discard)(key)
+        self._news.set()
+
+    def stop(self) -> None:
+        """Make ``run`` return, soon; it takes no lock."""
+        self._stopped = True
+
+    def _settle(self, seen: Seen) -> None:
+        """Let go of what is another's, and take what is one's own, as far as others have let go of it."""
+        self._here = here = self.instance in seen.instances
+        others = {robot for robot, serving in seen.serving.items() if serving - {self.instance}}
+        self._elsewhere_s |= dict.fromkeys(others, time.monotonic())
+        if here:
+            self._others = len(seen.instances) > 1
+            wanted = {robot for robot in self.robots if owner(robot, seen.instances) == self.instance}
+        else:
+            # Nobody else can be asked: who was alone goes on, so that its robot does not wait for the router's return.
+            wanted = set() if self._others else set(self._served)
+        for robot, served in [*self._served.items()]:
+            if (robot not in wanted or served.leaving) and served.leave():
+                del self._served[robot]
+        for robot in sorted(wanted - others):
+            mine = self._served.get(robot)
+            if mine is None:
+                self._served[robot] = _Served(self._bus.stand(f"{self._prefix}/{self.instance}/{robot}"))
+            elif mine.thread is None and robot in seen.serving and self._handed_on(robot):
+                self._open(robot, mine)
+
+    def _open(self, robot: str, served: _Served) -> None:
+        settings = self._settings.of_robot(robot)
+
+        def work() -> None:
+            try:
+                with Node(self._name, settings, bus=self._bus, instance=self.instance) as node:
+                    node.inherited = self._inherited(robot)
+                    served.node = node
+                    if not served.leaving:
+                        self._serve(node, settings)
+            except Exception as error:  # noqa: BLE001 - it ends the process, by its main thread
+                self._failure = error
+            finally:
+                self._news.set()
+
+        served.thread = threading.Thread(target=work, name=f"{self._name} of {robot}", daemon=True)
+        served.thread.start()
+        self.log.info("instance %s serves %s", self.instance, robot)
+
+    def _end(self) -> None:
+        """Have all nodes end, and be seen nowhere."""
+        until_s = time.monotonic() + _STUCK_S
+        for served in self._served.values():
+            served.leave()
+        for served in self._served.values():
+            if served.thread is not None:
+                served.thread.join(max(0.0, until_s - time.monotonic()))
+            served.leave()
+
+    def _handed_on(self, robot: str) -> bool:
+        """Whether what is handed on with a robot has come; it travels by another link than who is seen."""
+        since_s = time.monotonic() - self._elsewhere_s.get(robot, -math.inf)
+        return self._name not in SNAPSHOTS or robot in self._kept or since_s > 2.0 * SNAPSHOT_S
+
+    # -- what is handed on ------------------------------------------------------------------------------------------
+
+    def _keep_snapshots(self, until: ExitStack) -> None:
+        topics = [SNAPSHOTS[self._name]] if self._name in SNAPSHOTS else []
+        for robot, topic in ((robot, topic) for robot in self.robots for topic in topics):
+
+            def keep(payload: bytes, encoding: str, _transit_s: float | None, robot: str = robot) -> None:
+                self._kept[robot] = _Kept(payload, encoding, time.monotonic())
+                self._news.set()
+
+            until.enter_context(closing(self._bus.of_robot(robot))).subscribe(topic, keep)
+
+    def _inherited(self, robot: str) -> Snapshot | None:
+        """Return what was handed on with a robot, without a belief that is too old; None where it is no snapshot."""
+        kept = self._kept.get(robot)
+        if kept is None:
+            return None
+        try:
+            snapshot: Snapshot = decode(Snapshot, kept.payload, kept.encoding)
+            if key_of(snapshot) != SNAPSHOTS[self._name].key(robot):
+                raise DecodeError(f"it is of {snapshot.robot} and {snapshot.service}")
+        except DecodeError as error:
+            self.log.warning("what was handed on of %s is refused: %s", robot, error)
+            return None
+        old = time.monotonic() - kept.arrived_s > OLD_S
+        return snapshot.model_copy(update={"state": None}) if old else snapshot
+
+    # -- health -------------------------------------------------------------------------------------------------------
+
+    def _nodes(self) -> list[Node]:
+        return [served.node for served in [*self._served.values()] if served.node is not None and not served.leaving]
+
+    def _registries(self) -> list[CollectorRegistry]:
+        return [node.metrics.registry for node in self._nodes()]
+
+    def _ailment(self) -> str | None:
+        """Return what ails it, or the first of its nodes that is not healthy; a spare one has none."""
+        if not self._bus.connected():
+            return "no connection to the router"
+        if not self._here or any(served.node is None for served in [*self._served.values()]):
+            return "starting"
+        found = ((node.robot, ailment(node.status())) for node in self._nodes())
+        return next((f"{robot}: {what}" for robot, what in found if what is not None), None)

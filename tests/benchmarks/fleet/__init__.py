@@ -1,0 +1,1 @@
+"""Fleet: several simulated robots at once, on one instance of each service."""

@@ -1,0 +1,225 @@
+"""A service that runs any number of times: whose a robot is, what happens when an instance comes or goes."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import topics
+from schemas.array import Float32Array
+from schemas.base import Message
+from schemas.codec import decode
+from schemas.observation import Observation
+from schemas.rpc import LoadReply, LoadRequest
+from schemas.state import State
+from services.kit.bus import Bus
+from services.kit.group import Seen, owner
+from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
+from smal.features import extract
+from tests import corridor
+from tests.services.chain import image, process, seen, wheels
+from tests.services.waiting import eventually, status_of
+
+INSTANCES = st.sets(st.from_regex(r"[0-9a-f]{8}", fullmatch=True), min_size=1, max_size=9)
+ROBOTS = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,31}", fullmatch=True)
+PREFIX = "smal/rescuebot/@group/features"
+
+
+@given(INSTANCES, ROBOTS)
+def test_a_robot_has_one_owner_whoever_asks(instances: set[str], robot: str) -> None:
+    assert owner(robot, instances) in instances
+    assert owner(robot, sorted(instances)) == owner(robot, sorted(instances, reverse=True))
+
+
+@given(INSTANCES, st.sets(ROBOTS, max_size=20), st.data())
+def test_where_an_instance_leaves_its_robots_alone_move(
+    instances: set[str], robots: set[str], data: st.DataObject
+) -> None:
+    before = {robot: owner(robot, instances) for robot in robots}
+    gone = data.draw(st.sampled_from(sorted(instances)))
+    for robot, whose in before.items() if len(instances) > 1 else ():
+        after = owner(robot, instances - {gone})
+        assert whose in (after, gone)
+        assert after != gone
+
+
+def test_instances_get_about_as_many_robots() -> None:
+    instances = [f"{number:08x}" for number in range(4)]
+    counts = Counter(owner(f"robot-{number}", instances) for number in range(1000))
+    assert min(counts.values()) > 200
+
+
+@given(st.lists(st.text(max_size=40)))
+def test_what_no_instance_says_is_left_out(rests: list[str]) -> None:
+    told = {f"{PREFIX}/0123abcd", f"{PREFIX}/0123abcd/rescuebot-2"}
+    wrong = {f"{PREFIX}/{rest}" for rest in (*rests, "*", "0123abcd/**", "0123ABCD", "0123abcd/r/s")}
+    found = Seen.of({*told, *wrong, "smal/other/@group/features/0123abcd"}, PREFIX)
+    assert found.instances >= {"0123abcd"}
+    assert "0123abcd" in found.serving["rescuebot-2"]
+    assert all(len(instance) == 8 for instance in found.instances)
+
+
+def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
+    assert fleet("rescuebot", 3) == ("rescuebot", "rescuebot-2", "rescuebot-3")
+    with pytest.raises(ValueError, match=f"less than or equal to {MAX_ROBOTS}"):
+        FleetSettings(robots=1000)
+    with pytest.raises(ValueError, match=f"robot id '{'r' * 31}-2' does not match"):
+        FleetSettings(robot="r" * 31, robots=2)
+
+
+# -- at a router ------------------------------------------------------------------------------------------------------
+
+
+class Robots:
+    """Robots of a fleet: each publishes what it is told to, and counts the answers by robot and frame."""
+
+    def __init__(self, client: Bus, names: tuple[str, ...], topic: topics.Topic, stack: ExitStack) -> None:
+        self.buses = {name: stack.enter_context(closing(client.of_robot(name))) for name in names}
+        self.answers: Counter[tuple[str, int]] = Counter()
+        self.newest: dict[str, Message] = {}
+        for name, bus in self.buses.items():
+
+            def take(payload: bytes, encoding: str, _transit_s: float | None, name: str = name) -> None:
+                self.newest[name] = message = decode(topic.message, payload, encoding)
+                self.answers[name, message.tick] += 1
+
+            bus.subscribe(topic, take)
+
+    def send(self, *messages: Message) -> None:
+        """Have each robot publish messages as its own."""
+        for name, bus in self.buses.items():
+            for message in messages:
+                bus.publish(message.model_copy(update={"robot": name}))
+
+    def insist(self, *messages: Message) -> None:
+        """Have each robot publish messages until it is answered."""
+
+        def answered() -> bool:
+            self.send(*messages)
+            time.sleep(0.05)
+            return all(self.answers[name, messages[-1].tick] for name in self.buses)
+
+        eventually(answered)
+
+    def instances(self, service: str) -> dict[str, str]:
+        """Return which instance answers for each robot that has one."""
+        found = {name: status_of(bus, service) for name, bus in self.buses.items()}
+        return {
+            name: str(status.detail["instance"]) for name, status in found.items() if status and status.state == "ready"
+        }
+
+    def served_by(self, service: str, many: int) -> dict[str, str]:
+        """Wait until all robots are served, by so many instances."""
+
+        def all_served() -> dict[str, str] | None:
+            found = self.instances(service)
+            return found if len(found) == len(self.buses) and len({*found.values()}) == many else None
+
+        return eventually(all_served)
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as opened:
+        yield opened
+
+
+def start(stack: ExitStack, service: str, endpoint: str, robots: int, *flags: str) -> subprocess.Popen[str]:
+    return stack.enter_context(process(service, endpoint, "--robots", str(robots), *flags))
+
+
+#: So many that each of a few instances has some, but for one time in a thousand.
+MANY = 12
+
+
+def test_no_frame_is_answered_twice_while_instances_come_and_go(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
+    robots = Robots(client, fleet("rescuebot", MANY), topics.OBSERVATION, stack)
+    start(stack, "features", router_endpoint, MANY)
+    robots.served_by("features", 1)
+    tick, ended = 0, threading.Event()
+
+    def drive() -> None:
+        nonlocal tick
+        while not ended.wait(0.05):
+            robots.send(image(tick, tick % 50))
+            tick += 1
+
+    driving = threading.Thread(target=drive)
+    driving.start()
+    stack.callback(ended.set)
+    with process("features", router_endpoint, "--robots", str(MANY)) as second:
+        served = robots.served_by("features", 2)
+        with process("features", router_endpoint, "--robots", str(MANY)):
+            robots.served_by("features", 3)
+            second.terminate()
+            second.wait(100.0)
+            robots.served_by("features", 2)
+        # It has ended as well.
+        assert {*robots.served_by("features", 1).values()} < {*served.values()}
+    since = tick
+    eventually(lambda: all(any(robots.answers[name, at] for at in range(since, tick)) for name in robots.buses))
+    ended.set()
+    driving.join()
+    assert max(robots.answers.values()) == 1
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
+
+
+def nothing_seen(tick: int) -> Observation:
+    """Return the observation of a picture that is all grey: it tells nothing of where the robot is."""
+    vector = extract(np.full((corridor.HEIGHT, corridor.WIDTH, 3), 128, np.uint8), corridor.FEATURES)
+    return seen(tick).model_copy(update={"features": Float32Array.from_numpy(vector)})
+
+
+@pytest.mark.parametrize("loaded", ["of the settings", "by a call"])
+def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
+    loaded: str, client: Bus, router_endpoint: str, stack: ExitStack, model: Path
+) -> None:
+    names = fleet("rescuebot", MANY)
+    robots = Robots(client, names, topics.STATE, stack)
+    handed = Robots(client, names, topics.SNAPSHOTS["recognition"], stack)
+    flags = ["--model", str(model)] if loaded == "of the settings" else ["--root", str(model.parent)]
+    start(stack, "recognition", router_endpoint, MANY, *flags)
+    command = [sys.executable, "-m", "services.recognition", "--router", router_endpoint, "--robots", str(MANY), *flags]
+    first = stack.enter_context(subprocess.Popen(command))
+    stack.callback(first.kill)
+    served = robots.served_by("recognition", 2)
+    if loaded == "by a call":
+        for bus in robots.buses.values():
+            bus.call("recognition", "load", LoadRequest(model=model.name), LoadReply)
+    robots.insist(wheels(0), seen(0))  # Until each is heard.
+    for tick in range(1, 9):
+        robots.send(wheels(tick), seen(tick))
+        eventually(lambda tick=tick: all(robots.answers[name, tick] for name in names))
+    # Each has told what is to be handed on of the last frame.
+    eventually(lambda: all(handed.answers[name, 8] for name in names))
+    pids = {name: status.pid for name, bus in robots.buses.items() if (status := status_of(bus, "recognition"))}
+    moving = {name for name, pid in pids.items() if pid == first.pid}
+    assert 0 < len(moving) < MANY
+    first.kill()
+    (stays,) = {*robots.served_by("recognition", 1).values()}
+    assert {name for name, instance in served.items() if instance == stays} == {*names} - moving
+    # On by 0.6 m, by the wheels alone: from nothing it would not know where it is.
+    robots.insist(wheels(11), nothing_seen(11))
+    assert max(many for (_, tick), many in robots.answers.items() if 0 < tick < 11) == 1
+    for name in names:
+        state = robots.newest[name]
+        assert isinstance(state, State)
+        here = state.places[0]
+        x_m = corridor.model().mapped.key_poses[here.keyframe, 0] + here.ahead_m
+        assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), name
+        assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
