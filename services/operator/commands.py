@@ -77,7 +77,7 @@ class Commands:
             now_s = self._clock()
             self._stood_s = min(self._stood_s[0], now_s), now_s
         if self.emergency:
-            return self.insist()
+            return self.repeat_stop()
         if self.held is not None and applied.tick != self._answered:
             return self._drive()
         return self.poll()
@@ -85,7 +85,7 @@ class Commands:
     def told(self, stop: int) -> Command | None:
         """Take the number of the stop that a robot without an episode tells."""
         self.stop = stop
-        return self.insist()
+        return self.repeat_stop()
 
     def hold(self, held: Velocity | None, until_s: float = 0.0) -> Command | None:
         """Take what is held now, until a time of the clock; None where nothing is."""
@@ -107,7 +107,7 @@ class Commands:
         self._arming = False
         return self._command("emergency_stop", STANDING)
 
-    def insist(self) -> Command | None:
+    def repeat_stop(self) -> Command | None:
         """Repeat an emergency stop of which the robot has not told that it stands for it."""
         due = self.emergency and not self.stop and not self._arming
         return self._command("emergency_stop", STANDING) if due else None

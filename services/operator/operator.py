@@ -32,7 +32,7 @@ SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; tw
 _APPLIED: Final = ("episode", "tick", "atom", "linear", "angular", "source", "reason", "refused")  # Of the report.
 _PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
 #: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
-INSIST_S: Final = 0.1
+REPEAT_S: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Operator:
         node.subscribe(topics.EPISODE, self._on_event)
         node.subscribe(topics.PULSE, self._on_pulse)
         node.every(LOOK_S, self._look)
-        node.every(INSIST_S, lambda: node.publish(self.commands.insist()))
+        node.every(REPEAT_S, lambda: node.publish(self.commands.repeat_stop()))
 
     # -- what is heard --------------------------------------------------------------------------------------------
 

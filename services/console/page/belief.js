@@ -5,6 +5,8 @@ import { beliefFacts, planFacts } from "./words.js";
 
 const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01;
 const section = $("#belief"), strip = $("#belief .strip"), image = $("#belief img"), list = $("#belief dl");
+// A model that was made without recordings has none.
+image.onload = image.onerror = ({ type }) => image.classList.toggle("none", type === "error");
 
 export function drawBelief({ model, belief, plan }, age) {
   const known = model && !model.trouble && model.id;
