@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
+from smal.movement import wrapped
 from smal.obstacles.clearance import Floats, Surroundings
 from smal.settings import SETTINGS
 
@@ -53,14 +54,24 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
     cells = around.cells(straight_m[:, None] * towards[:, None])
     leads = straight_m <= around.clear_m(turns * turn_rad)[:, None]
-    to_go_m = _to_go_m(around, way, known_m)[cells] + straight_m
-    left_m = np.where(leads, to_go_m, np.inf) + step_m * np.abs(turns)[:, None]
+    to_go_m, following = _to_go_m(around, way, known_m)
+    # Whoever has to turn back there may as well turn now, and would else put it off for ever.
+    here = onwards = np.ravel_multi_index(cells, to_go_m.shape)
+    for _ in range(2 * SETTINGS.cells_radius):
+        onwards = following[onwards]
+    (x, y), (to_x, to_y) = np.divmod(here, len(to_go_m)), np.divmod(onwards, len(to_go_m))
+    off_rad = wrapped(np.arctan2(to_y - y, to_x - x) - around.heading - turns[:, None] * turn_rad)
+    back = np.where(here == onwards, 0.0, np.maximum(np.abs(off_rad) - math.pi / 4.0, 0.0)) / turn_rad
+    left_m = np.where(leads, to_go_m[cells] + straight_m, np.inf) + step_m * (np.abs(turns)[:, None] + back)
     best = np.unravel_index(left_m.argmin(), left_m.shape)
     return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
 
 
-def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> Floats:
-    """Return what is left to go from every cell to where the way leaves the grid, metres; infinity from elsewhere."""
+def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats, NDArray[np.intp]]:
+    """Return what is left to go from every cell to where the way leaves the grid, metres, and which cell is next.
+
+    Cells are numbered row by row. Where nothing leads there it is infinite, and the cell itself is next.
+    """
     dense = _dense(way, around.cell_m)
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
     dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
@@ -86,13 +97,15 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> Floats:
     )
     ends = np.flatnonzero(may & (along >= len(dense) - 3))
     if not ends.size:
-        return np.full(may.shape, np.inf)
+        return np.full(may.shape, np.inf), np.arange(may.size)
     one, other, apart = _edges(len(may))
     cost_m = np.where(may, cost, np.inf).ravel() * around.cell_m
     costs = (cost_m[one] + cost_m[other]) / 2.0 * apart
     used = np.isfinite(costs)
     graph = sparse.csr_array((costs[used], (one[used], other[used])), shape=(may.size, may.size))
-    return np.asarray(dijkstra(graph, directed=False, indices=ends, min_only=True)).reshape(may.shape)
+    to_go_m, following, _ = dijkstra(graph, directed=False, indices=ends, min_only=True, return_predecessors=True)
+    following = np.where(following < 0, np.arange(may.size), following)
+    return np.asarray(to_go_m).reshape(may.shape), np.asarray(following, dtype=np.intp)
 
 
 def _dense(way: Floats, apart_m: float) -> Floats:

@@ -170,6 +170,19 @@ def test_it_goes_round_and_comes_back(boxes: list[Box]) -> None:
     assert len(poses) < 160  # 80 frames straight on
 
 
+@pytest.mark.parametrize("heading", [2.0, -2.6])
+def test_who_faces_away_from_what_it_goes_round_turns_back_at_once(heading: float) -> None:
+    """It went on straight away, and meant to turn back later."""
+    box: Box = (2.2, -0.3, 2.8, 0.5, 1.0)
+    made, pose = around(box), (0.0, 0.0, heading)
+    made.look(pose, depth([box], pose), MOUNT)
+    c, s = math.cos(heading), math.sin(heading)
+    way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
+    turn = turn_round(made, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
+    assert turn is not None
+    assert abs(heading + turn) < 0.8
+
+
 def test_it_waits_where_nothing_leads_round() -> None:
     poses, blocked = drive([(6.0, -8.0, 6.3, 8.0, 1.0)], ticks=200)
     assert blocked > 100
