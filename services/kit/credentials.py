@@ -103,7 +103,8 @@ def secret(path: Path) -> str:
     """
     try:
         status = path.stat()
-        given = stat.S_IRGRP if status.st_uid == 0 and status.st_gid in os.getgroups() and os.geteuid() != 0 else 0
+        ours = status.st_gid in {os.getegid(), *os.getgroups()}
+        given = stat.S_IRGRP if ours and status.st_uid == 0 != os.geteuid() else 0
         if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO) & ~given:
             raise BusError(f"{path} can be read by others; run: chmod 600 {path}")
         return path.read_text().strip()

@@ -24,7 +24,7 @@ from services.table import roles
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
-ATTEMPT_MS: Final = 500  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
+ATTEMPT_MS: Final = 800  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES

@@ -5,12 +5,15 @@ rules all go through, so that an attempt that could not succeed proves nothing h
 """
 
 import json
+import os
 import shutil
 import socket
+import stat
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Final
 
 import pytest
@@ -19,7 +22,7 @@ import zenoh
 from schemas.topics import COMMANDS, LANES, TOPICS, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
-from services.kit.credentials import Credentials, credentials_in, why_refused
+from services.kit.credentials import Credentials, credentials_in, secret, why_refused
 from services.kit.zenoh_session import MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
@@ -356,6 +359,28 @@ def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Pat
         assert why_refused(certificate_in(keys, "operator"), *host_and_port(endpoint)) is None
     with closing(Router(free_endpoint)), pytest.raises(BusError, match="is no router that encrypts"):
         Bus(ROBOT, endpoint, 0.0, certificate_in(keys, "operator"))
+
+
+@pytest.mark.parametrize(
+    ("owner", "group", "mode", "user", "taken"),
+    [
+        (0, os.getegid(), 0o440, 1000, True),  # as Kubernetes gives a secret to a pod
+        (0, os.getegid(), 0o444, 1000, False),
+        (0, os.getegid(), 0o460, 1000, False),
+        (0, 4321, 0o440, 1000, False),
+        (1000, os.getegid(), 0o440, 1000, False),
+        (0, os.getegid(), 0o440, 0, False),
+    ],
+)
+def test_what_root_gives_to_our_group_is_for_us(
+    owner: int, group: int, mode: int, user: int, taken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path := tmp_path / "key").write_text("secret\n")
+    told = SimpleNamespace(st_uid=owner, st_gid=group, st_mode=stat.S_IFREG | mode)
+    monkeypatch.setattr(Path, "stat", lambda _path: told)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    with nullcontext() if taken else pytest.raises(BusError, match="can be read by others"):
+        assert secret(path) == "secret"
 
 
 def test_an_encrypted_address_without_a_certificate_is_one_line(free_endpoint: str, keys: Path) -> None:

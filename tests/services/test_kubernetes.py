@@ -1,0 +1,160 @@
+"""The manifests for Kubernetes: they are what its API takes, and say what the table of services says."""
+
+import re
+import runpy
+from itertools import product
+from typing import Any
+
+import kubernetes_validate
+import pytest
+
+from services.kit.zenoh_session import addresses
+from services.table import SERVICES, roles, stack_services
+from tests.kustomize import Object, built, containers, pods_of
+from tests.services.cli.conftest import ROOT
+
+KUBERNETES = ROOT / "deploy" / "kubernetes"
+OVERLAYS = {name: built(KUBERNETES / "overlays" / name) for name in ("one-node", "cluster")}
+BUS, PAGE, HTTP, ENGINE = 7447, 8080, 9100, 8786
+overlays = pytest.mark.parametrize("objects", OVERLAYS.values(), ids=OVERLAYS)
+
+
+def of_kind(objects: list[Object], *kinds: str) -> dict[str, Object]:
+    return {one["metadata"]["name"]: one for one in objects if one["kind"] in kinds}
+
+
+@overlays
+def test_the_api_takes_them(objects: list[Object]) -> None:
+    for one in objects:
+        if one["kind"] == "DaskCluster":  # Whose schema its operator brings; of its pods the API's own.
+            for pod in pods_of(one):
+                as_pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "pod"}, "spec": pod}
+                kubernetes_validate.validate(as_pod, kubernetes_validate.latest_version(), strict=True)
+        else:
+            kubernetes_validate.validate(one, kubernetes_validate.latest_version(), strict=True)
+
+
+@overlays
+def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certificate(objects: list[Object]) -> None:
+    workloads = of_kind(objects, "Deployment", "StatefulSet")
+    assert workloads.keys() == set(stack_services())
+    for name, one in workloads.items():
+        row, template = SERVICES[name], one["spec"]["template"]
+        (container,) = containers(one)
+        assert one["spec"]["selector"]["matchLabels"] == template["metadata"]["labels"] == {"role": name}
+        assert container["command"] == ["python", *row.command]
+        assert re.search(rf"\bsmal-{row.image}:0\.1\.0$", container["image"])
+        secrets = [volume["secret"]["secretName"] for volume in template["spec"]["volumes"] if "secret" in volume]
+        assert secrets == [name]
+    assert {name for name in workloads if workloads[name]["kind"] == "StatefulSet"} == {"router", "robot"}
+    assert workloads["robot"]["spec"]["replicas"] == 1
+
+
+@overlays
+def test_nothing_secret_stands_in_them(objects: list[Object]) -> None:
+    assert not of_kind(objects, "Secret")
+    assert "PRIVATE KEY" not in str(objects)
+
+
+@overlays
+def test_containers_may_do_nothing_but_their_work(objects: list[Object]) -> None:
+    for pod in (pod for one in objects for pod in pods_of(one)):
+        assert pod["automountServiceAccountToken"] is False
+        assert pod["securityContext"]["runAsNonRoot"]
+        assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
+        for container in pod["containers"]:
+            assert container["securityContext"] == {
+                "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]},
+            }  # fmt: skip
+            assert container["resources"]["requests"].keys() == {"cpu", "memory"}
+            assert container["resources"]["limits"].keys() == {"memory"}  # a processor that is held back drives late
+        assert not {"hostNetwork", "hostPID", "hostIPC"} & pod.keys()
+        assert not any("hostPath" in volume for volume in pod["volumes"])
+
+
+@overlays
+def test_nobody_is_killed_for_being_busy_or_cut_off_and_two_of_a_role_never_overlap(objects: list[Object]) -> None:
+    for name, one in of_kind(objects, "Deployment", "StatefulSet").items():
+        (container,) = containers(one)
+        # Health says 503 of who is busy, or without a router; metrics are told by whatever lives.
+        alive = container["livenessProbe"]
+        assert alive["httpGet"]["path"] == "/metrics"
+        assert alive["periodSeconds"] * alive["failureThreshold"] >= 60
+        assert container["readinessProbe"]["httpGet"]["path"] == "/healthz"
+        assert one["kind"] == "StatefulSet" or one["spec"]["strategy"] == {"type": "Recreate"}, name
+
+
+@overlays
+def test_the_routers_know_each_other_and_all_know_both(objects: list[Object]) -> None:
+    settings = of_kind(objects, "ConfigMap")["smal"]["data"]
+    routers = of_kind(objects, "StatefulSet")["router"]
+    replicas, service = routers["spec"]["replicas"], of_kind(objects, "Service")["router"]
+    both = [f"tls/router-{k}.{service['metadata']['name']}:{BUS}" for k in range(replicas)]
+    own = {one["name"]: one["value"] for one in containers(routers)[0]["env"]}
+    assert addresses(settings["SMAL_ROUTER"]) == addresses(own["SMAL_PEERS"]) == both
+    assert len(both) == 2
+    # A name has to hold before its router is ready, which it is when it is its own client.
+    assert service["spec"]["publishNotReadyAddresses"]
+    assert service["spec"]["selector"] == routers["spec"]["selector"]["matchLabels"]
+
+
+# -- who reaches whom ------------------------------------------------------------------------------------------------
+
+
+def test_the_policies_are_made_of_the_table() -> None:
+    made = runpy.run_path(str(KUBERNETES / "policies.py"))["as_yaml"]()
+    assert (KUBERNETES / "base" / "network.yaml").read_text() == made, "run deploy/kubernetes/policies.py"
+
+
+def selects(selector: dict[str, Any], labels: dict[str, str]) -> bool:
+    terms = selector.get("matchExpressions", [])
+    assert {term["operator"] for term in terms} <= {"In", "Exists"}
+    return all(labels.get(key) == value for key, value in selector.get("matchLabels", {}).items()) and all(
+        term["key"] in labels and labels[term["key"]] in term.get("values", [labels[term["key"]]]) for term in terms
+    )
+
+
+def reaches(objects: list[Object], giver: dict[str, str], taker: dict[str, str], port: int) -> bool:
+    """Whether one pod of the namespace may connect to another: its way out and the other's way in must allow it."""
+
+    def allowed(kind: str, pod: dict[str, str], other: dict[str, str], side: str) -> bool:
+        of_pod = [
+            policy["spec"]
+            for policy in of_kind(objects, "NetworkPolicy").values()
+            if kind in policy["spec"]["policyTypes"] and selects(policy["spec"]["podSelector"], pod)
+        ]
+        assert of_pod, "the default of Kubernetes, everybody, holds for nobody"
+        return any(
+            any("namespaceSelector" not in peer and selects(peer["podSelector"], other) for peer in rule[side])
+            and port in [one["port"] for one in rule.get("ports", [{"port": port}])]
+            for spec in of_pod
+            for rule in spec[kind.lower()]
+        )
+
+    return allowed("Egress", giver, taker, "to") and allowed("Ingress", taker, giver, "from")
+
+
+@overlays
+def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(objects: list[Object]) -> None:
+    dask = {"dask.org/cluster-name": "dask"}
+    on_the_bus = [{"role": name} for name in roles()]
+    pods = [*on_the_bus, dask, {"role": "elsewhere"}, {"app": "elsewhere"}, {}]
+    for giver, taker, port in product(pods, pods, (BUS, PAGE, HTTP, ENGINE, 22, 53)):
+        by_bus = giver in on_the_bus and taker == {"role": "router"} and port == BUS
+        by_engine = "dask" in str(objects) and giver == taker == dask
+        assert reaches(objects, giver, taker, port) == (by_bus or by_engine), (giver, taker, port)
+
+
+@overlays
+def test_from_outside_only_metrics_are_read_and_that_by_prometheus_alone(objects: list[Object]) -> None:
+    outside = [
+        (policy["metadata"]["name"], peer, rule.get("ports"))
+        for policy in of_kind(objects, "NetworkPolicy").values()
+        for rule in policy["spec"].get("ingress", [])
+        for peer in rule["from"]
+        if "podSelector" not in peer
+    ]
+    prometheus = {"namespaceSelector": {"matchLabels": {"kubernetes.io/metadata.name": "monitoring"}}}
+    assert outside == [("monitoring", prometheus, [{"port": HTTP}])] * (objects is OVERLAYS["cluster"])
+    assert not of_kind(objects, "Ingress")
+    assert all(one["spec"].get("clusterIP") == "None" for one in of_kind(objects, "Service").values())
