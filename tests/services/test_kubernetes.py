@@ -48,6 +48,8 @@ def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certific
         assert secrets == [name]
     assert {name for name in workloads if workloads[name]["kind"] == "StatefulSet"} == {"router", "robot"}
     assert workloads["robot"]["spec"]["replicas"] == 1
+    scaled = [one["spec"]["scaleTargetRef"]["name"] for one in objects if one["kind"] == "HorizontalPodAutoscaler"]
+    assert all(SERVICES[name].grouped for name in scaled)
 
 
 @overlays
@@ -73,7 +75,7 @@ def test_containers_may_do_nothing_but_their_work(objects: list[Object]) -> None
 
 
 @overlays
-def test_nobody_is_killed_for_being_busy_or_cut_off_and_two_of_a_role_never_overlap(objects: list[Object]) -> None:
+def test_nobody_is_killed_for_being_busy_or_cut_off_and_what_cannot_run_twice_does_not(objects: list[Object]) -> None:
     for name, one in of_kind(objects, "Deployment", "StatefulSet").items():
         (container,) = containers(one)
         # Health says 503 of who is busy, or without a router; metrics are told by whatever lives.
@@ -81,7 +83,9 @@ def test_nobody_is_killed_for_being_busy_or_cut_off_and_two_of_a_role_never_over
         assert alive["httpGet"]["path"] == "/metrics"
         assert alive["periodSeconds"] * alive["failureThreshold"] >= 60
         assert container["readinessProbe"]["httpGet"]["path"] == "/healthz"
-        assert one["kind"] == "StatefulSet" or one["spec"]["strategy"] == {"type": "Recreate"}, name
+        # What cannot run twice is a StatefulSet, or ends before it starts; what can hands its robots on.
+        twice = SERVICES[name].grouped or one["kind"] == "StatefulSet"
+        assert one["spec"].get("strategy") == (None if twice else {"type": "Recreate"}), name
 
 
 @overlays
