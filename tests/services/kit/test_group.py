@@ -1,5 +1,6 @@
 """A service that runs any number of times: whose a robot is, what happens when an instance comes or goes."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -8,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from schemas.codec import decode
 from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
+from services.cli.stack import free_endpoint
 from services.kit.bus import Bus
 from services.kit.group import Seen, owner
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
@@ -223,3 +226,46 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         x_m = corridor.model().mapped.key_poses[here.keyframe, 0] + here.ahead_m
         assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), name
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
+
+
+def test_a_process_tells_the_health_of_all_its_robots(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+    address = free_endpoint().removeprefix("tcp/")
+    start(stack, "features", router_endpoint, 2, "--http", address)
+    robots = Robots(client, fleet("rescuebot", 2), topics.OBSERVATION, stack)
+    robots.served_by("features", 1)
+    robots.insist(image(0))
+
+    def get(path: str) -> str:
+        with urlopen(f"http://{address}/{path}") as answer:
+            return str(answer.read().decode())
+
+    eventually(lambda: get("healthz") == "ok\n")
+    metrics = get("metrics")
+    assert metrics.count("# TYPE smal_messages_received_total counter") == 1
+    for name in robots.buses:
+        line = f'smal_messages_received_total{{robot="{name}",service="features",topic="camera/jpeg"}} '
+        assert float(metrics.partition(line)[2].split()[0]) >= 1.0
+    assert metrics.count("\nprocess_cpu_seconds_total ") == 1
+
+
+def test_a_frozen_instance_s_robots_move_and_it_answers_nothing_old_when_it_goes_on(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
+    robots = Robots(client, fleet("rescuebot", MANY), topics.OBSERVATION, stack)
+    first = start(stack, "features", router_endpoint, MANY)
+    start(stack, "features", router_endpoint, MANY)
+    robots.served_by("features", 2)
+    robots.insist(image(0))
+    first.send_signal(signal.SIGSTOP)
+    try:
+        robots.send(image(1))
+        robots.served_by("features", 1)
+        robots.insist(image(2))
+        robots.send(image(3))
+        eventually(lambda: all(robots.answers[name, 3] for name in robots.buses))
+    finally:
+        first.send_signal(signal.SIGCONT)
+    robots.served_by("features", 2)
+    robots.insist(image(4))
+    assert {robots.answers[name, 3] for name in robots.buses} == {1}
+    assert {robots.answers[name, 1] for name in robots.buses} == {0, 1}  # Those of the frozen one are nobody's.
