@@ -4,7 +4,8 @@
 - An instance of a service is seen (a liveliness token of Zenoh) at ``smal/<fleet>/@group/<service>/<instance>``, and
   for each robot that it serves at that key with the robot's id behind it. Whoever is killed is seen no more at once;
   whoever freezes or is cut off, after `zenoh_session.LEASE_MS`.
-- Whose a robot is follows from who is seen, by rendezvous hashing: where one leaves, its robots alone move.
+- Whose a robot is follows from who is seen, by rendezvous hashing: where one leaves, its robots alone move. The name of
+  an instance ends with how many robots it serves: a fleet grows while it drives, instance by instance.
 - Whoever loses a robot closes its node, and then is seen there no more. Whoever gets it is seen there first, looks
   again, and opens a node when nobody else is seen there: of two who look, one has seen the other. So no frame is
   answered twice; those that come meanwhile are lost.
@@ -42,9 +43,19 @@ _STUCK_S: Final = 100.0  # A node that does not end within this time, at the end
 S = TypeVar("S", bound=FleetSettings)
 
 
+def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set[str]:
+    """Return which robots of a fleet are an instance's; those of a smaller fleet have no say in the robots beyond."""
+    able = {one: int(one.rpartition("-")[2]) for one in instances}
+    return {
+        robot
+        for number, robot in enumerate(robots, 1)
+        if owner(robot, [one for one, many in able.items() if many >= number]) == instance
+    }
+
+
 def owner(robot: str, instances: Iterable[str]) -> str:
-    """Return whose a robot is: the instance whose digest together with it is the highest (rendezvous hashing)."""
-    return max(instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one))
+    """Return whose a robot is, of instances: whose digest together with it is the highest; empty without any."""
+    return max(instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one), default="")
 
 
 class Seen(NamedTuple):
@@ -56,7 +67,10 @@ class Seen(NamedTuple):
     @classmethod
     def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
         """Read keys at which somebody is seen; what no instance of ours says is left out."""
-        found = [re.fullmatch(rf"{re.escape(prefix)}/([0-9a-f]{{8}})(?:/([a-z0-9_-]{{1,32}}))?", key) for key in keys]
+        found = [
+            re.fullmatch(rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?", key)
+            for key in keys
+        ]
         pairs = {(match[1], match[2]) for match in found if match}
         robots = {robot for _, robot in pairs if robot is not None}
         return cls(
@@ -103,7 +117,7 @@ class Group(Generic[S]):
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
         self._name, self._settings, self._serve = name, settings, serve
         self.log = logging.getLogger(name)
-        self.instance = secrets.token_hex(4)
+        self.instance = f"{secrets.token_hex(4)}-{settings.robots}"
         self.robots = fleet(settings.robot, settings.robots)
         self._prefix = group_key(settings.robot, name)
         self._seen: set[str] = set()
@@ -157,7 +171,7 @@ class Group(Generic[S]):
         self._elsewhere_s |= dict.fromkeys(others, time.monotonic())
         if here:
             self._others = len(seen.instances) > 1
-            wanted = {robot for robot in self.robots if owner(robot, seen.instances) == self.instance}
+            wanted = share(self.instance, self.robots, seen.instances)
         else:
             # Nobody else can be asked: who was alone goes on, so that its robot does not wait for the router's return.
             wanted = set() if self._others else set(self._served)

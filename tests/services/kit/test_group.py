@@ -25,14 +25,15 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.cli.stack import free_endpoint
 from services.kit.bus import Bus
-from services.kit.group import Seen, owner
+from services.kit.group import Seen, owner, share
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
 from tests import corridor
 from tests.services.chain import image, process, seen, wheels
 from tests.services.waiting import eventually, status_of
 
-INSTANCES = st.sets(st.from_regex(r"[0-9a-f]{8}", fullmatch=True), min_size=1, max_size=9)
+NAMES = st.from_regex(r"[0-9a-f]{8}", fullmatch=True)
+INSTANCES = st.sets(NAMES, min_size=1, max_size=9)
 ROBOTS = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,31}", fullmatch=True)
 PREFIX = "smal/rescuebot/@group/features"
 
@@ -55,6 +56,15 @@ def test_where_an_instance_leaves_its_robots_alone_move(
         assert after != gone
 
 
+@given(
+    st.dictionaries(st.from_regex(r"[0-9a-f]{8}", fullmatch=True), st.integers(1, MAX_ROBOTS), min_size=1, max_size=9)
+)
+def test_robots_are_shared_out_among_those_who_serve_so_many(counts: dict[str, int]) -> None:
+    instances = {f"{one}-{many}": many for one, many in counts.items()}
+    shares = [share(one, fleet("rescuebot", many), instances) for one, many in instances.items()]
+    assert sorted(robot for each in shares for robot in each) == sorted(fleet("rescuebot", max(counts.values())))
+
+
 def test_instances_get_about_as_many_robots() -> None:
     instances = [f"{number:08x}" for number in range(4)]
     counts = Counter(owner(f"robot-{number}", instances) for number in range(1000))
@@ -63,12 +73,12 @@ def test_instances_get_about_as_many_robots() -> None:
 
 @given(st.lists(st.text(max_size=40)))
 def test_what_no_instance_says_is_left_out(rests: list[str]) -> None:
-    told = {f"{PREFIX}/0123abcd", f"{PREFIX}/0123abcd/rescuebot-2"}
-    wrong = {f"{PREFIX}/{rest}" for rest in (*rests, "*", "0123abcd/**", "0123ABCD", "0123abcd/r/s")}
-    found = Seen.of({*told, *wrong, "smal/other/@group/features/0123abcd"}, PREFIX)
-    assert found.instances >= {"0123abcd"}
-    assert "0123abcd" in found.serving["rescuebot-2"]
-    assert all(len(instance) == 8 for instance in found.instances)
+    told = {f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"}
+    wrong = {
+        f"{PREFIX}/{rest}" for rest in (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0")
+    }
+    found = Seen.of({*told, *wrong, "smal/other/@group/features/0123abcd-2"}, PREFIX)
+    assert found == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
 
 
 def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
