@@ -76,7 +76,7 @@ class RigPlan:
         every = {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
         module = {"moving base": "robot", "noting": "noting"}.get(self.robot)
         modules = {"robot": f"tests.benchmarks.faults.{module}"} if module else {}
-        return StackPlan(stack_services(), ROBOT, endpoint, every, self.secure, self.folder / "logs", modules)
+        return StackPlan(stack_services(), ROBOT, endpoint, every, self.secure, self.folder / "logs", modules=modules)
 
 
 class Rig:
