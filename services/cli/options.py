@@ -18,7 +18,7 @@ from services.experiments.engine import Engine
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
-from services.kit.settings import DEFAULT_SECURE_ROUTER, MAX_ROBOTS, ServiceSettings
+from services.kit.settings import DEFAULT_SECURE_ROUTER, MAX_ROBOTS, ServiceSettings, fleet
 from services.simulator.opening import BaseKind
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import World as LoadedWorld
@@ -52,6 +52,14 @@ class Camera:
 
 
 USUAL_CAMERA: Final = Camera(1024, 768)
+
+
+def fleet_of(robot: str, robots: int) -> tuple[str, ...]:
+    """Return the ids of the robots of a fleet; UsageError where one becomes too long."""
+    try:
+        return fleet(robot, robots)
+    except ValueError as error:
+        raise UsageError(f"--robots {robots}: {error}") from None
 
 
 def checked(check: Callable[[str], T]) -> Callable[[str], T]:

@@ -15,7 +15,6 @@ from services.kit.bus import zenohd_configuration
 from services.kit.credentials import Certificate
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
-from services.kit.settings import fleet
 from services.table import roles
 
 #: What deploy/secure.yml shows Eclipse's router.
@@ -50,10 +49,10 @@ def init(
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
-    hosts = _hosts(host)
+    hosts, names = _hosts(host), options.fleet_of(robot, robots)
     certificates.begin(folder, robot)
     certificates.issue(folder, hosts, days)
-    settings = zenohd_configuration("tls/0.0.0.0:7447", fleet(robot, robots), ZENOHD_SEES)
+    settings = zenohd_configuration("tls/0.0.0.0:7447", names, ZENOHD_SEES)
     (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
     (folder / ".gitignore").write_text("*\n")  # A folder in a checkout must not be committed.
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")

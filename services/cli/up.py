@@ -79,6 +79,8 @@ def up(
     base = _base(robot_body, ros2_config)
     if robots > 1 and base is not None:
         raise UsageError("--robots: a file of --ros2-config is of one base")
+    options.fleet_of(reach.robot, robots)
+    instances = _scale(scale)
     chain, learned_on = _chain_flags(model, use)
     features = options.feature_flags(modalities, learned_on)
     left_out = {name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out}
@@ -91,7 +93,7 @@ def up(
         secure=reach.secure,
         modules={} if base is None else {"robot": "services.ros2"},
         robots=robots,
-        scale=_scale(scale),
+        scale=instances,
     )
     processes = plan.processes()
     pages = dict(zip(plan.fleet, _ports_from(console, robots), strict=True))

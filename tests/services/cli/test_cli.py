@@ -82,6 +82,12 @@ def test_every_error_is_one_line(
         ("demonstrate", "--camera", "160x120", "--connect", "tcp/127.0.0.1:9"),
         ("up", "--robot", "A B"),
         ("up", "--model", "none.smal"),
+        ("up", "--robots", "33"),
+        ("up", "--robot", "r" * 31, "--robots", "2"),
+        ("secure", "init", "keys", "--robot", "r" * 31, "--robots", "2"),
+        ("up", "--scale", "recorder=2"),
+        ("up", "--scale", "recognition=0"),
+        ("up", "--scale", "recognition=10"),
         ("run", "--model", "x", "--scheme", "dream"),
     ],
 )
