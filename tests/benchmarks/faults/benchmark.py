@@ -128,7 +128,7 @@ def main(arguments: list[str]) -> None:
     if wrong:
         raise UsageError(f"no cell {wrong[0]!r}; known are: {', '.join(known)}")
     if chosen.model is not None:
-        options.read_model(chosen.model, "filter", None)
+        options.read_model(chosen.model, options.Use("filter"))
     with folder_for(chosen.out) as folder:
         names = chosen.cell or (QUICK if chosen.quick else known)
         results = benchmark([name for name in names for _ in range(chosen.times)], chosen.model, folder)

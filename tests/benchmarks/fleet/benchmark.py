@@ -83,7 +83,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--realtime", action="store_true", help="time waits for nobody")
     chosen = parser.parse(arguments)
     if chosen.model is not None:
-        options.read_model(chosen.model, "filter", None)
+        options.read_model(chosen.model, options.Use("filter"))
     with folder_for(chosen.out) as folder:
         model = (chosen.model or taught_model(folder / "taught")).resolve()
         results = benchmark(QUICK if chosen.quick else MANY, model, folder, realtime=chosen.realtime)

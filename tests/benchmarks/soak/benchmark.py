@@ -135,7 +135,7 @@ def main(arguments: list[str]) -> None:
     """Read the flags, drive, print and write."""
     chosen = _parser().parse(arguments)
     if chosen.model is not None:
-        options.read_model(chosen.model, "filter", None)
+        options.read_model(chosen.model, options.Use("filter"))
     if chosen.page and CHROMIUM is None:
         raise JobError(NO_CHROMIUM)
     usual = _PAGE_MINUTES if chosen.page else _MINUTES
