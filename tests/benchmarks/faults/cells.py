@@ -157,13 +157,15 @@ def restart_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Wi
 
 def lose_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Window:
     """Kill or freeze the one of two routers at which all are; then all are at the other, which is the next to go."""
-    pid = rig.stack.pid(("router", "router-2")[rig.lost % 2])
+    gone = rig.lost % 2
+    pid, at = rig.stack.pid(("router", "router-2")[gone]), addresses(rig.bus.endpoint)[gone]
     rig.lost += 1
     if number == signal.SIGSTOP:
         return _frozen(rig, pid, seconds)
     os.kill(pid, number)
     now_s = time.monotonic()
-    if not rig.until(lambda: all(map(_accepts, addresses(rig.bus.endpoint))), _RESTART_S):
+    rig.until(lambda: not _accepts(at), 10.0)
+    if not rig.until(lambda: _accepts(at), _RESTART_S):
         raise JobError(f"the router did not come back within {_RESTART_S:.0f} s")
     return Window(now_s, now_s)
 
