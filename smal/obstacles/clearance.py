@@ -168,13 +168,15 @@ class Surroundings:
         What is so near that a camera does not see beside its robot is not forgotten.
         """
         self._came &= self._lasts < SETTINGS.lasts * SETTINGS.stays
-        self._lasts += np.where(seen, SETTINGS.lasts, np.where(self._came, -1.0, 0.0))
+        self._lasts += np.where(seen, SETTINGS.lasts, np.where(self._came & (self._lasts >= 0.0), -1.0, 0.0))
         far = np.hypot(*self.seen_from(0.0)) > SETTINGS.unseen * self.radius_m
-        self._evidence[(self._lasts < 0.0) & far & self._walks(self.occupied & ~self._came)] = 0
+        self._evidence[(self._lasts < 0.0) & far & self._walks] = 0
 
-    def _walks(self, stood: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return in which cells stands what has come where it was free, and is no edge of what stood there."""
-        return np.asarray(self.occupied & self._came & ~binary_dilation(stood, iterations=SETTINGS.edge))
+    @property
+    def _walks(self) -> NDArray[np.bool_]:
+        """In which cells stands what has just come where it was free, and is no edge of what stood there."""
+        new = self._came & (self._lasts <= SETTINGS.lasts * SETTINGS.still)
+        return self.occupied & new & ~binary_dilation(self.occupied & ~new, iterations=SETTINGS.edge)
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
@@ -190,8 +192,7 @@ class Surroundings:
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Cells in which something is seen to stand that has just come there."""
-        hit = self._evidence > 1
-        return hit & self._walks((self._evidence > SETTINGS.hit + 1) & (self._lasts > SETTINGS.lasts * SETTINGS.still))
+        return self._walks & (self._evidence > 1)
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
