@@ -8,7 +8,7 @@ from schemas.base import Message
 from schemas.rpc import LoadRequest
 from schemas.state import State
 
-Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class Snapshot(Message):
@@ -22,8 +22,8 @@ class Snapshot(Message):
     """By which call it was loaded; none where it is that of the settings."""
     state: State | None = None
     """Where the robot was believed to be at its last frame; of recognition."""
-    wheels: tuple[Metres, Metres, Annotated[float, Field(ge=-3.2, le=3.2)]] | None = None
-    """The odometry of that frame: metres, metres and radians."""
+    wheels: tuple[Number, Number, Number] | None = None
+    """The odometry of that frame: x and y in metres, heading in radians."""
 
     @property
     def topic_name(self) -> str:

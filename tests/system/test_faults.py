@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from schemas.rpc import Nothing, Status
+from schemas.topics import SNAPSHOTS
 from services.simulator.base import STEP_S
 from services.table import SERVICES, stack_services
 from tests.benchmarks.faults.cells import MATRIX, Limits
@@ -61,9 +62,10 @@ def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig)
     rig.start_moving()  # whatever ran in this process before: who drives has heard from everyone
     for name in stack_services():
         status, row = rig.bus.call(name, "status", Nothing(), Status), SERVICES[name]
-        # The features take depth images where their modalities need them; what the robot takes at once waits nowhere.
+        # The features take depth images where their modalities need them; what the robot takes at once waits nowhere,
+        # and what is handed on waits for who serves the robot next.
         may_take = {topic.name for topic in row.takes}
-        at_once = may_take if name == "robot" else {"camera/depth"}
+        at_once = may_take if name == "robot" else {"camera/depth", *(topic.name for topic in SNAPSHOTS.values())}
         waiting = {one for one in status.waiting if not one.startswith("rpc/")}
         assert may_take - at_once <= waiting <= may_take, name
         assert {one for one in status.received if not one.startswith("rpc/")} <= may_take, name
