@@ -246,22 +246,15 @@ def test_a_node_ends_although_what_works_apart_hangs(
     assert caplog.messages == ["the thread 'sample, hang' did not end within 0.05 s"]
 
 
-@pytest.fixture
-def signals() -> Iterator[None]:
-    """Put back who handles them."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures("signals")
 def test_a_signal_just_before_the_loop_waits_ends_it(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     """It wakes nobody; idle services hung so, one in twelve that were ended on a busy machine."""
-    node.stop_on_signals()
     wait = node._inbox.take
+    before = [(one, signal.getsignal(one)) for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)]
     monkeypatch.setattr(node._inbox, "take", lambda s: (signal.raise_signal(signal.SIGTERM), wait(s))[1])
+    node.stop_on_signals()
     assert not node.spin()
+    for handled in before:
+        signal.signal(*handled)
 
 
 # -- processes --------------------------------------------------------------------------------------------------------
