@@ -191,8 +191,8 @@ class Surroundings:
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Cells in which something is seen to stand that has just come there."""
-        return self._walks & (self._evidence > 1)
+        """Cells in which something is seen to stand, or was until a moment ago, that has just come there."""
+        return self._walks & (self._evidence > 1) & (self._lasts >= 0.0)
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
