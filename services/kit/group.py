@@ -31,12 +31,11 @@ from schemas.codec import DecodeError, decode
 from schemas.snapshot import Snapshot
 from schemas.topics import SNAPSHOTS, group_key, key_of
 from services.kit.health import Together, ailment, serve_http
-from services.kit.node import SNAPSHOT_S, Node
+from services.kit.node import LOOK_S, SNAPSHOT_S, Node
 from services.kit.settings import FleetSettings, fleet
 from services.kit.zenoh_session import LEASE_MS
 from services.table import role_of
 
-LOOK_S: Final = 0.2  # How often an instance looks whether it was frozen, or stopped by a signal.
 #: A belief that is older is of no use: the robot may have been carried elsewhere.
 OLD_S: Final = 10.0
 _STUCK_S: Final = 100.0  # A node that does not end within this time, at the end, is left to the end of its process.

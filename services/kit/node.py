@@ -39,7 +39,7 @@ REQUEST_QUEUE: Final = 64
 _LAST_WORK_S: Final = 10.0
 #: How often a loop that waits looks whether it was stopped, seconds: a signal just before a wait does not end it, and
 #: Python calls its handler only after the wait.
-_LOOK_S: Final = 0.2
+LOOK_S: Final = 0.2
 SNAPSHOT_S: Final = 1.0  # How often a node publishes what it would hand on.
 _SOON: Final = "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
 M = TypeVar("M", bound=Message)
@@ -275,7 +275,7 @@ class Node:
             if deadline is not None and now >= deadline:
                 return False
             dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
-            self._handle(self._inbox.take(max(0.0, min([*dues, now + _LOOK_S]) - now)))
+            self._handle(self._inbox.take(max(0.0, min([*dues, now + LOOK_S]) - now)))
         self._state = "stopping"
         return False
 

@@ -8,7 +8,7 @@ does (`Episode.end`): of the operator, or of the robot that it is found or not h
 
 from typing import Generic, NamedTuple, TypeVar
 
-from schemas.episode import Judge, Outcome, Said
+from schemas.episode import Box, Judge, Outcome, Said
 from schemas.rpc import ResetRequest
 from services.robot.body import Body, View
 from services.robot.task import Task
@@ -22,7 +22,7 @@ class Ended(NamedTuple):
     outcome: Outcome
     judge: Judge | None = None
     right: bool | None = None
-    box: tuple[float, float, float, float] | None = None
+    box: Box | None = None
 
 
 class Episode(Generic[V]):

@@ -141,12 +141,12 @@ class Surroundings:
         cleared = through & ((lowest <= SETTINGS.ground_m) | (self._top_m > lowest))
         evidence[cleared] = np.maximum(evidence[cleared] - 1, SETTINGS.least_evidence)
         evidence[through & (evidence == 0)] = -1
-        # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
-        behind_m = ahead - seen.hit_m[column]
         near = np.isfinite(seen.hit_m)
         hit_m = np.where(near, seen.hit_m, 0.0)
         cells = self.cells(np.stack([mount.ahead_m + hit_m, hit_m * seen.across], axis=1))
         self._came[cells] |= near & (evidence[cells] < -1)
+        # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
+        behind_m = ahead - seen.hit_m[column]
         hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
         evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
         self._came[hidden] = self._came[cells][column[hidden]]

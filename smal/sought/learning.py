@@ -147,9 +147,8 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
         cells = cells_of(one.pictures[k])
         new = nearest(cells, codes)
         if not len(known):
-            mask = _piece(new > stands_out, new - stands_out, middle)
-            if one.box is not None:
-                mask = _drawn(one.box, new > stands_out)
+            new_here = new > stands_out
+            mask = _piece(new_here, new - stands_out, middle) if one.box is None else _drawn(one.box, new_here)
             if mask is None:
                 return
         else:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from smal.camera import Camera, Image
 from smal.features.extraction import Parallel, in_parallel
 from smal.files.map_file import GOAL_NAME
+from smal.sought.learning import Box
 
 USUAL_GOAL = "victim"  # Where drives lead that do not say so.
 
@@ -42,7 +43,7 @@ class Demonstration:
     #: on the spot if not given.
     ahead: NDArray[np.float32] | None = None
     #: Where in the last image the goal is, if somebody has drawn it: left, top, right, bottom, shares of its size.
-    box: tuple[float, float, float, float] | None = None
+    box: Box | None = None
 
     def __post_init__(self) -> None:
         shape = getattr(self.features, "shape", (len(self.features), None))
