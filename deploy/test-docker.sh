@@ -157,6 +157,30 @@ for service in "${SERVICES[@]}"; do
     test "$(inspect "$service" '{{.RestartCount}}') $(health "$service")" = "0 healthy"
 done
 
+# -- several of a service
+
+# Compose starts every service again where --scale is not repeated, and leaves what runs already.
+scaled() { timed docker compose up -d --wait --no-recreate --scale features="$1" --scale recognition="$2" "${SERVICES[@]}"; }
+scaled 2 3
+check "2 of features and 3 of recognition are healthy" "$took s" \
+  test "$(docker compose ps --format '{{.Health}}' features recognition | xargs)" = "healthy healthy healthy healthy healthy"
+docker compose run --rm --no-deps -T demo smal run --connect tcp/router:7447 --model "/out/${folder##*/}/model.smal" \
+  --world "$SMAL_WORLD" --episodes 2 --seed 1 --json /out/scaled.json >"$work/scaled.log" 2>&1 &
+runs=$!
+# Whose the robot is says the log of who got it last; it is killed while the robot drives, and does not come back.
+begun() { docker compose logs --no-log-prefix robot | grep -c 'frame 0: started' || true; }
+before=$(begun) began=$SECONDS
+while [ "$(begun)" = "$before" ] && [ $((SECONDS - began)) -lt 60 ]; do sleep 0.2; done
+served() { for one in $(container recognition); do docker logs -t "$one" 2>&1 | grep ' serves ' | sed "s/ .*/ $one/"; done | sort | tail -n 1; }
+killed=$(served | cut -d ' ' -f 2)
+docker kill "$killed" >/dev/null
+status=0
+wait "$runs" || status=$?
+found=$(grep -c '"outcome": "found"' "$SMAL_OUT/scaled.json" || true)
+check "one of recognition is killed, and the runs go on" "exit status $status, $found of 2 found, another serves" \
+  test "$status $found" = "0 2" -a "$(served | cut -d ' ' -f 2)" != "$killed"
+scaled 1 1
+
 # -- when something goes wrong
 
 # The only child of init is the service; what `exec` starts has no parent in the container.
@@ -188,7 +212,8 @@ for service in "${SERVICES[@]}"; do
   status=$(inspect "$service" '{{.State.ExitCode}}')
   check "$service stopped gracefully" "exit status $status" test "$status" = 0 -o "$status" = 143
 done
-check "all stopped" "$took s" test "$took" -lt 15
+# Each has 15 s, and the router is stopped after the others.
+check "all stopped" "$took s" test "$took" -lt 30
 check "no recording was left unfinished" "" test -z "$(find "$SMAL_OUT" -name '*.partial')"
 
 # -- with certificates

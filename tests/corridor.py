@@ -5,6 +5,7 @@ in a world of the simulator; a frame takes a millisecond.
 """
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -84,4 +85,12 @@ def drive() -> tuple[list[NDArray[np.uint8]], list[Atom], NDArray[np.float64]]:
 def save_model(path: Path) -> Path:
     """Write `model`."""
     model().save(path)
+    return path
+
+
+def save_renewed(path: Path) -> Path:
+    """Write `model` with a further look of a keyframe, as runs teach it: the keyframes are the same."""
+    taught = model().mapped
+    views = np.concatenate([taught.views, taught.views[5:6]])
+    replace(model(), mapped=replace(taught, views=views, looks=np.array([5], dtype=np.int32))).save(path)
     return path

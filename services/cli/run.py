@@ -23,7 +23,8 @@ from smal.features import FeatureSettings
 from smal.model import Model
 
 FRAMES_APART = 20  # Camera images kept of every run for the report, one in so many frames.
-CHAIN = ("recognition", "policy")  # The services that work with the model.
+#: The services that work with the model: what policy has prepared it takes with the first state by recognition.
+CHAIN = ("policy", "recognition")
 
 
 def run(

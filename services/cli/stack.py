@@ -62,7 +62,7 @@ class StackPlan:
     logs: Path | None = None  # Folder for one log file a service; None lets them write to this terminal.
     robots: int = 1  # Of the fleet, each with its robot, recorder and page; whatever is grouped serves all of them.
     scale: Mapping[str, int] = field(default_factory=dict)  # Instances of grouped services; one if not given.
-    #: What ``python -m`` runs in place of a service's own module, for example a robot with another body.
+    #: What ``python -m`` runs in place of a process's own module, for example the first robot with another body.
     modules: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -194,7 +194,7 @@ class Stack:
         if process in self._routers:
             others = [address for name, address in self._routers.items() if name != process]
             environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": ",".join(others)}
-        module = plan.modules.get(service)
+        module = plan.modules.get(process)
         program = SERVICES[service].command if module is None else ("-m", module)
         command = tied(sys.executable, *program, *plan.flags.get(process, plan.flags.get(service, ())))
         if plan.logs is not None:

@@ -28,7 +28,7 @@ from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
 
 LOAD_S: Final = 60.0  # Reading a model takes as long.
-_CHAIN: Final = ("recognition", "policy")  # The services that work with the model.
+_CHAIN: Final = ("policy", "recognition")  # The services that work with the model, in the order of `smal run`.
 _LINES: Final = 30  # Lines of news that the page keeps.
 
 

@@ -18,7 +18,7 @@ from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
 from services.kit.errors import JobError
 from services.kit.replay import Budget, Replay
-from services.kit.wire import BusError, Refused, Take, flaw
+from services.kit.wire import BusError, Refused, Take, flaw, reason
 from services.kit.zenoh_session import (
     DEFAULT_ROUTER,
     Router,
@@ -99,7 +99,8 @@ class Bus:
         self._of = of
         opened = of.sessions if of else {lane: open_client(endpoint, credentials, patience_s) for lane in LANES}
         self.sessions: dict[Lane, zenoh.Session] = opened
-        self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
+        #: By topic, with when something was last sent, monotonic seconds.
+        self._publishers: dict[str, tuple[zenoh.Publisher | zenoh.ext.AdvancedPublisher, float]] = {}
         self._matching: dict[str, zenoh.Publisher] = {}
         self._held = Budget(HELD_BYTES)
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
@@ -130,9 +131,16 @@ class Bus:
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
         topic = TOPICS[message.topic_name]
-        if topic.name not in self._publishers:
-            self._publishers[topic.name] = self.declare_publisher(topic)
-        self._publishers[topic.name].put(encode(message))
+        publisher, _ = self._publishers.get(topic.name) or (self.declare_publisher(topic), 0.0)
+        self._publishers[topic.name] = publisher, time.monotonic()
+        publisher.put(encode(message))
+
+    def forget(self) -> None:
+        """Let go of what is kept, where nothing was sent for longer than it is; on the thread that publishes."""
+        for name, (publisher, sent_s) in [*self._publishers.items()]:
+            if time.monotonic() - sent_s > KEPT_S:
+                del self._publishers[name]
+                publisher.undeclare()
 
     def has_listeners(self, topic: Topic) -> bool:
         """Whether anybody subscribes to a topic, as far as the router has told yet; for what is costly to make."""
@@ -335,16 +343,14 @@ class Bus:
             time.sleep(_AGAIN_S)
         if reply is None:
             raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
-        result = reply.result
+        result, at, put = reply.result, key, True
         if isinstance(result, zenoh.Sample):
-            why = flaw(key, None, str(result.key_expr), len(result.payload), put=result.kind == _PUT)
-        else:
-            why = flaw(key, None, key, len(result.payload))
-        if why is not None:
+            at, put = str(result.key_expr), result.kind == _PUT
+        if (why := flaw(key, None, at, len(result.payload), put=put)) is not None:
             raise RpcError(f"{service} {verb}: unfit reply: {why}")
         payload = result.payload.to_bytes()
         if not isinstance(result, zenoh.Sample):
-            raise RpcError(f"{service} {verb}: {_reason(payload)}")
+            raise RpcError(f"{service} {verb}: {reason(payload)}")
         try:
             return reply_type.model_validate_json(payload)
         except ValidationError as error:
@@ -372,20 +378,12 @@ class Bus:
             for session in self.sessions.values():
                 session.close()
         else:
-            for publisher in (*self._publishers.values(), *self._matching.values()):
+            for publisher in (*(one for one, _ in self._publishers.values()), *self._matching.values()):
                 publisher.undeclare()
         # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
         for thread in self._answering:
             if thread is not threading.current_thread():
                 thread.join(_LAST_ANSWER_S)
-
-
-def _reason(failure: bytes) -> str:
-    try:
-        return printable(Failure.model_validate_json(failure).error)
-    except ValidationError:
-        # Zenoh's own errors ("Timeout") are plain text.
-        return printable(failure[:200].decode(errors="replace"))
 
 
 def _origin(sample: zenoh.Sample) -> str:

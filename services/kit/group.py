@@ -29,7 +29,7 @@ from prometheus_client import CollectorRegistry
 
 from schemas.codec import DecodeError, decode
 from schemas.snapshot import Snapshot
-from schemas.topics import SNAPSHOTS, group_key, key_of
+from schemas.topics import KEPT_S, SNAPSHOTS, group_key, key_of
 from services.kit.health import Together, ailment, serve_http
 from services.kit.node import LOOK_S, SNAPSHOT_S, Node
 from services.kit.settings import FleetSettings, fleet
@@ -191,6 +191,7 @@ class Group(Generic[S]):
             try:
                 with Node(self._name, settings, bus=self._bus, instance=self.instance) as node:
                     node.inherited = self._inherited(robot)
+                    node.every(KEPT_S, node.bus.forget)  # So an idle robot costs next to nothing.
                     served.node = node
                     if not served.leaving:
                         self._serve(node, settings)

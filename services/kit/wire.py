@@ -17,8 +17,11 @@
 from collections.abc import Callable
 from typing import Final
 
+from pydantic import ValidationError
+
 from schemas.base import Message
 from schemas.codec import misfit, printable
+from schemas.rpc import Failure
 from schemas.topics import TOPICS
 from services.kit.errors import JobError
 
@@ -48,3 +51,12 @@ def flaw(
     if message is not None:
         return misfit(message, encoding, size)
     return f"{size} bytes, at most {MAX_RPC_BYTES} allowed" if size > MAX_RPC_BYTES else None
+
+
+def reason(failure: bytes) -> str:
+    """Return why a call failed, by the error that answered it."""
+    try:
+        return printable(Failure.model_validate_json(failure).error)
+    except ValidationError:
+        # Zenoh's own errors ("Timeout") are plain text.
+        return printable(failure[:200].decode(errors="replace"))

@@ -27,11 +27,16 @@ _log = logging.getLogger("policy")
 
 
 class PolicyService:
-    """Answers every frame with a command; if recognition has another model, it stops the robot and drops its plan."""
+    """Answers every frame with a command; if recognition has another model, it stops the robot and drops its plan.
+
+    A model that is loaded is prepared here first, and taken with recognition's first state of it: until then it goes on
+    by the one before, so that no robot stands between two maps.
+    """
 
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None
         self._maker: _ByFilter | _ByPaper | None = None
+        self._before: tuple[LoadedModel, _ByFilter | _ByPaper] | None = None  # What recognition may still go by.
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
@@ -40,8 +45,12 @@ class PolicyService:
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
     def load(self, loaded: LoadedModel) -> LoadReply:
-        """Work with another model from now on."""
+        """Work with another model, as soon as recognition does."""
         model = loaded.model
+        if self._before is None and self._loaded is not None and self._maker is not None:
+            self._before = self._loaded, self._maker
+        if self._before is not None and self._before[0].identity == loaded.identity:
+            self._before = None  # To another goal, or back: at once.
         maker = _ByFilter(model, loaded.goal) if isinstance(model, Model) else _ByPaper(model)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
@@ -66,17 +75,22 @@ class PolicyService:
         """Return the decision, if one is due at this frame, and the command for it."""
         if self._loaded is None or self._maker is None or state.status == "idle":
             return []
+        loaded, maker = self._loaded, self._maker
+        if self._before is not None and state.model == self._before[0].identity:
+            loaded, maker = self._before
+        elif state.model == loaded.identity:
+            self._before = None
         decided = state.status in {"recognized", "unknown"}
-        if state.model != self._loaded.identity or (decided and not self._maker.understands(state)):
-            return [self._refuse(state, self._loaded, self._maker)]
+        if state.model != loaded.identity or (decided and not maker.understands(state)):
+            return [self._refuse(state, loaded, maker)]
         if self._last is not None:
             last, answer = self._last
             if (last.episode, last.tick) == (state.episode, state.tick):
                 # The simulator asked again because an answer was lost: the same answer, the plan unchanged.
                 return answer
             if last.episode != state.episode:
-                self._maker.reset()
-        answer = self._maker.answer(state, median(self._delays_s), self.sight)
+                maker.reset()
+        answer = maker.answer(state, median(self._delays_s), self.sight)
         self._last = (state, answer)
         return answer
 

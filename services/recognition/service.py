@@ -14,7 +14,7 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply
 from schemas.state import State
 from schemas.taught_map import TaughtMap
-from services.kit.model_service import LoadedModel, Wheels
+from services.kit.model_service import AnyModel, LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
 from smal.filter import Belief
 from smal.model import Model, in_common_axes
@@ -46,10 +46,12 @@ class RecognitionService:
         self._waiting: Observation | None = None
 
     def load(self, loaded: LoadedModel) -> LoadReply:
-        """Work with another model from now on."""
-        model = loaded.model
+        """Work with another model from now on; where its keyframes are those of the one before, so is the belief."""
+        model, before, handed = loaded.model, self._loaded, self.hands_on()
         localizer = _ByFilter(model, loaded) if isinstance(model, Model) else _ByPaper(model, loaded)
         self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
+        if handed is not None and before is not None and _same_keyframes(model, before.model):
+            self.resume(*handed)
         return loaded.reply()
 
     @property
@@ -143,6 +145,13 @@ class RecognitionService:
         # This runs on a thread of the bus: the model may be replaced at any time.
         loaded = self._loaded
         return {"model": None} if loaded is None else loaded.detail()
+
+
+def _same_keyframes(one: AnyModel, other: AnyModel) -> bool:
+    """Whether two maps have the same keyframes, as one that was taught further looks and the one before."""
+    if not isinstance(one, Model) or not isinstance(other, Model):
+        return False
+    return np.array_equal(one.mapped.key_poses, other.mapped.key_poses)
 
 
 def _forget(kept: dict[tuple[str, int], Any]) -> None:

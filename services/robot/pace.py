@@ -101,9 +101,17 @@ Paces = Mapping[Mode, Callable[[], Pace[V]]]  # How time passes, by mode; each e
 
 
 class RealTime(Generic[V]):
-    """The clock runs: ten frames a second at most, while a loop drives; ``wake`` has somebody call ``poll`` soon."""
+    """The clock runs: a frame every ``frame_s``, while a loop drives; ``wake`` has somebody call ``poll`` soon."""
 
-    def __init__(self, gate: CommandGate, body: Body[V], clock: Callable[[], float], wake: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        gate: CommandGate,
+        body: Body[V],
+        clock: Callable[[], float],
+        wake: Callable[[], None],
+        frame_s: float = TICK_S,
+    ) -> None:
+        self._frame_s = frame_s
         self._clock = clock
         self._wake = wake
         self._changes: deque[Applied] = deque(maxlen=CHANGES_KEPT)
@@ -134,7 +142,7 @@ class RealTime(Generic[V]):
 
     def begin(self) -> None:
         """Start the loop."""
-        self._due_s = self._clock() + TICK_S
+        self._due_s = self._clock() + self._frame_s
         self.loop.start()
 
     def poll(self, runner: Teller[V], run: Running[V]) -> Iterator[Message]:
@@ -145,8 +153,8 @@ class RealTime(Generic[V]):
         if now < self._due_s:
             return
         # A frame that took longer than a tick to make puts off the next ones; the robot moves on meanwhile.
-        self.late += now - self._due_s > TICK_S
-        self._due_s = max(self._due_s + TICK_S, now)
+        self.late += now - self._due_s > self._frame_s
+        self._due_s = max(self._due_s + self._frame_s, now)
         yield from runner.next_frame(run)
         if run is runner.running:
             yield runner.tell(run, runner.gate.applied(self._clock()))

@@ -17,7 +17,7 @@ from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError
 from services.robot.body import Body, View
 from services.robot.cancelling import CancelledError, Cancelling
-from services.robot.clock import now_s
+from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Ended, Episode
 from services.robot.gate import Applied, CommandGate
 from services.robot.guard import guard_of
@@ -58,11 +58,12 @@ class EpisodeRunner(Generic[V]):
         self.body = body
         self.gate = gate
         self.wake: Callable[[], None] = lambda: None  # Called when ``poll`` has something to do; must return at once.
+        self.frame_s = TICK_S  # Time from frame to frame in real time, at least.
         self.task = task
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
-            "realtime": lambda: RealTime(gate, body, clock, self.wake),
+            "realtime": lambda: RealTime(gate, body, clock, self.wake, self.frame_s),
             **(paces or {}),
         }
         self._clock = clock

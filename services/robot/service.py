@@ -4,7 +4,9 @@ import secrets
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
-from typing import Final, TypeVar
+from typing import Annotated, Final, TypeVar
+
+from pydantic import Field
 
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
@@ -46,6 +48,9 @@ class RobotSettings(ServiceSettings):
     attended: bool = True
     """Whether it moves only while an operator is there, at smal teleop or another console that sends heartbeats. Where
     one is there they are missed in any case: without their heartbeat the robot stands."""
+    frames_hz: Annotated[float, Field(ge=1, le=10)] = 10.0
+    """Camera frames a second in real time, at most; fewer for a machine that is too small for its robots. A depth
+    camera is too old to drive by below 4."""
 
 
 def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:
@@ -216,6 +221,7 @@ def serve_robot(
             paces=paces,
             wall_clock_ns=wall_clock_ns,
         )
+        runner.frame_s = 1.0 / settings.frames_hz
         service = RobotService(runner, node)
         try:
             node.spin()

@@ -108,6 +108,21 @@ def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None
     assert made(policy.handle(belief(0, model, episode="next"))) == ("follow", 5, "forward")
 
 
+def test_no_robot_stands_between_two_maps(policy: PolicyService, model: Path, tmp_path: Path) -> None:
+    def atom(tick: int, of: Path) -> str:
+        command = policy.handle(belief(tick, of))[-1]
+        assert isinstance(command, Command)
+        return command.atom
+
+    renewed = corridor.save_renewed(tmp_path / "renewed.smal")
+    policy.load(LoadedModel.read(renewed))
+    assert [atom(0, model), atom(1, model)] == ["forward"] * 2  # Recognition has the one before.
+    assert [atom(2, renewed), atom(3, renewed)] == ["forward"] * 2
+    assert atom(4, model) == "stop"  # There is no way back.
+    policy.load(LoadedModel.read(model))
+    assert [atom(5, renewed), atom(6, model), atom(7, renewed)] == ["forward", "forward", "stop"]
+
+
 @pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
 def test_it_stops_for_a_state_of_another_scheme(
     policy: PolicyService, model: Path, papers_model: Path, fields: dict[str, object]

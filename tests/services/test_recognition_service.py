@@ -55,6 +55,18 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.tracked_m == pytest.approx(1.4, abs=0.01)
 
 
+def test_a_renewed_map_goes_on_from_what_was_believed(service: RecognitionService, tmp_path: Path) -> None:
+    for tick in range(8):
+        at(service, tick)
+    renewed = corridor.save_renewed(tmp_path / "renewed.smal")
+    service.load(LoadedModel.read(renewed))
+    service.see(wheels(8))
+    state = service.handle(seen(8))
+    assert state is not None
+    assert (state.model, state.tracked_m) == (identity(renewed), pytest.approx(1.6, abs=0.05))
+    assert placed(state) == (pytest.approx(1.6, abs=0.1), pytest.approx(0.0, abs=0.1))
+
+
 def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
     for tick in range(8):
         service.see(wheels(tick))

@@ -57,7 +57,7 @@ def benchmark(names: Sequence[str], model: Path | None, folder: Path) -> dict[st
 def _stops(name: str, model: Path, folder: Path) -> list[Stop]:
     folder.mkdir(parents=True, exist_ok=True)
     keys = make_keys(folder / "keys", robot=ROBOT) if name == "floods with certificates" else None
-    with rig_for(RigPlan(model, folder, "noting", secure=keys)) as rig:
+    with rig_for(RigPlan(model, folder, robot="noting", secure=keys)) as rig:
         return flooded(rig)
 
 
@@ -67,9 +67,10 @@ def _run(cells: Sequence[Cell], model: Path, folder: Path) -> Iterator[Outcome]:
     with tqdm(total=len(waiting), desc="faults", unit="cell", dynamic_ncols=True) as bar:
         while waiting:
             stacks += 1
-            routers = waiting[0].routers
-            with rig_for(RigPlan(model, folder / f"stack{stacks}", routers=routers)) as rig:
-                while waiting and waiting[0].routers == routers:
+            routers, instances = kind = waiting[0].routers, waiting[0].instances
+            plan = RigPlan(model, folder / f"stack{stacks}", routers=routers, robots=instances, instances=instances)
+            with rig_for(plan) as rig:
+                while waiting and (waiting[0].routers, waiting[0].instances) == kind:
                     name = waiting[0].name
                     bar.set_postfix_str(name)
                     try:

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Final
 
 from schemas.topics import KEPT_S
+from services.cli.up import GROUPED
 from services.kit.bus import addresses, host_and_port
 from services.kit.errors import JobError
 from services.recordings.sink import PARTIAL_SUFFIX
@@ -31,6 +32,7 @@ _RESTARTED_S, _RECOVERED_S = 15.0, 1.0
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
 _AT_THE_OTHER_S: Final = 2.5  # Two seconds to the other router, and half a one to the next command.
+_MOVES_S: Final = 10.0  # A robot waits so long at most for its next command, on a machine with too much to do.
 _UNDISTURBED_S: Final = 1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
 
 
@@ -58,7 +60,8 @@ class Cell:
     ``watched`` is a service that must be another process, and ready, after the fault. With ``drives_on`` episodes go on
     meanwhile; with ``stands`` the robot has to stand; if ``abandoned`` it may stand already when the fault begins. With
     ``next_episode`` the next episode's recording is judged; what there is of this one's must be readable. The stack
-    has so many ``routers``.
+    has so many ``routers``; and so many robots as it has ``instances`` of what runs any number of times, where each has
+    to find its victim, whatever is harmed meanwhile.
     """
 
     name: str
@@ -70,6 +73,7 @@ class Cell:
     abandoned: bool = False
     next_episode: bool = False
     routers: int = 1
+    instances: int = 1
 
 
 @contextmanager
@@ -88,9 +92,11 @@ def nothing(rig: Rig, seconds: float) -> Window:
     return Window(*times)
 
 
-def kill(rig: Rig, service: str) -> Window:
-    """Kill a service; whoever looks after the stack starts it again. The fault ends at once."""
-    os.kill(rig.pid(service), signal.SIGKILL)
+def kill(rig: Rig, service: str, number: signal.Signals = signal.SIGKILL) -> Window:
+    """End the service's process that serves the robot; whoever looks after the stack starts it again, at once."""
+    pid = rig.pid(service)
+    rig.until(rig.moves, _MOVES_S)
+    os.kill(pid, number)
     now_s = time.monotonic()
     return Window(now_s, now_s)
 
@@ -106,6 +112,7 @@ def link_down(rig: Rig, service: str, seconds: float) -> Window:
 
 
 def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
+    rig.until(rig.moves, _MOVES_S)
     with _timed() as times:
         os.kill(pid, signal.SIGSTOP)
         try:
@@ -143,6 +150,7 @@ def restart_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Wi
     """End the router; the fault ends when the next one accepts connections, after ``seconds`` or a little more."""
     pid = rig.pid("router")
     rig.supervised = seconds <= 0.0
+    rig.until(rig.moves, _MOVES_S)
     with _timed() as times:
         os.kill(pid, number)
         try:
@@ -162,6 +170,7 @@ def lose_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Windo
     rig.lost += 1
     if number == signal.SIGSTOP:
         return _frozen(rig, pid, seconds)
+    rig.until(rig.moves, _MOVES_S)
     os.kill(pid, number)
     now_s = time.monotonic()
     rig.until(lambda: not _accepts(at), 10.0)
@@ -231,6 +240,18 @@ def _matrix() -> Iterator[Cell]:
     for name, number, seconds in (("kill -9", signal.SIGKILL, 0.0), ("freeze", signal.SIGSTOP, 5.0)):
         harm = partial(lose_router, number=number, seconds=seconds)
         yield Cell(f"{name} one router of two", harm, gone, stands=number == signal.SIGSTOP, routers=2)
+    # Two robots and two instances: the robot is the other instance's, as soon as it is seen that the first is gone.
+    yield Cell("no fault, two instances", partial(nothing, seconds=5.0), undisturbed, drives_on=True, instances=2)
+    for service in GROUPED:
+        limits = undisturbed if service == "tracker" else replace(killed, pause_s=_AT_THE_OTHER_S)
+        for name, harm in (
+            ("kill -9", partial(kill, service=service)),
+            ("restart", partial(kill, service=service, number=signal.SIGTERM)),
+            ("freeze", partial(freeze, service=service, seconds=5.0)),
+        ):
+            stands = name == "freeze" and service != "tracker"
+            watched = None if name == "freeze" else service
+            yield Cell(f"{name} one {service} of two", harm, limits, watched, stands=stands, instances=2)
     for service in LINKED:
         harm = partial(link_down, service=service, seconds=_OUTAGE_S)
         yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")

@@ -19,7 +19,7 @@ from services.robot.clock import TICK_S
 
 VALID_S: Final = 0.5  # A command may be obeyed for so long, counted from the capture of the frame that it answers.
 RESTS_S: Final = TICK_S  # A base that does not move for so long stands; as long as from frame to frame.
-_TOLD: Final = ("sequence", "event", "atom", "reason", "answered_tick", "latency_ns")
+_TOLD: Final = ("sequence", "event", "outcome", "atom", "reason", "answered_tick", "latency_ns")
 
 
 class Window(NamedTuple):
@@ -153,7 +153,7 @@ def rate_hz(entries: Iterable[Entry], topic: str, span: Window) -> float:
     return arrived / (span.end_s - span.begin_s)
 
 
-def drives(entries: Sequence[Entry], episode: str | None) -> bool:
-    """Whether the robot's last three commands of an episode were obeyed and moved it."""
-    last = [one.told for one in entries if (one.topic, one.episode) == (APPLIED.name, episode)][-3:]
-    return len(last) == 3 and all(told["reason"] == "command" and told["atom"] != "stop" for told in last)
+def drives(entries: Sequence[Entry], episode: str | None, commands: int = 3) -> bool:
+    """Whether the robot's last commands of an episode were obeyed and moved it."""
+    last = [one.told for one in entries if (one.topic, one.episode) == (APPLIED.name, episode)][-commands:]
+    return len(last) == commands and all(told["reason"] == "command" and told["atom"] != "stop" for told in last)

@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
@@ -10,10 +11,20 @@ from typing import Final, Literal
 from unittest.mock import patch
 
 from schemas.codec import DecodeError, decode
-from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.rpc import (
+    ArmRequest,
+    EndRequest,
+    Mode,
+    Nothing,
+    RecordReply,
+    ResetReply,
+    ResetRequest,
+    ResumeRequest,
+    Status,
+)
 from schemas.topics import EPISODE, TOPICS, Topic
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
-from services.cli.up import WATCH_S
+from services.cli.up import GROUPED, WATCH_S
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError
 from services.kit.node import Detail
@@ -47,6 +58,9 @@ class RigPlan:
     console: str = "127.0.0.1:0"
     secure: Path | None = None
     routers: int = 1
+    robots: int = 1  # The others are simulated, and begin one episode after another.
+    instances: int = 1  # Of each service that runs any number of times.
+    mode: Mode = "realtime"
 
     @property
     def notes(self) -> Path:
@@ -74,13 +88,20 @@ class RigPlan:
             "console": flags(console=self.console, root=self.folder.resolve()),
         }
         every = {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
+        for number in range(2, self.robots + 1):
+            every[f"robot-{number}"] = flags(world=self.world, camera_width=CAMERA[0], camera_height=CAMERA[1])
+            every[f"recorder-{number}"] = flags(recordings=self.recordings.resolve() / str(number))
+            every[f"console-{number}"] = flags(console="127.0.0.1:0", root=self.folder.resolve())
         module = {"moving base": "robot", "noting": "noting"}.get(self.robot)
         modules = {"robot": f"tests.benchmarks.faults.{module}"} if module else {}
-        return StackPlan(stack_services(), ROBOT, endpoint, every, self.secure, self.folder / "logs", modules=modules)
+        scale, logs = dict.fromkeys(GROUPED, self.instances), self.folder / "logs"
+        return StackPlan(
+            stack_services(), ROBOT, endpoint, every, self.secure, logs, self.robots, scale, modules=modules
+        )
 
 
 class Rig:
-    """A driving stack; made by ``rig_for``."""
+    """A driving stack, and one robot of it; made by ``rig_for``."""
 
     def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, int], arrived: list[Entry]) -> None:
         self.plan, self.stack, self.bus = plan, stack, bus
@@ -88,9 +109,10 @@ class Rig:
         self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
         self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
         self.driven = False  # Whether a new episode begins when one has ended.
+        self.others: list[Rig] = []  # Of the further robots of the fleet, of which ends of episodes are observed alone.
+        self.outcomes: Counter[str] = Counter()  # How the episodes ended since the last ``forget``.
         self.notes: list[str] = []
         self.seed = 100
-        self.begun = 0  # How many episodes have begun.
         self.lost = 0  # How many routers of two were lost.
         self.since_s = time.monotonic()  # When the account began, monotonic seconds.
         self._armed = False
@@ -118,8 +140,9 @@ class Rig:
         del self._arrived[: len(new)]
         self.entries += new
         for one in new:
-            if one.topic == EPISODE.name and one.told["event"] == "ended" and one.episode == self._episode:
-                self._episode = None
+            if one.topic == EPISODE.name and one.told["event"] == "ended":
+                self.outcomes[one.told["outcome"]] += 1
+                self._episode = None if one.episode == self._episode else self._episode
         if self.supervised and time.monotonic() >= self._watch_s:
             self._watch_s = time.monotonic() + WATCH_S
             if "robot" in self.stack.restart_dead():
@@ -127,11 +150,16 @@ class Rig:
         if self.driven and self._episode is None and time.monotonic() >= self._begin_s:
             self._begin_s = time.monotonic() + WATCH_S
             self.begin(timeout_s=30.0)
+        for other in self.others:
+            other._look()
 
     def forget(self) -> None:
         """Begin a new account; an episode that has ended meanwhile is noticed all the same."""
         self._look()
         self.entries, self.notes, self.since_s = [], [], time.monotonic()
+        self.outcomes.clear()
+        for other in self.others:
+            other.forget()
 
     def steps(self) -> list[Step]:
         """Return what the moving base did since then."""
@@ -155,7 +183,7 @@ class Rig:
 
     def begin(self, timeout_s: float) -> bool:
         """Begin an episode; return whether one has begun."""
-        request = ResetRequest(seed=self.seed + 1, mode="realtime")
+        request = ResetRequest(seed=self.seed + 1, mode=self.plan.mode)
         try:
             if not self._armed:  # as its operator does with a robot that was just started
                 self._arm("not_armed")
@@ -163,7 +191,6 @@ class Rig:
         except RpcError:
             return False
         self.seed += 1
-        self.begun += 1
         return True
 
     def _arm(self, cause: str | None = None) -> Detail:
@@ -173,6 +200,14 @@ class Rig:
             self.bus.call("robot", "arm", ArmRequest(stop=int(told["emergency_stop"])), Nothing)
         self._armed = True
         return told
+
+    def moves(self) -> bool:
+        """Whether the robot moves now, by the last that its actuator told."""
+        return drives(self.entries, self._episode, 1)
+
+    def ended(self) -> bool:
+        """Whether no episode runs."""
+        return self._episode is None
 
     def resume(self) -> None:
         """Arm the robot for whichever stop it stands, and have the policy go on."""
@@ -238,7 +273,7 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     plan.folder.mkdir(parents=True, exist_ok=True)
     plan.notes.touch()
     with ExitStack() as stacked:
-        linked = LINKED if plan.robot == "moving base" and plan.routers == 1 else ()
+        linked = LINKED if plan.robot == "moving base" and plan.routers == plan.instances == 1 else ()
         links = {service: stacked.enter_context(link(endpoint)) for service in linked}
         wheels = stacked.enter_context(rolling(plan.world, plan.steps)) if plan.robot == "moving base" else None
         stack = Stack(plan.stack(endpoint, {service: address for service, (address, _) in links.items()}, wheels))
@@ -247,7 +282,15 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
         if plan.robot != "noting":
             stacked.enter_context(closing(observer(endpoint, arrived)))
         bus = stacked.enter_context(closing(stack.settings.open_bus("operator")))
-        yield Rig(plan, stack, bus, {service: pid for service, (_, pid) in links.items()}, arrived)
+        rig = Rig(plan, stack, bus, {service: pid for service, (_, pid) in links.items()}, arrived)
+        for robot in stack.plan.fleet[1:]:
+            ended: list[Entry] = []
+            own = stacked.enter_context(closing(bus.of_robot(robot)))
+            other = Rig(plan, stack, own, {}, ended)
+            _note(own, EPISODE, ended)
+            other.driven, other.supervised = True, False
+            rig.others.append(other)
+        yield rig
 
 
 def observer(endpoint: str, arrived: list[Entry]) -> Bus:

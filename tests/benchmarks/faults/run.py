@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -17,6 +18,8 @@ from tests.benchmarks.faults.rig import Rig
 _RECOVERY_S: Final = 60.0  # Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
 #: After the recovery the loop goes on for so many answered frames, so that what comes late is seen.
 _AFTERWARDS: Final = 15
+_FOUND_S: Final = 120.0  # Until the robot has found its victim, however busy the machine is: some 15 s undisturbed.
+_TRIES: Final = 3
 NEVER: Final = Window(0.0, 0.0)
 _RATED: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, COMMANDS["policy"].name)
 
@@ -47,6 +50,7 @@ class Outcome:
     unreadable: list[str] = field(default_factory=list)
     load: float = field(default_factory=lambda: os.getloadavg()[0])
     notes: list[str] = field(default_factory=list)
+    outcomes: dict[str, int] = field(default_factory=dict)
     not_met: list[str] = field(default_factory=list)
 
     def record(self) -> dict[str, Any]:
@@ -55,12 +59,20 @@ class Outcome:
 
 
 def run_cell(cell: Cell, rig: Rig) -> Outcome:
-    """Do the harm while the robot drives, wait for the recovery, and judge."""
+    """Do the harm while the robot drives, wait for the recovery, and judge; again if the robot happened to stand."""
+    for _ in range(_TRIES):
+        outcome = _run(cell, rig)
+        if not cell.stands or outcome.stood_s is not None:
+            break
+    return outcome
+
+
+def _run(cell: Cell, rig: Rig) -> Outcome:
     rig.start_moving()
     watched = rig.pid(cell.watched) if cell.watched else 0
     rig.driven = cell.drives_on
     outcome = Outcome(cell.name, cell.harm(rig))
-    rig.driven = True
+    rig.driven = cell.instances == 1
     end_s = outcome.fault.end_s
     if cell.watched and rig.until(lambda: rig.ready(str(cell.watched), watched), _RECOVERY_S):
         outcome.restart_s = time.monotonic() - end_s
@@ -70,6 +82,9 @@ def run_cell(cell: Cell, rig: Rig) -> Outcome:
 
     rig.until(flows, _RECOVERY_S)
     over_s = time.monotonic()
+    if cell.instances > 1:
+        rig.until(rig.ended, _FOUND_S)
+        outcome.outcomes = dict(sum((one.outcomes for one in (rig, *rig.others)), Counter()))
     harmed = {one.episode for one in rig.entries}
     rig.finish_episode()
     steps, entries, outcome.notes = rig.steps(), rig.entries, rig.notes
@@ -119,6 +134,7 @@ def verdict(cell: Cell, outcome: Outcome) -> list[str]:
     still_s = limits.still_s + STEP_S  # what a base's log may be off by
     late = outcome.recovery_s is None or (cell.watched is not None and outcome.restart_s is None)
     found = {
+        "found": cell.instances > 1 and outcome.outcomes.keys() != {"found"},
         "stand still": outcome.still_s > still_s,
         "stale": bool(outcome.stale),
         "stand": (cell.stands or cell.abandoned) and (outcome.stood_s is None or outcome.stood_s > still_s),

@@ -1,7 +1,8 @@
 """Soak: what the services hold while the robot drives for an hour, episode after episode, in real time.
 
 Memory may grow by less than 5 % after a warm-up (a tenth of the run, at least two minutes), by a straight line through
-the samples; descriptors and threads must not become more.
+the samples; descriptors and threads must not become more. With --robots N so many robots share features, recognition,
+policy and tracker, in lockstep, so that a machine which is too small for them takes longer and no frame is lost.
 
 With --page a browser watches the console's page, for ten minutes. What the page holds after a collection of garbage is
 looked at once a minute: after the warm-up it may grow by 0.5 MB, of the 25 MB of pictures that it is sent, and by the
@@ -12,6 +13,7 @@ import argparse
 import json
 import shutil
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from pathlib import Path
@@ -22,6 +24,7 @@ from tqdm import tqdm
 from services.cli import options
 from services.cli.stack import free_endpoint
 from services.kit.errors import JobError
+from services.kit.settings import MAX_ROBOTS
 from services.table import stack_services
 from tests.benchmarks.faults.benchmark import taught_model
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
@@ -38,11 +41,12 @@ _PAGE_PERIOD_S: Final = 60.0
 _PAGE_SAMPLES: Final = 10
 _KEPT: Final = 5  # Recordings that are kept: an hour's would be gigabytes.
 _LEAST_HZ: Final = 8.0  # Fewer commands a second: the loop stood, and the run says nothing.
+_LEAST_LOCKSTEP_HZ: Final = 1.0  # So in lockstep, of all robots together, on a machine that is busy otherwise.
 _BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 
-def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool) -> dict[str, Any]:
-    """Let the robot drive, and have a page watch it or not; return what the JSON file holds."""
+def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool, robots: int = 1) -> dict[str, Any]:
+    """Let robots drive, and have a page watch the first or not; return what the JSON file holds."""
     model = model or taught_model(folder / "taught")
     address = free_endpoint().removeprefix("tcp/")
     browser = page_of(f"http://{address}/") if page else nullcontext()
@@ -51,12 +55,14 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool) -
     # The console draws what lies below its root.
     own.mkdir(parents=True, exist_ok=True)
     model = Path(shutil.copy(model, own / "model.smal"))
-    with rig_for(RigPlan(model, own, "simulated", console=address)) as rig, browser as send:
+    mode, least_hz = ("realtime", _LEAST_HZ) if robots == 1 else ("lockstep", _LEAST_LOCKSTEP_HZ)
+    plan = RigPlan(model, own, robot="simulated", console=address, robots=robots, mode=mode)
+    outcomes: Counter[str] = Counter()
+    with rig_for(plan) as rig, browser as send:
         rig.start_moving()
         rig.driven = True
-        samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl", send, pages))
-        messages = [_messages(rig, service) for service in stack_services()]
-        episodes = rig.begun
+        samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl", send, pages, outcomes))
+        messages = [_messages(one, service) for one in (rig, *rig.others) for service in stack_services()]
         rig.finish_episode()
     services = judge(samples)
     judged = [judge_page(warmed_up(pages))] if page else []
@@ -64,19 +70,21 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool) -
     return {
         "benchmark": "soak",
         "minutes": minutes,
-        "episodes": episodes,
+        "episodes": dict(outcomes),
         "commands_hz": rate_hz,
         "services": services,
         "messages": messages,
         "samples": [vars(one) for one in samples],
         "pages": judged,
         "page_samples": [vars(one) for one in pages],
-        "met": rate_hz >= _LEAST_HZ and all(one[""] == "met" for one in (*services, *judged)),
+        "met": rate_hz >= least_hz and all(one[""] == "met" for one in (*services, *judged)),
     }
 
 
-def _samples(rig: Rig, seconds: float, log: Path, send: Send | None, pages: list[Held]) -> Iterator[Sample]:
-    """Look at every service now and then, and at the page if there is one; what was seen is on the disk at once."""
+def _samples(
+    rig: Rig, seconds: float, log: Path, send: Send | None, pages: list[Held], outcomes: Counter[str]
+) -> Iterator[Sample]:
+    """Look at every process now and then, and at the page if there is one; what was seen is on the disk at once."""
     period_s = min(_PERIOD_S, seconds / _SAMPLES)
     page_period_s = min(_PAGE_PERIOD_S, seconds / _PAGE_SAMPLES)
     began_s = time.monotonic()
@@ -87,45 +95,50 @@ def _samples(rig: Rig, seconds: float, log: Path, send: Send | None, pages: list
         due_s = 0.0
         while due_s <= seconds:
             rig.hold(max(0.0, began_s + due_s - time.monotonic()))
-            for service in stack_services():
-                with suppress(OSError, JobError):  # it has died, and is started again
-                    one = sample(time.monotonic() - began_s, service, rig.pid(service))
+            for process in rig.stack.plan.processes():
+                with suppress(OSError):  # it has died, and is started again
+                    one = sample(time.monotonic() - began_s, process, rig.stack.pid(process))
                     file.write(json.dumps(vars(one)) + "\n")
                     yield one
             if send is not None and due_s >= page_period_s * len(pages):
                 pages.append(held(time.monotonic() - began_s, send))
                 file.write(json.dumps(vars(pages[-1])) + "\n")
             _remove_old(rig.plan.recordings)
+            for each in (rig, *rig.others):
+                outcomes.update(each.outcomes)
             rig.forget()
             bar.update(round(due_s) - bar.n)
-            bar.set_postfix_str(f"episode {rig.begun}")
+            bar.set_postfix_str(f"{outcomes.total()} episodes")
             due_s += period_s
 
 
 def _remove_old(recordings: Path) -> None:
-    finished = sorted(recordings.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+    finished = sorted(recordings.rglob("*.mcap"), key=lambda path: path.stat().st_mtime)
     for path in finished[:-_KEPT]:
         path.unlink()
 
 
 def _messages(rig: Rig, service: str) -> Record:
     status = rig.status(service)
+    told = {"robot": rig.bus.robot, "service": service}
     if status is None:
-        return {"service": service, "received": 0, "published": 0, "commands": 0, "dropped": "no answer"}
-    return {
-        "service": service,
+        return (
+            told | dict.fromkeys(("received", "published", "commands", "dropped", "bad", "failed"), 0) | {"": "silent"}
+        )
+    return told | {
         "received": sum(status.received.values()),
         "published": sum(status.published.values()),
         "commands": status.published.get("command/policy", 0),
         "dropped": sum(status.dropped.values()),
         "bad": sum(status.bad.values()),
         "failed": status.failed,
+        "": "",
     }
 
 
 def as_text(results: dict[str, Any]) -> str:
     """Lay the results out for a reader."""
-    text = table(f"{results['minutes']:g} minutes, {results['episodes']} episodes", results["services"])
+    text = table(f"{results['minutes']:g} minutes, episodes: {results['episodes']}", results["services"])
     text += table("messages", results["messages"])
     text += table("the page, minute by minute", results["page_samples"]) + table("the page", results["pages"])
     return text + f"\n{results['commands_hz']:.1f} commands a second; {'met' if results['met'] else 'NOT MET'}\n"
@@ -141,7 +154,7 @@ def main(arguments: list[str]) -> None:
     usual = _PAGE_MINUTES if chosen.page else _MINUTES
     minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else usual)
     with folder_for(chosen.out) as folder:
-        results = benchmark(minutes, chosen.model, folder, page=chosen.page)
+        results = benchmark(minutes, chosen.model, folder, page=chosen.page, robots=chosen.robots)
     say(chosen, results, as_text(results))
     if not results["met"]:
         raise JobError("the soak is not met")
@@ -159,5 +172,6 @@ def _parser() -> Parser:
     parser.add_argument("--minutes", type=_minutes, metavar="M", help=f"how long to drive (default {_MINUTES:g}, "
                         f"with --page {_PAGE_MINUTES:g})")  # fmt: skip
     parser.add_argument("--page", action="store_true", help="a browser watches the console's page")
+    parser.add_argument("--robots", type=int, choices=range(1, MAX_ROBOTS + 1), default=1, metavar="N")
     parser.add_model()
     return parser

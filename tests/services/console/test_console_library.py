@@ -190,7 +190,7 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     run = {"model": "corridor.smal", "goal": goal, "start": "start", "seed": 7}
     page.insist(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"), do="run", **run)
     wanted = LoadRequest(model="corridor.smal", goal=goal)
-    assert loaded[:2] == [("recognition", wanted), ("policy", wanted)]
+    assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]
     assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")

@@ -29,6 +29,7 @@ from services.kit.group import Seen, owner, share
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
 from tests import corridor
+from tests.schemas.messages import EXAMPLES
 from tests.services.chain import image, process, seen, wheels
 from tests.services.waiting import eventually, status_of
 
@@ -236,6 +237,27 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         x_m = corridor.model().mapped.key_poses[here.keyframe, 0] + here.ahead_m
         assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), name
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
+
+
+def test_what_an_idle_robot_sent_is_let_go_and_what_it_sends_next_arrives(
+    client: Bus, router_endpoint: str, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, ticks = client.of_robot("rescuebot"), list[int]()
+    robot.publish(EXAMPLES[State].model_copy(update={"tick": 1}))
+    with monkeypatch.context() as later:
+        later.setattr("services.kit.bus.KEPT_S", 0.0)
+        robot.forget()
+    recorder = stack.enter_context(closing(Bus("rescuebot", router_endpoint)))
+    recorder.subscribe(topics.STATE, lambda payload, coding, _: ticks.append(decode(State, payload, coding).tick),
+                       replay=True)  # fmt: skip
+
+    def heard() -> bool:
+        robot.publish(EXAMPLES[State].model_copy(update={"tick": 2}))
+        return bool(ticks)
+
+    eventually(heard)
+    assert {*ticks} == {2}
+    robot.close()
 
 
 def test_a_process_tells_the_health_of_all_its_robots(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
