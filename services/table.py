@@ -112,6 +112,11 @@ SERVICES: Final = {
 }
 
 
+#: The services that work with a model, in the order in which one is loaded: what policy has prepared it takes with the
+#: first state that recognition finds by it.
+CHAIN: Final = ("policy", "recognition")
+
+
 def stack_services() -> tuple[str, ...]:
     """Return the names of the services of a stack, in the order in which they start, the router first."""
     return tuple(service.name for service in SERVICES.values() if service.image is not None)

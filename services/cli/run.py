@@ -18,13 +18,12 @@ from services.cli.stack import flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of, most_ticks
+from services.table import CHAIN
 from smal.evaluation.precision_recall import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 
 FRAMES_APART = 20  # Camera images kept of every run for the report, one in so many frames.
-#: The services that work with the model: what policy has prepared it takes with the first state by recognition.
-CHAIN = ("policy", "recognition")
 
 
 def run(

@@ -26,9 +26,9 @@ from services.kit.model_service import most_ticks
 from services.kit.node import Node, ServiceError
 from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
+from services.table import CHAIN
 
 LOAD_S: Final = 60.0  # Reading a model takes as long.
-_CHAIN: Final = ("policy", "recognition")  # The services that work with the model, in the order of `smal run`.
 _LINES: Final = 30  # Lines of news that the page keeps.
 
 
@@ -214,7 +214,7 @@ class ConsoleService:
                 f"{model.name} was learned on other features than the stack makes ({made.get('modalities')}); "
                 "learn it again, or start the stack with others (smal up --modalities)"
             )
-        for service in _CHAIN:
+        for service in CHAIN:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
 
     def _learn(self, ask: Learn | Add) -> None:

@@ -41,6 +41,7 @@ LINKED: Final = ("robot", "policy", "recorder")  # Services whose way to the rou
 _LOOK_S: Final = 0.02
 _MOVING_S: Final = 12.0
 _STARTS: Final = 5
+_FLEET_HZ: Final = 5.0  # Frames a second of each of several robots in real time: two cores do other things as well.
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,11 @@ class RigPlan:
     def stack(self, endpoint: str, links: Mapping[str, str], wheels: str | None) -> StackPlan:
         """Return what to start, with the addresses of the links and of the moving base."""
         chain = flags(model=self.model.resolve())
+        body = {"world": self.world, "camera_width": CAMERA[0], "camera_height": CAMERA[1]}
+        if self.robots > 1:
+            body["frames_hz"] = _FLEET_HZ
         own = {
-            "robot": flags(world=self.world, camera_width=CAMERA[0], camera_height=CAMERA[1], wheels=wheels),
+            "robot": flags(**body, wheels=wheels),
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
@@ -89,7 +93,7 @@ class RigPlan:
         }
         every = {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
         for number in range(2, self.robots + 1):
-            every[f"robot-{number}"] = flags(world=self.world, camera_width=CAMERA[0], camera_height=CAMERA[1])
+            every[f"robot-{number}"] = flags(**body, depth="false" if self.mode == "realtime" else None)
             every[f"recorder-{number}"] = flags(recordings=self.recordings.resolve() / str(number))
             every[f"console-{number}"] = flags(console="127.0.0.1:0", root=self.folder.resolve())
         module = {"moving base": "robot", "noting": "noting"}.get(self.robot)

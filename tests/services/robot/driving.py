@@ -42,9 +42,9 @@ def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Ca
     simulated = cast("SimulatedBody", body)
     paces: dict[str, Callable[[], Pace[LineView]]] = {
         "lockstep": lambda: cast("Pace[LineView]", Lockstep(simulated, body.clock)),
-        "realtime": lambda: SteppedRealTime(gate, body, body.clock, lambda: None),
+        "realtime": lambda: SteppedRealTime(gate, body, body.clock, lambda: None, runner.frame_s),
     }
-    return EpisodeRunner(
+    runner: Runner = EpisodeRunner(
         body,
         Reach(),
         gate,
@@ -54,6 +54,7 @@ def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Ca
         clock=body.clock,
         wall_clock_ns=wall_clock_ns,
     )
+    return runner
 
 
 def simulated(simulation: Simulation) -> EpisodeRunner[SimulatedView]:
