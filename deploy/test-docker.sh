@@ -82,7 +82,7 @@ for profile in demo gpu zenohd zenohd-gpu; do
 done
 # Without the conditions under which a package is needed: those of a longer list are laxer.
 pins() { grep -o '^[a-z0-9._-]*==[^ ;]*' "$1" | sort; }
-for list in services recognition simulator; do
+for list in services recognition robot simulator; do
   # Every pin of a small list is the one that the tests run with.
   check "requirements/$list.txt agrees with dev.txt" "$(grep -c '==' "deploy/requirements/$list.txt") packages" \
     test -z "$(comm -23 <(pins "deploy/requirements/$list.txt") <(pins deploy/requirements/dev.txt))"

@@ -28,7 +28,8 @@ def bench(
     recognition: matching over one product, against other solvers. bus: messages over those of plain Zenoh. faults:
     kills, freezes, outages, a full disk, floods. soak: memory and descriptors over an hour, or of the page. route:
     learning a drive, and a decision on a way of one kilometre. places: large traverses. belief: what each
-    part of the filter is for, and whether its probabilities hold. fleet: 1, 2, 4 and 8 robots at once.
+    part of the filter is for, and whether its probabilities hold. fleet: 1, 2, 4 and 8 robots at once. link: a robot
+    by Wi-Fi that delays, loses and breaks (as root).
 
     Example: smal bench recognition --json results.json --out pictures
     """

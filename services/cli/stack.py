@@ -193,7 +193,9 @@ class Stack:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
         if process in self._routers:
             others = [address for name, address in self._routers.items() if name != process]
-            environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": ",".join(others)}
+            further = environment.get("SMAL_PEERS")  # Of other machines.
+            peers = ",".join([*others, *([further] if further else [])])
+            environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": peers}
         module = plan.modules.get(process)
         program = SERVICES[service].command if module is None else ("-m", module)
         command = tied(sys.executable, *program, *plan.flags.get(process, plan.flags.get(service, ())))

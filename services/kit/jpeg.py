@@ -15,9 +15,9 @@ _FRAME_MARKERS: Final = (0xC0, 0xC1, 0xC2)
 _TABLE_MARKERS: Final = (0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0))
 
 
-def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
+def encode_jpeg(image: NDArray[np.uint8], quality: int = QUALITY) -> bytes:
     """Compress a (height, width, 3) RGB image. Raises ValueError when it has more pixels than JPEG can hold."""
-    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         height, width = image.shape[:2]
         raise ValueError(f"OpenCV cannot encode a {width}x{height} image as JPEG")

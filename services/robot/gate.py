@@ -19,9 +19,12 @@ from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
 from services.robot.guard import Guard
 
-#: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
-#: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.loop`.
-MAX_AGE_S: Final = 0.25
+#: Silence at which a command is no longer obeyed, seconds since it came. The robot must stand 0.5 s after the last
+#: command; the rest is for braking, see `services.robot.loop`.
+SILENCE_S: Final = 0.25
+#: Age at which it is not either, seconds since the capture of the frame that it descends from, unless the robot's
+#: settings say more. So on one machine, where answers come at once, silence is counted from the last answered frame.
+MAX_AGE_S: Final = SILENCE_S
 #: Age of the last pulse that was answered at which an operator is lost, seconds; five pulses. The answer may take what
 #: is left of that after one, 0.2 s, to and fro.
 OPERATOR_S: Final = 0.25
@@ -60,6 +63,7 @@ class _Accepted:
     command: Command
     captured_s: float
     offered_s: float
+    until_s: float  # When it is no longer obeyed.
 
     @property
     def order(self) -> tuple[int, int]:
@@ -83,8 +87,9 @@ class CommandGate:
     It begins with a stop latched, as `not_armed`: a robot that is started again moves for nobody until it is armed. The
     first stop has a number by chance, so that none from before a restart is released; ``first_stop`` sets it.
 
-    A command expires at an age counted from the capture of its frame: so silence means stop within this time of the
-    last frame that was answered. With ``attended``, an operator must be there for the robot to move.
+    A command expires `SILENCE_S` after it came, and at an age counted from the capture of its frame: what a slow link
+    holds up is obeyed for less long, or not at all, and never stretches the silence. With ``attended``, an operator
+    must be there for the robot to move.
     """
 
     def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
@@ -228,7 +233,7 @@ class CommandGate:
 
     def _expire(self) -> None:
         # Their order goes on to count: a command that comes twice is refused.
-        self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
+        self._latest = {source: replace(one, until_s=-math.inf) for source, one in self._latest.items()}
 
     def captured(self, tick: int, now_s: float) -> None:
         """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""
@@ -254,7 +259,9 @@ class CommandGate:
                 self.refused[refusal] += 1
                 return refusal
             self._taken_over = self._taken_over or command.source != self._driver
-            self._latest[command.source] = _Accepted(command, self._captured_s[command.tick], now_s)
+            captured_s = self._captured_s[command.tick]
+            until_s = min(captured_s + self.max_age_s, now_s + SILENCE_S)
+            self._latest[command.source] = _Accepted(command, captured_s, now_s, until_s)
             return None
 
     def _check(self, command: Command, now_s: float) -> Refusal | None:
@@ -307,10 +314,10 @@ class CommandGate:
                 return Applied(STANDING, cause, "emergency_stop")
             source: Source = "teleop" if self._taken_over else self._driver
             latest = self._latest.get(source)
-            if latest is not None and (age_s := now_s - latest.captured_s) <= self.max_age_s:
+            if latest is not None and now_s <= latest.until_s:
                 insists = latest.command.insists and source == "teleop"
                 may, reason = bounded(latest.command.velocity, self.kinematics, self.guard, now_s, insists=insists)
-                return Applied(may, source, reason, latest.command.tick, age_s)
+                return Applied(may, source, reason, latest.command.tick, now_s - latest.captured_s)
             return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")
 
 

@@ -10,7 +10,7 @@ from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.robot.body import Body, Stops, View
 from services.robot.clock import now_s
-from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+from services.robot.gate import OPERATOR_S, SILENCE_S, Applied, CommandGate
 
 PERIOD_S: Final = 0.02  # Time from one look at the gate to the next.
 STAND_WITHIN_S: Final = 0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
@@ -20,7 +20,7 @@ _log = logging.getLogger("robot")
 def stopping_times_s(body: Stops) -> dict[str, float]:
     """Return how long the robot moves on at most, in seconds, by what falls silent: all delays together."""
     return {
-        "the driver": MAX_AGE_S + PERIOD_S + body.braking_s,
+        "the driver": SILENCE_S + PERIOD_S + body.braking_s,
         "the operator": OPERATOR_S + PERIOD_S + body.braking_s,
         "this process": body.watchdog_s + body.braking_s,
     }

@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterator
 from typing import Final, Generic, TypeVar
 
 from schemas.base import NO_EPISODE, Message
-from schemas.camera import CompressedImage
+from schemas.camera import CompressedImage, DepthImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode as EpisodeEvent
 from schemas.episode import EventName, Outcome
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.cameras import camera_info
-from services.kit.jpeg import jpeg_size
+from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
 from services.kit.node import ServiceError
+from services.robot import radio
 from services.robot.body import Body, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import TICK_S, now_s
@@ -60,6 +61,8 @@ class EpisodeRunner(Generic[V]):
         self.wake: Callable[[], None] = lambda: None  # Called when ``poll`` has something to do; must return at once.
         self.frame_s = TICK_S  # Time from frame to frame in real time, at least.
         self.task = task
+        self.radio = False  # Whether who drives is reached by radio; see `services.robot.radio`.
+        self.jpeg_quality: int | None = None  # Of pictures that leave the robot; None: as the camera gives them.
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
@@ -179,6 +182,8 @@ class EpisodeRunner(Generic[V]):
     def offer(self, command: Command) -> None:
         """Take a command to the gate."""
         run = self.running
+        if run is not None and command.episode == run.id:
+            run.window.answered(command.tick)
         refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(run.tick))
         if run is None or refusal is not None or command.source == "emergency_stop":
             return
@@ -241,13 +246,14 @@ class EpisodeRunner(Generic[V]):
             self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
-        # The colour image comes last: it is what the driver waits for.
-        width, height = jpeg_size(view.jpeg) or (0, 0)
-        image = CompressedImage.after(header, width=width, height=height, data=view.jpeg)
-        run.frame = (*view.more(header), image)
+        answers = run.request.driver == "policy" and not self.gate.taken_over
+        if self.radio and answers and not run.window.takes(tick, captured_s):
+            run.frame = ()
+        else:
+            run.frame = tuple(self._pictures(view, header))
         run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {tick: self._clock()}
-        if tick == 0 and self.body.camera is not None:
-            yield camera_info(image, self.body.camera, width, height)
+        if tick == 0 and self.body.camera is not None and isinstance(image := run.frame[-1], CompressedImage):
+            yield camera_info(image, self.body.camera, image.width, image.height)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
         if view.imu is not None:
@@ -256,6 +262,14 @@ class EpisodeRunner(Generic[V]):
         if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")
+
+    def _pictures(self, view: V, header: Message) -> Iterator[Message]:
+        """Make what the driver needs to answer a frame; last comes the colour image, for which the driver waits."""
+        for message in view.more(header):
+            yield radio.coarse(message) if self.radio and isinstance(message, DepthImage) else message
+        jpeg = view.jpeg if self.jpeg_quality is None else encode_jpeg(decode_jpeg(view.jpeg), self.jpeg_quality)
+        width, height = jpeg_size(jpeg) or (0, 0)
+        yield CompressedImage.after(header, width=width, height=height, data=jpeg)
 
     def tell(self, run: Running[V], applied: Applied) -> CommandApplied:
         """Make the record of what moves the robot; remembers it, to say so again only when it changes."""

@@ -28,9 +28,10 @@ from services.kit.bus import RpcError
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size, shrunk
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
+from services.robot import radio
 from services.robot.body import Body, View
 from services.robot.clock import PULSE_S
-from services.robot.gate import CommandGate
+from services.robot.gate import MAX_AGE_S, CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
 from services.robot.pace import Paces
 from services.robot.runner import EpisodeRunner
@@ -43,7 +44,7 @@ V = TypeVar("V", bound=View)
 
 
 class RobotSettings(ServiceSettings):
-    """Who has to be there for the robot to move."""
+    """Who has to be there for the robot to move, and what its link to who drives it is like."""
 
     attended: bool = True
     """Whether it moves only while an operator is there, at smal teleop or another console that sends heartbeats. Where
@@ -51,6 +52,11 @@ class RobotSettings(ServiceSettings):
     frames_hz: Annotated[float, Field(ge=1, le=10)] = 10.0
     """Camera frames a second in real time, at most; fewer for a machine that is too small for its robots. A depth
     camera is too old to drive by below 4."""
+    radio: bool = False
+    """Whether who drives is at the other end of Wi-Fi: a command may be 0.5 s old, pictures are sent as JPEG of quality
+    30, and no more than three are under way that are not answered."""
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    """Quality at which pictures are sent; as the camera gives them, or what is said of radio, if not given."""
 
 
 def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:
@@ -214,7 +220,7 @@ def serve_robot(
         runner = EpisodeRunner(
             body,
             task,
-            CommandGate(attended=settings.attended),
+            CommandGate(radio.AGE_S if settings.radio else MAX_AGE_S, attended=settings.attended),
             settings.robot,
             # Episode ids stay unique when the robot is started again, whatever the wall clock says.
             secrets.token_hex(6),
@@ -222,6 +228,8 @@ def serve_robot(
             wall_clock_ns=wall_clock_ns,
         )
         runner.frame_s = 1.0 / settings.frames_hz
+        runner.radio = settings.radio
+        runner.jpeg_quality = settings.jpeg_quality or (radio.QUALITY if settings.radio else None)
         service = RobotService(runner, node)
         try:
             node.spin()

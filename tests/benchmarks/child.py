@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from services.kit.errors import JobError
 
-_STARTING_S: Final = 60.0
+_STARTING_S: Final = 600.0
 _STOPPING_S: Final = 2.0
 
 
@@ -35,7 +35,7 @@ def child(name: str, run: Callable[..., None], *arguments: object) -> Iterator[C
     """
     spawn = multiprocessing.get_context("spawn")
     ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=_run, args=(run, *arguments, theirs), daemon=True)
+    process = spawn.Process(target=_run, args=(run, *arguments, theirs))
     process.start()
     theirs.close()
     try:

@@ -88,6 +88,14 @@ def _shown(value: object) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
+def used(pid: int) -> tuple[float, float]:
+    """Return the bytes that a process holds, and the processor seconds that it has taken."""
+    proc = Path(f"/proc/{pid}")
+    times = (proc / "stat").read_text().rpartition(")")[2].split()[11:13]
+    pages = int((proc / "statm").read_text().split()[1])
+    return 1.0 * pages * os.sysconf("SC_PAGE_SIZE"), sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+
+
 def verdict(target: str, measured: float, limit: float, unit: str = "") -> Record:
     """Compare with what is promised."""
     text = "met" if measured <= limit else "not met"

@@ -13,7 +13,7 @@ from unittest.mock import patch
 
 from schemas.command import Command
 from services.kit.process import run_service
-from services.robot.gate import Applied, CommandGate, Refusal
+from services.robot.gate import MAX_AGE_S, Applied, CommandGate, Refusal
 from services.robot.service import ROBOT
 from services.simulator.__main__ import serve
 
@@ -24,8 +24,8 @@ _STANDS_S: Final = 0.1  # The robot stands for so long, seconds, then it drives 
 class NotingGate(CommandGate):
     """A gate that writes a line when a stop is latched, and one when the actuator stands for it."""
 
-    def __init__(self, notes: Path, *, attended: bool) -> None:
-        super().__init__(attended=attended)
+    def __init__(self, notes: Path, max_age_s: float = MAX_AGE_S, *, attended: bool) -> None:
+        super().__init__(max_age_s, attended=attended)
         self._notes = notes.open("a", buffering=1)
         self._latched: int | None = None
         self._stood_s: float | None = None

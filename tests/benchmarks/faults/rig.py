@@ -85,7 +85,7 @@ class RigPlan:
         if self.robots > 1:
             body["frames_hz"] = _FLEET_HZ
         own = {
-            "robot": flags(**body, wheels=wheels),
+            "robot": flags(**body, wheels=wheels, depth=None if wheels is None else False),
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
@@ -291,7 +291,7 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
             ended: list[Entry] = []
             own = stacked.enter_context(closing(bus.of_robot(robot)))
             other = Rig(plan, stack, own, {}, ended)
-            _note(own, EPISODE, ended)
+            note(own, EPISODE, ended)
             other.driven, other.supervised = True, False
             rig.others.append(other)
         yield rig
@@ -302,12 +302,12 @@ def observer(endpoint: str, arrived: list[Entry]) -> Bus:
     bus = Bus(ROBOT, endpoint)
     for topic in TOPICS.values():
         if topic.recorded:
-            _note(bus, topic, arrived)
+            note(bus, topic, arrived)
     bus.wait_connected(30.0)
     return bus
 
 
-def _note(bus: Bus, topic: Topic, arrived: list[Entry]) -> None:
+def note(bus: Bus, topic: Topic, arrived: list[Entry]) -> None:
     def take(payload: bytes, encoding: str, *_transit: object) -> None:
         t_s = time.monotonic()
         try:

@@ -48,7 +48,7 @@ def serve() -> None:
     configure_logging(settings.log_level)
     base = FarBase(settings.wheels)
     camera = CameraSettings(settings.camera_width, settings.camera_height)
-    simulation = Simulation(load_world(settings.world), camera, base)
+    simulation = Simulation(load_world(settings.world), camera, base, depth=settings.depth)
     serve_robot(
         settings,
         lambda node: (FarBody(simulation, base, node.bus.has_listeners), {}),

@@ -8,7 +8,6 @@ latency, and what the shared processes hold and take a frame. With --out a pictu
 
 import argparse
 import json
-import os
 import statistics
 import time
 from collections.abc import Sequence
@@ -24,13 +23,12 @@ from services.experiments.drawing import COLOURS, MUTED, legend, styled
 from services.kit.errors import JobError
 from tests.benchmarks.faults.benchmark import taught_model
 from tests.benchmarks.faults.rig import CAMERA, WORLD
-from tests.benchmarks.reporting import Parser, Record, folder_for, say, table
+from tests.benchmarks.reporting import Parser, Record, folder_for, say, table, used
 from tests.command import run_smal
 
 MANY: Final = (1, 2, 4, 8)
 QUICK: Final = (1, 2)
 _SHARED: Final = ("features", "recognition", "policy")
-_TICKS_S: Final = os.sysconf("SC_CLK_TCK")
 _DEPTH_HZ: Final = 4.0  # A depth image is too old to drive by after a quarter of a second.
 _VALID_MS: Final = 500.0  # So is the answer to a frame after half a one: the robot stands until the next comes in time.
 HZ: Final = 2.0  # What two cores can do for eight robots, simulation included.
@@ -81,14 +79,7 @@ def _measured(robots: int, model: Path, folder: Path, hz: float | None) -> Recor
 
 
 def _used(stack: Stack) -> dict[str, tuple[float, float]]:
-    """Return the bytes that the shared processes hold, and the processor seconds that they have taken."""
-    used = {}
-    for name in _SHARED:
-        proc = Path(f"/proc/{stack.pid(name)}")
-        times = (proc / "stat").read_text().rpartition(")")[2].split()[11:13]
-        pages = int((proc / "statm").read_text().split()[1])
-        used[name] = pages * os.sysconf("SC_PAGE_SIZE") * 1.0, sum(map(int, times)) / _TICKS_S
-    return used
+    return {name: used(stack.pid(name)) for name in _SHARED}
 
 
 @styled

@@ -8,7 +8,7 @@ import pytest
 from schemas.base import KEYS, SOURCES, STANDING, Source
 from schemas.command import Command, StopCause
 from services.robot.body import Kinematics
-from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+from services.robot.gate import MAX_AGE_S, OPERATOR_S, SILENCE_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
@@ -43,6 +43,15 @@ def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -
     assert gate.applied(10.0 + MAX_AGE_S + 1e-6) == STAND
 
 
+def test_who_allows_for_a_slow_link_allows_for_no_longer_silence() -> None:
+    gate = armed(max_age_s=0.5)
+    gate.begin("e", "policy")
+    gate.captured(0, 10.0)
+    gate.offer(command(0), 10.125)
+    assert gate.applied(10.125 + SILENCE_S).answered_tick == 0
+    assert gate.applied(10.125 + SILENCE_S + 1e-6) == STAND
+
+
 @pytest.mark.parametrize(
     ("offered", "now_s", "refusal"),
     [
@@ -71,7 +80,7 @@ def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     gate.captured(1, 10.5)
-    assert gate.offer(command(0), 10.5) is None
+    assert gate.offer(command(0), 10.5) is None, "a slow link is allowed for"
     assert gate.applied(10.5).answered_tick == 0
     assert gate.applied(10.500001) == STAND
     assert gate.offer(command(0, sequence=1), 10.500001) == "stale"

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from schemas.base import SOURCES, STANDING, Atom, Source
 from schemas.command import Command, StopCause
-from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+from services.robot.gate import LEASE_S, OPERATOR_S, SILENCE_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 SESSIONS = st.sampled_from(["", "o", "p"])
@@ -19,9 +19,9 @@ SESSIONS = st.sampled_from(["", "o", "p"])
 class GateMachine(RuleBasedStateMachine):
     """Against a model that keeps everything that was said for ever, and picks by definition."""
 
-    @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans())
-    def start(self, driver: Source, attended: bool) -> None:
-        self.attended = attended
+    @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans(), max_age_s=st.sampled_from([0.25, 0.5]))
+    def start(self, driver: Source, attended: bool, max_age_s: float) -> None:
+        self.attended, self.max_age_s = attended, max_age_s
         self.now = 0.0
         self.restart()
         self.next_episode(driver)
@@ -29,7 +29,7 @@ class GateMachine(RuleBasedStateMachine):
     @rule()
     def restart(self) -> None:
         """Kill the process and start it again."""
-        self.gate = CommandGate(attended=self.attended)
+        self.gate = CommandGate(self.max_age_s, attended=self.attended)
         self.stop = self.gate.emergency_stop
         self.emergency = False
         self.operator: str | None = None
@@ -152,7 +152,7 @@ class GateMachine(RuleBasedStateMachine):
             and (source != "teleop" or self.operator in (None, session))
             and (holder == session or self.now - held_s > LEASE_S)
             and all((c.tick, c.sequence) < (offered.tick, sequence) for c in last)
-            and self.now - self.captured.get(offered.tick, -math.inf) <= MAX_AGE_S
+            and self.now - self.captured.get(offered.tick, -math.inf) <= self.max_age_s
         )
         assert (refusal is None) == may, refusal
         if may:
@@ -166,8 +166,8 @@ class GateMachine(RuleBasedStateMachine):
             return
         applied = self.gate.applied(self.now)
         who = "teleop" if self.taken_over else self.driver
-        theirs = [c for c, _ in self.accepted[self.expired :] if c.source == who][-1:]
-        fresh = [c for c in theirs if self.now - self.captured[c.tick] <= MAX_AGE_S]
+        theirs = [(c, at) for c, at in self.accepted[self.expired :] if c.source == who][-1:]
+        fresh = [c for c, at in theirs if self.now <= min(self.captured[c.tick] + self.max_age_s, at + SILENCE_S)]
         assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
         assert self.gate.emergency_stop == self.stop
         if self.stop:

@@ -2,19 +2,23 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from schemas.base import Message
-from schemas.camera import CameraInfo, CompressedImage
+from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Imu, Odometry, Pose
 from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
+from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
 from services.robot.loop import PERIOD_S
+from services.robot.radio import coarse
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask
+from tests.schemas.messages import HEADER
 from tests.services.robot.driving import (
     Runner,
     SteppedRealTime,
@@ -43,6 +47,38 @@ def test_so_many_frames_a_second_whether_commanded_or_not(frames_hz: float, many
     assert [type(m) for m in first] == [Episode, CameraInfo, Odometry, Imu, Pose, CompressedImage]
     images = [m for m in advance(runner, clock, 2.0) if isinstance(m, CompressedImage)]
     assert len(images) in many
+
+
+def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers() -> None:
+    clock = Clock()
+    _, whole = begin(LineBody(clock), mode="realtime")
+    runner = runner_of(LineBody(clock))
+    runner.radio, runner.jpeg_quality = True, 1
+    first = reset(runner, mode="realtime")
+    assert isinstance(first[-1], CompressedImage)
+    assert isinstance(whole[-1], CompressedImage)
+    assert first[-1].data == encode_jpeg(decode_jpeg(whole[-1].data), 1)
+
+    def pictures(seconds: float) -> int:
+        return sum(isinstance(message, CompressedImage) for message in advance(runner, clock, seconds))
+
+    assert pictures(2.0) in {4, 5, 6}, "three at once; what was lost is not waited for"
+    answered = 0
+    for _ in range(20):
+        answer(runner)
+        answered += pictures(0.1)
+    assert answered in {19, 20}
+    answer(runner, source="teleop")
+    assert pictures(2.0) in {19, 20}, "a person who drives answers none"
+
+
+def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None:
+    whole = np.arange(240 * 320, dtype="<u2").reshape(240, 320)
+    depth = DepthImage(**HEADER, width=320, height=240, data=whole.tobytes())
+    small = DepthImage.model_validate(dict(coarse(depth)))
+    assert (small.width, small.height) == (40, 30)
+    np.testing.assert_array_equal(small.to_numpy(), whole[4::8, 4::8])
+    assert coarse(small) == small
 
 
 def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:

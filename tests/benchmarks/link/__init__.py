@@ -1,0 +1,1 @@
+"""What a bad link between robot and perception costs."""

@@ -1,0 +1,202 @@
+"""Link: a robot on one machine, perception on another, and between them a link as bad as Wi-Fi at its edge.
+
+Each machine has a router of its own, which knows the other's. On the robot's are the gate with a base that moves by its
+own clock, the camera (320x240) and, in the row "features", the features; recognition, policy and recorder are on the
+other, and so are features otherwise. A row is one run by `smal run --realtime` from the other machine: whether it was
+found; pictures and obeyed commands a second; the age of those, from the capture of their frame; bytes a second to the
+perception and back; and what part of the packets was lost. Where the link is cut for 5 s: how long after the cut the
+base stood, and how long after its end it moved again. "own" is what a robot's own processes take (ROS 2, features,
+router) at 10 frames a second; the fake base and its camera are not among them.
+"""
+
+import json
+import sys
+import time
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from schemas.rpc import Nothing, Status
+from schemas.topics import APPLIED, COMMANDS, EPISODE, JPEG
+from services.cli import options
+from services.cli.stack import Stack, StackPlan, flags
+from services.kit.bus import Bus
+from services.kit.errors import JobError
+from tests.benchmarks.child import Child, child
+from tests.benchmarks.drives import taught
+from tests.benchmarks.faults.judge import Entry, Window, obeyed, stood_s
+from tests.benchmarks.faults.rig import ROBOT, WORLD, note
+from tests.benchmarks.faults.wheels import read_steps, rolling
+from tests.benchmarks.link.air import ADDRESSES, WIFI, Link, Quality, enter, link
+from tests.benchmarks.reporting import Parser, Record, folder_for, say, table, used
+from tests.command import run_smal
+from tests.ros2.field import Robot, day_with
+
+CAMERA: Final = (320, 240)
+CUT_S: Final = 5.0
+OWN_FRAMES: Final = 300
+_CUT_AFTER_S: Final = 8.0  # Of driving.
+_ROUTERS: Final = tuple(f"tcp/{address}:7447" for address in ADDRESSES)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run."""
+
+    name: str
+    quality: Quality = WIFI
+    congestion: str = "reno"
+    features: int = 1  # On which machine the features are made.
+    radio: bool = True  # Whether the robot is told that it is one.
+    cut: bool = False
+
+
+ROWS: Final = tuple(
+    Row(name, **how)
+    for name, how in {
+        "a good link": {"quality": Quality(0.001, 0.0, 0.0, 1e9), "radio": False},
+        "not told": {"radio": False},
+        "radio": {},
+        "radio, bbr": {"congestion": "bbr"},
+        "radio, bbr, features": {"congestion": "bbr", "features": 0},
+        "radio, cut": {"cut": True},
+        "radio, bbr, cut": {"congestion": "bbr", "cut": True},
+    }.items()
+)
+
+
+QUICK: Final = ("radio, bbr, cut",)
+
+
+def machine(where: str, at: int, row: Row, model: Path, folder: Path, owner: Connection) -> None:
+    """Be one of the two machines: run its stack until the owner of the pipe closes it, and do what is asked."""
+    enter(where)
+    width, height = CAMERA
+    with ExitStack() as stacked:
+        wheels = stacked.enter_context(rolling(WORLD, folder / "steps.jsonl")) if at == 0 else None
+        own = {
+            "router": flags(insecure=True, peers=_ROUTERS[1 - at]),
+            "robot": flags(world=WORLD, camera_width=width, camera_height=height, wheels=wheels, radio=row.radio),
+            **dict.fromkeys(("recognition", "policy"), flags(model=model, root=model.parent)),
+            "recorder": flags(recordings=folder / "recordings"),
+        }
+        here = [("robot",), ("recognition", "policy", "recorder")][at]
+        services = ("router", *here, *(("features",) if at == row.features else ()))
+        modules = {"robot": "tests.benchmarks.faults.robot"}
+        plan = StackPlan(services, ROBOT, _ROUTERS[at], own, logs=folder / f"logs{at}", modules=modules)
+        stacked.enter_context(Stack(plan))
+        arrived: list[Entry] = []
+        if at == 0:
+            bus = stacked.enter_context(closing(Bus(ROBOT, _ROUTERS[at])))
+            for topic in (APPLIED, EPISODE, JPEG, COMMANDS["policy"]):
+                note(bus, topic, arrived)
+        owner.send("ready")
+        while True:
+            try:
+                asked = owner.recv()
+            except EOFError:
+                return
+            if asked == "arrived":
+                owner.send(list(arrived))
+            else:
+                done = run_smal(*asked)
+                owner.send(done.stderr.strip().splitlines()[-1] if done.returncode else "")
+
+
+def run(row: Row, model: Path, folder: Path) -> Record:
+    """Have the robot search once; return what the table holds."""
+    folder.mkdir(parents=True)
+    with link(row.quality, row.congestion) as air, ExitStack() as stacked:
+        robot, other = (
+            stacked.enter_context(child(f"machine {at}", machine, where, at, row, model, folder))
+            for at, where in enumerate(air.machines)
+        )
+        out = folder / "run.json"
+        before, began_s = air.counts(), time.monotonic()
+        other.pipe.send(["run", "--model", model, "--world", WORLD, "--episodes", 1, "--seed", 1, "--json", out,
+                         "--connect", _ROUTERS[1], "--robot", ROBOT, "--realtime"])  # fmt: skip
+        fault = _cut(air, robot, other) if row.cut else None
+        if said := other.pipe.recv():
+            raise JobError(f"{row.name}: {said}; see {folder}")
+        seconds, after = time.monotonic() - began_s, air.counts()
+        entries = _arrived(robot)
+    episode = json.loads(out.read_text())["episodes"][0]
+    frames = obeyed(entries)
+    ages_ms = [1e3 * (one.accepted_s - one.captured_s) for one in frames]
+    driving_s = max(one.t_s for one in entries) - min(one.t_s for one in entries)
+    passed = [
+        {name: count - earlier[name] for name, count in later.items()}
+        for later, earlier in zip(after, before, strict=True)
+    ]
+    told = {
+        "run": row.name,
+        "outcome": episode["outcome"],
+        "s": driving_s,
+        "frames_hz": sum(one.topic == JPEG.name for one in entries) / driving_s,
+        "obeyed_hz": len(frames) / driving_s,
+        "p50_ms": float(np.percentile(ages_ms, 50)),
+        "p95_ms": float(np.percentile(ages_ms, 95)),
+        "sent_kb_s": passed[0]["out_bytes"] / seconds / 1e3,
+        "back_kb_s": passed[1]["out_bytes"] / seconds / 1e3,
+        "packets": passed[0]["in"],
+        "lost": 1 - passed[0]["out"] / passed[0]["in"],
+    }
+    stood, again = stood_s(read_steps(folder / "steps.jsonl", 0.0), fault) if fault is not None else (None, None)
+    told |= {"stood_s": stood, "again_s": again}
+    sys.stderr.write(f"{json.dumps(told)}\n")
+    return told
+
+
+def _arrived(robot: Child) -> list[Entry]:
+    robot.pipe.send("arrived")
+    arrived: list[Entry] = robot.pipe.recv()
+    return arrived
+
+
+def _cut(air: Link, robot: Child, other: Child) -> Window:
+    """Cut the link while the robot drives."""
+    while len(obeyed(_arrived(robot))) < 10 * _CUT_AFTER_S / 2:
+        if other.pipe.poll(0.2):
+            raise JobError("the run was over before the cut")
+    begin_s = time.monotonic()
+    air.cut(cut=True)
+    time.sleep(CUT_S)
+    air.cut(cut=False)
+    return Window(begin_s, time.monotonic())
+
+
+def own(folder: Path) -> list[Record]:
+    """Return what each process of a ROS 2 robot's own takes while its camera sends 10 frames a second."""
+    with day_with(Robot(folder, size=CAMERA)) as (_, person):
+        bus = person.client.node.bus
+        pids = {name: bus.call(name, "status", Nothing(), Status).pid for name in ("robot", "features", "router")}
+        person.run(1, 20)  # What is loaded at the first frame is not of every frame.
+        before = {name: used(pid) for name, pid in pids.items()}
+        frames = person.run(1, OWN_FRAMES).ticks
+        after = {name: used(pid) for name, pid in pids.items()}
+    return [
+        {"process": name, "mb": held / 1e6, "ms_a_frame": 1e3 * (took_s - before[name][1]) / frames}
+        for name, (held, took_s) in after.items()
+    ]
+
+
+def main(arguments: list[str]) -> None:
+    """Read the flags, drive, print and write."""
+    parser = Parser("link", __doc__)
+    parser.add_model()
+    names = [*(row.name for row in ROWS), "own"]
+    parser.add_argument("--row", action="append", default=[], choices=names, help="only this; may be repeated")
+    chosen = parser.parse(arguments)
+    if chosen.model is not None:
+        options.read_model(chosen.model, options.Use("filter"))
+    wanted = chosen.row or (QUICK if chosen.quick else names)
+    with folder_for(chosen.out) as folder:
+        taking = own(folder / "own") if "own" in wanted else []
+        model = (chosen.model or taught(folder / "taught", 1, 0, WORLD, "{}x{}".format(*CAMERA))).resolve()
+        rows = [run(row, model, folder / row.name.replace(", ", "-")) for row in ROWS if row.name in wanted]
+    text = table("a run", rows) + table("what a robot's own processes take", taking)
+    say(chosen, {"benchmark": "link", "runs": rows, "own": taking}, text)
