@@ -8,6 +8,7 @@ latency, and what the shared processes hold and take a frame. With --out a pictu
 
 import argparse
 import json
+import os
 import statistics
 import time
 from collections.abc import Sequence

@@ -6,10 +6,12 @@ other, and so are features otherwise. A row is one run by `smal run --realtime` 
 found; pictures and obeyed commands a second; the age of those, from the capture of their frame; bytes a second to the
 perception and back; and what part of the packets was lost. Where the link is cut for 5 s: how long after the cut the
 base stood, and how long after its end it moved again. "own" is what a robot's own processes take (ROS 2, features,
-router) at 10 frames a second; the fake base and its camera are not among them.
+router) at 10 frames a second, ``share_mb`` without what others hold as well; the fake base and its camera are not
+among them.
 """
 
 import json
+import re
 import sys
 import time
 from contextlib import ExitStack, closing
@@ -178,10 +180,12 @@ def own(folder: Path) -> list[Record]:
         before = {name: used(pid) for name, pid in pids.items()}
         frames = person.run(1, OWN_FRAMES).ticks
         after = {name: used(pid) for name, pid in pids.items()}
+        shares = {name: Path(f"/proc/{pid}/smaps_rollup").read_text() for name, pid in pids.items()}
     return [
-        {"process": name, "mb": held / 1e6, "ms_a_frame": 1e3 * (took_s - before[name][1]) / frames}
+        {"process": name, "mb": held / 1e6, "share_mb": int(re.findall(r"Pss: +(\d+)", shares[name])[0]) * 1024 / 1e6,
+         "ms_a_frame": 1e3 * (took_s - before[name][1]) / frames}
         for name, (held, took_s) in after.items()
-    ]
+    ]  # fmt: skip
 
 
 def main(arguments: list[str]) -> None:

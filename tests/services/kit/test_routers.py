@@ -119,3 +119,26 @@ def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
     # Nothing twice, nothing late; and whoever wants all of it has that.
     assert stream.heard == sorted(set(stream.heard))
     assert stream.recorded == list(range(stream.recorded[0], stream.recorded[-1] + 1))
+
+
+def test_stacks_of_two_machines_are_one_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys, addresses_of_both = make_keys(tmp_path / "keys"), [free_endpoint() for _ in range(2)]
+    here, there = (one.replace("tcp/127.0.0.1", "tls/localhost") for one in addresses_of_both)
+
+    def machine(at: str, other: str) -> Stack:
+        monkeypatch.setenv("SMAL_PEERS", other)
+        return Stack(StackPlan(("router",), ROBOT, at, secure=keys, logs=tmp_path / "logs"))
+
+    with machine(here, there) as robots, machine(there, here) as desk:
+        heard: list[bytes] = []
+        with (
+            closing(robots.settings.open_bus("robot")) as robot,
+            closing(desk.settings.open_bus("policy")) as policy,
+        ):
+            policy.subscribe(topics.ODOMETRY, lambda payload, *_: heard.append(payload))
+
+            def comes() -> bool:
+                robot.publish(EXAMPLES[Odometry])
+                return bool(heard)
+
+            eventually(comes)
