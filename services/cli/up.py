@@ -53,7 +53,7 @@ def up(
     robots: options.Robots = 1,
     scale: Annotated[
         list[str] | None,
-        Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; may be repeated."),
+        Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; 0: elsewhere."),
     ] = None,
     insecure: Annotated[bool, Option("--insecure", help="Let everybody in, from other machines too.")] = False,
 ) -> None:
@@ -158,7 +158,7 @@ def _scale(given: list[str] | None) -> dict[str, int]:
     found: dict[str, int] = {}
     for text in given or ():
         name, _, many = text.partition("=")
-        if name not in GROUPED or not re.fullmatch(r"[1-9]\d?", many):
+        if name not in GROUPED or not re.fullmatch(r"0|[1-9]\d?", many):
             raise UsageError(f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}")
         found[name] = int(many)
     if sum(found.values()) - len(found) > MOST_FURTHER:

@@ -86,7 +86,7 @@ def test_every_error_is_one_line(
         ("up", "--robot", "r" * 31, "--robots", "2"),
         ("secure", "init", "keys", "--robot", "r" * 31, "--robots", "2"),
         ("up", "--scale", "recorder=2"),
-        ("up", "--scale", "recognition=0"),
+        ("up", "--scale", "recognition=00"),
         ("up", "--scale", "recognition=10"),
         ("run", "--model", "x", "--scheme", "dream"),
     ],

@@ -161,6 +161,7 @@ def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
         "recorder-2": ("recorder", f"{robot}-2"),
         "recorder-3": ("recorder", f"{robot}-3"),
     }
+    assert "features" not in replace(wanted, scale={"features": 0}).processes()  # On the robot, say.
     with Stack(wanted) as running, closing(Bus(robot, free_endpoint)) as bus:
         (tmp_path / "logs" / "features-2.log").read_text()
         for one in map(bus.of_robot, wanted.fleet):
