@@ -137,7 +137,8 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
         self._motion: Share = 0.0, 0.0
-        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = 0.0
+        self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = self._came_s = 0.0
+        self._blocked_s = 0.0
         self._toward_rad: float | None = None
         if self._tried:
             self._plan(frozenset())
@@ -174,18 +175,19 @@ class Planner:
         looked, leads = self._looked_rad >= math.radians(SETTINGS.look_deg), self._leads[belief.keyframes]
 
         at_goal = float(belief.weights @ (leads & (to_end < SETTINGS.goal_s * self._map.speed)))
-        sure = at_goal * (1.0 - belief.lost) > SETTINGS.arrived
+        tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
+        sure = (tracked or looked) and at_goal * (1.0 - belief.lost) > SETTINGS.arrived
         # Beside or beyond the end by more than views change over, it is not at it.
         at_end = leads & (to_end < self._map.correlation_length)
         at_end &= left_to_go < 0.5 * self._map.speed * self._map.tick_s
         ended = float(belief.weights @ at_end) > 0.5
-        tracked = belief.tracked > SETTINGS.tracked * self._map.correlation_length
-        if not self.arrived and ended and sure and (tracked or looked):
+        if not self.arrived and ended and sure:
             self.arrived, self._ends, self._neared_s = True, self._ends_here(belief), 0.0
         if self.said is None:
-            approach = leads & (to_end < SETTINGS.approach_s * self._map.speed)
-            there = float(belief.weights @ approach) * (1.0 - belief.lost) if tracked or looked else 0.0
-            self._say(belief, elapsed_s, seen, there)
+            self._came_s = max(self._came_s - elapsed_s, 0.0)
+            if seen is not None and seen.left is not None and around is not None and around.has_come(self._off(seen)):
+                self._came_s = SETTINGS.same_moment_s
+            self._say(belief, elapsed_s, seen, sure)
 
         kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
         if kind == "search":
@@ -204,6 +206,13 @@ class Planner:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
+        if kind == "blocked" and around is not None and abs(around.moving_rad) > math.radians(self._map.scene[0]) / 4.0:
+            atom = Atom.LEFT if around.moving_rad > 0.0 else Atom.RIGHT  # It keeps its eyes on whom it waits for.
+        if kind == "blocked":  # Who waits in vain may be elsewhere than it believes: it looks around, once.
+            before, self._blocked_s = self._blocked_s, self._blocked_s + elapsed_s
+            self._looked_rad *= not before < SETTINGS.waits_s <= self._blocked_s
+        elif atom in self._going:
+            self._blocked_s = 0.0
         # Round things, and before those that are near, it goes turn by turn.
         drives = kind in ("follow", "guess") or (kind == "search" and self._toward_rad is not None)
         aims = directions if drives and error_rad == wanted_rad and free_m > self._ahead else None
@@ -216,7 +225,7 @@ class Planner:
             return "goal"
         if self.arrived or self._toward_rad is not None:
             return "search"
-        if clear:
+        if clear and (looked or self._blocked_s < SETTINGS.waits_s):
             return "follow"
         if not looked:
             return "look_around"
@@ -225,20 +234,27 @@ class Planner:
         self.said = "not_here" if self._tried else None
         return "dead_end"
 
-    def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, there: float) -> None:
-        """Say that it is found, if it is, or search; `there` is how probable it is to be where that can be seen."""
-        sees = seen is None or seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+    def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, sure: bool) -> None:
+        """Say that it is found, if it is, or search; it may be `sure` to be at the goal before it has arrived."""
+        # What was sought stood there before it was seen: what has come there may look like it, and hides it.
+        sees = seen is None or (
+            seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen) and not self._came_s
+        )
         near = math.inf if seen is None else seen.near
         # Who has arrived looks from where nobody drove, where less of it may show.
         about_as_near = near > 1.0 / SETTINGS.as_near
-        beside = seen is not None and there > SETTINGS.arrived and about_as_near
+        beside = seen is not None and sure and about_as_near
         self._toward_rad = None
         if sees and ((self.arrived and about_as_near) or (beside and near > 1.0)):
             self.said = "found"
         elif sees and seen and seen.left is not None and (self.arrived or beside) and self._neared_s < SETTINGS.goal_s:
-            self._toward_rad = seen.left * math.radians(self._map.scene[0])
+            self._toward_rad = self._off(seen)
         elif self.arrived:
-            self._search(belief, elapsed_s)
+            self._search(belief, 0.0 if self._came_s else elapsed_s)
+
+    def _off(self, seen: Glimpse) -> float:
+        """Return how far to the left of ahead is what a view shows, radians."""
+        return (seen.left or 0.0) * math.radians(self._map.scene[0])
 
     def _search(self, belief: Belief, elapsed_s: float) -> None:
         """Look all around, whatever other place that looks like; then go to another end, or say "not here"."""

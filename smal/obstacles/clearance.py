@@ -103,7 +103,7 @@ class Surroundings:
         self._evidence = np.zeros(self._x_m.shape, dtype=np.int8)
         self._top_m = np.zeros(self._x_m.shape, dtype=np.float32)
         self._lasts = np.zeros(self._x_m.shape, dtype=np.float32)  # For how many looks what stands there is known.
-        self._came = np.zeros(self._x_m.shape, dtype=np.bool_)  # Whether it was free before something stood there.
+        self._freed = np.zeros(self._x_m.shape, dtype=np.bool_)  # Whether it was seen, twice, to be free.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
         self.heading = 0.0
@@ -115,8 +115,8 @@ class Surroundings:
         cell = round(x / self.cell_m), round(y / self.cell_m)
         if self._cell not in (None, cell):
             by = self._cell[0] - cell[0], self._cell[1] - cell[1]
-            grids = (self._evidence, self._top_m, self._lasts, self._came)
-            self._evidence, self._top_m, self._lasts, self._came = (shift(grid, by, order=0) for grid in grids)
+            grids = (self._evidence, self._top_m, self._lasts, self._freed)
+            self._evidence, self._top_m, self._lasts, self._freed = (shift(grid, by, order=0) for grid in grids)
         self._cell, self._rest = cell, (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
@@ -144,22 +144,22 @@ class Surroundings:
         near = np.isfinite(seen.hit_m)
         hit_m = np.where(near, seen.hit_m, 0.0)
         cells = self.cells(np.stack([mount.ahead_m + hit_m, hit_m * seen.across], axis=1))
-        self._came[cells] |= near & (evidence[cells] < -1)
+        self._freed |= evidence < -1
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
         hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
         evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
-        self._came[hidden] = self._came[cells][column[hidden]]
+        self._freed[hidden] = self._freed[cells][column[hidden]]
         cells = cells[0][near], cells[1][near]
         # Through and hit in one look: at its edges a thing is both.
         evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence)
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
-        hit = np.zeros_like(self._came)
+        hit = np.zeros_like(self._freed)
         hit[cells] = True
         self._forget_what_walks(hit)
         for edge in (0, -1):  # What stands further away is not on the edge.
             evidence[edge] = evidence[:, edge] = 0
-        self._top_m[evidence <= 0] = self._lasts[evidence <= 0] = self._came[evidence <= 0] = 0
+        self._top_m[evidence <= 0] = self._lasts[evidence <= 0] = 0
         return True
 
     def _forget_what_walks(self, seen: NDArray[np.bool_]) -> None:
@@ -167,16 +167,29 @@ class Surroundings:
 
         What is so near that a camera does not see beside its robot is not forgotten.
         """
-        self._came &= self._lasts < SETTINGS.lasts * SETTINGS.stays
-        self._lasts += np.where(seen, SETTINGS.lasts, np.where(self._came & (self._lasts >= 0.0), -1.0, 0.0))
+        leaves = self._freed & (self._lasts >= 0.0) & (self._lasts < SETTINGS.lasts * SETTINGS.stays)
+        self._lasts += np.where(seen, SETTINGS.lasts, np.where(leaves, -1.0, 0.0))
         far = np.hypot(*self.seen_from(0.0)) > SETTINGS.unseen * self.radius_m
         self._evidence[(self._lasts < 0.0) & far & self._walks] = 0
 
     @property
     def _walks(self) -> NDArray[np.bool_]:
         """In which cells stands what has just come where it was free, and is no edge of what stood there."""
-        new = self._came & (self._lasts <= SETTINGS.lasts * SETTINGS.still)
+        return self._apart(self._freed & (self._lasts <= SETTINGS.lasts * SETTINGS.still))
+
+    def _apart(self, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the occupied ones of some cells that are no edge of what stands in others."""
         return self.occupied & new & ~binary_dilation(self.occupied & ~new, iterations=SETTINGS.edge)
+
+    def has_come(self, turn_rad: float) -> bool:
+        """Return whether what stands first in a direction, to the left of ahead, has come where it was free."""
+        ahead, left = self.seen_from(0.0)
+        away_m = np.hypot(ahead, left)
+        # As wide as a cell, and seen from a camera that is not in the middle.
+        there = self.occupied & (np.abs(left * math.cos(turn_rad) - ahead * math.sin(turn_rad)) < self.radius_m / 2.0)
+        there &= ahead * math.cos(turn_rad) + left * math.sin(turn_rad) > 0.0
+        first = np.where(there, away_m, np.inf).argmin()
+        return bool(there.any() and self._apart(self._freed).flat[first])
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
@@ -193,6 +206,13 @@ class Surroundings:
     def moving(self) -> NDArray[np.bool_]:
         """Cells in which something is seen to stand, or was until a moment ago, that has just come there."""
         return self._walks & (self._evidence > 1) & (self._lasts >= 0.0)
+
+    @property
+    def moving_rad(self) -> float:
+        """How far to the left of ahead the nearest thing is that moves; 0 where nothing does."""
+        ahead, left = (one[self.moving] for one in self.seen_from(0.0))
+        nearest = np.hypot(ahead, left).argmin() if ahead.size else None
+        return 0.0 if nearest is None else math.atan2(left[nearest], ahead[nearest])
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
