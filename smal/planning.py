@@ -59,11 +59,12 @@ def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
 
 
 def cost_to_go(
-    visual_map: VisualMap, goal: str, tried: Iterable[int] = ()
+    visual_map: VisualMap, goal: str, tried: Iterable[int] = (), closed: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Return the seconds to the goal from every keyframe (k,), and the keyframe to go to next (k,).
 
-    The goal is the end of each drive that leads there, but of those drives whose end was tried. Going over to another
+    The goal is the end of each drive that leads there, but of those drives whose end was tried. From keyframes that are
+    `closed` (k,) no drive goes on. Going over to another
     drive costs the time for the turn and the way between the two, and `Settings.go_over_s`. The robot changes drives at
     the first place from which the goal is nearer by the other: at the last one it would be torn between both. The cost
     to go falls with every step, so that nobody goes in circles. Where no way leads on, it is infinite and nothing next
@@ -71,7 +72,7 @@ def cost_to_go(
     """
     count = len(visual_map.keyframes)
     of = visual_map.key_drives
-    on = np.flatnonzero(of[:-1] == of[1:])
+    on = np.flatnonzero((of[:-1] == of[1:]) & (True if closed is None else ~closed[:-1]))
     leads = (visual_map.key_goals == goal) & ~np.isin(of, [*tried])
     goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & leads)
     source, target = visual_map.stitched.T
@@ -110,13 +111,14 @@ class Planner:
         car = turns_ahead(visual_map.movements)
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if car else {Atom.FORWARD}
         self._chassis = Chassis(visual_map.speed, self._turn_rad / visual_map.tick_s, car)
-        self._plan(frozenset())
+        self._open = np.zeros(len(visual_map.keyframes), dtype=np.bool_)
+        self._plan(frozenset(), self._open)
         self.reset()
 
-    def _plan(self, tried: frozenset[int]) -> None:
-        """Plan the ways to all ends but those that were tried, by their drives."""
-        self._tried = tried
-        self._to_go_s, following = cost_to_go(self._map, self._goal, tried)
+    def _plan(self, tried: frozenset[int], closed: NDArray[np.bool_]) -> None:
+        """Plan the ways to all ends but those that were tried, by their drives; none goes on from a closed keyframe."""
+        self._tried, self._closed = tried, closed
+        self._to_go_s, following = cost_to_go(self._map, self._goal, tried, closed)
         self._guide, self._offset = self._guides(following)
         of = self._map.key_drives[self._guide]
         self._leads = (self._map.key_goals[self._guide] == self._goal) & ~np.isin(of, [*tried])
@@ -138,10 +140,10 @@ class Planner:
         self._turning: Atom | None = None
         self._motion: Share = 0.0, 0.0
         self._looked_rad = self._guessed_s = self._driven = self._searched_s = self._neared_s = self._came_s = 0.0
-        self._blocked_s = 0.0
+        self._blocked_s = self._closed_s = 0.0
         self._toward_rad: float | None = None
-        if self._tried:
-            self._plan(frozenset())
+        if self._tried or self._closed.any():
+            self._plan(frozenset(), self._open)
         #: Whether it takes itself to be where it was taught that the goal is.
         self.arrived, self._ends = False, frozenset[int]()
         self.said: Said | None = None
@@ -165,6 +167,9 @@ class Planner:
         # A robot that hears nothing stands.
         times_s = self._map.tick_s if elapsed_s is None else elapsed_s, delay_s
         elapsed_s, delay_s = np.minimum(times_s, SETTINGS.stands_after_s).tolist()
+        self._closed_s -= elapsed_s
+        if self._closed_s < 0.0 and self._closed.any():
+            self._plan(self._tried, self._open)
         directions, left_to_go, to_end = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         say = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -184,10 +189,7 @@ class Planner:
         if not self.arrived and ended and sure:
             self.arrived, self._ends, self._neared_s = True, self._ends_here(belief), 0.0
         if self.said is None:
-            self._came_s = max(self._came_s - elapsed_s, 0.0)
-            if seen is not None and seen.left is not None and around is not None and around.has_come(self._off(seen)):
-                self._came_s = SETTINGS.same_moment_s
-            self._say(belief, elapsed_s, seen, sure)
+            self._say(belief, elapsed_s, seen, sure, around)
 
         kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
         if kind == "search":
@@ -206,11 +208,8 @@ class Planner:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
-        if kind == "blocked" and around is not None and abs(around.moving_rad) > math.radians(self._map.scene[0]) / 4.0:
-            atom = Atom.LEFT if around.moving_rad > 0.0 else Atom.RIGHT  # It keeps its eyes on whom it waits for.
-        if kind == "blocked":  # Who waits in vain may be elsewhere than it believes: it looks around, once.
-            before, self._blocked_s = self._blocked_s, self._blocked_s + elapsed_s
-            self._looked_rad *= not before < SETTINGS.waits_s <= self._blocked_s
+        if kind == "blocked" and around is not None:
+            atom = self._wait(belief, elapsed_s, around)
         elif atom in self._going:
             self._blocked_s = 0.0
         # Round things, and before those that are near, it goes turn by turn.
@@ -234,9 +233,14 @@ class Planner:
         self.said = "not_here" if self._tried else None
         return "dead_end"
 
-    def _say(self, belief: Belief, elapsed_s: float, seen: Glimpse | None, sure: bool) -> None:
+    def _say(
+        self, belief: Belief, elapsed_s: float, seen: Glimpse | None, sure: bool, around: Surroundings | None
+    ) -> None:
         """Say that it is found, if it is, or search; it may be `sure` to be at the goal before it has arrived."""
-        # What was sought stood there before it was seen: what has come there may look like it, and hides it.
+        # What has come where it was free only looks like what is sought, and may hide it.
+        self._came_s = max(self._came_s - elapsed_s, 0.0)
+        if seen is not None and seen.left is not None and around is not None and around.has_come(self._off(seen)):
+            self._came_s = SETTINGS.same_moment_s
         sees = seen is None or (
             seen.probability > SETTINGS.false_seen / (1.0 + SETTINGS.false_seen) and not self._came_s
         )
@@ -263,7 +267,7 @@ class Planner:
         # One that turns ahead would leave the place.
         if self._searched_s < (SETTINGS.stands_s if self._chassis.car else around_s):
             return
-        self._plan(self._tried | self._ends)
+        self._plan(self._tried | self._ends, self._closed)
         self.arrived, self._searched_s, self._neared_s = False, 0.0, 0.0
         if float(belief.weights @ np.isfinite(self._to_go_s[belief.keyframes])) < 0.5:
             self.said = "not_here"
@@ -280,6 +284,33 @@ class Planner:
         group = connected_components(links, directed=False)[1]
         near = (away < 2.0 * SETTINGS.goal_s * taught.speed) & (group[taught.key_drives[last]] == group[here])
         return frozenset(taught.key_drives[last[near]].tolist()) | {here}
+
+    def _wait(self, belief: Belief, elapsed_s: float, around: Surroundings) -> Atom:
+        """Wait before what nothing leads round, and keep in view who moves there.
+
+        Who waits in vain may be elsewhere than it believes: it looks around, once. Then it takes another taught way.
+        """
+        waited, self._blocked_s = self._blocked_s // SETTINGS.waits_s, self._blocked_s + elapsed_s
+        if waited == 0.0 < self._blocked_s // SETTINGS.waits_s:
+            self._looked_rad = 0.0
+        elif waited == 1.0 < self._blocked_s // SETTINGS.waits_s:
+            self._close(belief, around.reach_m)
+        aside_rad = around.moving_rad
+        if abs(aside_rad) <= math.radians(self._map.scene[0]) / 4.0:
+            return Atom.STOP
+        return Atom.LEFT if aside_rad > 0.0 else Atom.RIGHT
+
+    def _close(self, belief: Belief, reach: float) -> None:
+        """Close the way ahead for a while, if another one leads to the goal."""
+        taught, here = self._map, self._guide[belief.keyframes[belief.weights.argmax()]]
+        along = taught.arc[taught.keyframes] - taught.arc[taught.keyframes[here]]
+        ahead = (taught.key_drives == taught.key_drives[here]) & (along >= 0.0) & (along < reach)
+        closed = self._closed
+        self._plan(self._tried, closed | ahead)
+        if float(belief.weights @ np.isfinite(self._to_go_s[belief.keyframes])) < 0.5:
+            self._plan(self._tried, closed)
+        else:
+            self._closed_s, self._blocked_s = SETTINGS.closed_s, 0.0
 
     def _atom(self, kind: Kind, to_turn_rad: float, elapsed_s: float) -> Atom:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""

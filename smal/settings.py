@@ -126,7 +126,10 @@ class Settings:
     #: It must have been followed for this way before, or have looked all around: a few views may show another place.
     tracked: float = 2.0
     goal_s: float = 1.25
-    waits_s: float = 5.0  # It waits so long before what nothing leads round: people have walked on by then.
+    #: It waits so long before what nothing leads round: people have walked on by then; again when it has looked around;
+    #: then another taught way is taken, if there is one, for so long.
+    waits_s: float = 5.0
+    closed_s: float = 60.0
     stands_after_s: float = 0.5  # Without a decision it stands after this time: it has not gone on turning since.
 
     # -- what is sought (`smal.sought`)

@@ -1,0 +1,82 @@
+"""What the planner does before what nothing leads round, and with whoever walks up to it."""
+
+import math
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from smal.movement import Atom
+from smal.obstacles.clearance import Surroundings
+from smal.planning import Decision, Planner
+from smal.settings import SETTINGS
+from smal.sought.sight import Glimpse
+from tests.smal.depth_world import MOUNT, Box, depth
+from tests.smal.test_planning import belief, map_of
+
+HERE = 10  # A metre along the way, which is where the robot stands.
+WALL: Box = (2.0, -9.0, 2.3, 9.0, 1.0)
+
+
+def looks(*views: list[Box]) -> Surroundings:
+    """Come from two metres back, see nothing but the first view, and then look at each."""
+    made = Surroundings(MOUNT.radius_m)
+    for x in np.arange(-2.0, 0.0, 0.2):
+        made.look((x, 0.0, 0.0), depth(views[0], (x, 0.0, 0.0)), MOUNT)
+    for boxes in views:
+        made.look((0.0, 0.0, 0.0), depth(boxes, (0.0, 0.0, 0.0)), MOUNT)
+    return made
+
+
+def waits(planner: Planner, ticks: int) -> list[Decision]:
+    """Stand before a wall for so many ticks, and turn as is decided, until it is decided to drive."""
+    made, heading, decisions = Surroundings(MOUNT.radius_m), 0.0, []
+    for _ in range(ticks):
+        pose = (0.0, 0.0, heading)
+        made.look(pose, depth([WALL], pose), MOUNT)
+        decisions.append(planner.decide(belief((HERE, 0.0, 0.0, math.degrees(heading))), around=made))
+        if decisions[-1].motion[0] > 0.0:
+            break
+        heading += math.radians(4.5) * decisions[-1].motion[1]
+    return decisions
+
+
+def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
+    decisions = waits(Planner(map_of(16.0)), ticks=400)
+    assert len(decisions) == 400
+    kinds = [(kind, len(list(same))) for kind, same in groupby(one.kind for one in decisions)]
+    assert [kind for kind, _ in kinds] == ["follow", "blocked", "look_around", "blocked"]  # it turns before it waits
+    assert kinds[1][1] == pytest.approx(SETTINGS.waits_s / 0.1, abs=1)
+
+
+def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() -> None:
+    """The second drive leads away to the left where the robot stands, and takes longer."""
+    other = 161
+    planner = Planner(map_of(16.0, 17.0, stitches=(((HERE, other), (0.0, 0.0, -math.pi / 2.0)),)))
+    before = planner.decide(belief((HERE, 0.0, 0.0, 0.0)))
+    assert abs(before.heading_error_rad) < 0.1
+    kinds = [one.kind for one in waits(planner, ticks=400)]
+    assert (kinds[-1], kinds.count("blocked") > 90, len(kinds) < 400) == ("follow", True, True)
+    assert planner.decide(belief((HERE, 0.0, 0.0, 0.0))).heading_error_rad > 1.0
+    for _ in range(round(SETTINGS.closed_s / 0.4)):
+        later = planner.decide(belief((HERE, 0.0, 0.0, 0.0)), 0.5)
+    assert abs(later.heading_error_rad) < 0.1
+
+
+@pytest.mark.parametrize(("side", "atom"), [(1.0, Atom.LEFT), (-1.0, Atom.RIGHT)])
+def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None:
+    walks = [sorted((side * y_m, side * (y_m + 0.4))) for y_m in np.arange(1.3, 0.45, -0.1)]
+    walker: list[list[Box]] = [[(1.2, low, 1.5, high, 1.7)] for low, high in walks]
+    decision = Planner(map_of(16.0)).decide(belief((HERE, 0.0, 0.0, 0.0)), around=looks([], [], [], *walker))
+    assert (decision.kind, decision.motion[0]) == ("blocked", 0.0)
+    assert decision.motion[1] == (1.0 if atom is Atom.LEFT else -1.0)
+
+
+def test_what_has_just_come_is_not_what_it_was_sent_to_find() -> None:
+    thing: list[Box] = [(2.0, -0.3, 2.4, 0.3, 1.7)]
+    end = belief((160, 0.0, 0.0, 0.0))
+    for before, said in (([], None), (thing, "found")):
+        planner, made = Planner(map_of(16.0)), looks(*[before] * 4, *[thing] * 3)
+        for _ in range(100):
+            planner.decide(end, seen=Glimpse(0.999, 1.1, 0.0), around=made)
+        assert planner.said == said
