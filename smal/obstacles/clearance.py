@@ -121,7 +121,8 @@ class Surroundings:
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
         np.minimum(self._evidence, -1, out=self._evidence, where=under)
-        self.__dict__.pop("clearance_m", None)
+        for known in ("clearance_m", "_wide_m"):
+            self.__dict__.pop(known, None)
 
     def look(self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount) -> bool:
         """Go where the wheels say, and add what a depth image shows; return whether it shows anything."""
@@ -226,10 +227,24 @@ class Surroundings:
 
     @cached_property
     def clearance_m(self) -> NDArray[np.float64]:
-        """How far each cell's middle is from that of the nearest one in which something stands."""
-        if not self.occupied.any():
-            return np.full(self.occupied.shape, self.reach_m)
-        return np.asarray(distance_transform_edt(~self.occupied)) * self.cell_m
+        """How far each cell's middle is from that of the nearest one in which something stands.
+
+        Who has come is taken to be nearer by how far a person sways.
+        """
+        come, clear_m = self._apart(self._freed), np.full(self.occupied.shape, self.reach_m)
+        for cells, sways_m in ((self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)):
+            if cells.any():
+                clear_m = np.minimum(clear_m, np.asarray(distance_transform_edt(~cells)) * self.cell_m - sways_m)
+        return clear_m
+
+    @cached_property
+    def _wide_m(self) -> NDArray[np.float64]:
+        """How near the robot's middle may come to what stands in each cell; as near as it is already it may stay."""
+        come, away_m = self._apart(self._freed), np.hypot(*self.seen_from(0.0))
+        wide_m = np.zeros(come.shape)
+        for cells, sways_m in ((self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)):
+            wide_m[cells] = min(self.body_m + sways_m, float(away_m[cells].min(initial=math.inf)))
+        return wide_m
 
     def cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the cells of places (..., 2) ahead of and left of the robot; those outside as the nearest inside."""
@@ -245,8 +260,7 @@ class Surroundings:
         ahead, left = (one[self.occupied] for one in self.seen_from(0.0))
         cos, sin = np.cos(turns_rad)[:, None], np.sin(turns_rad)[:, None]
         along, aside = cos * ahead + sin * left, np.abs(cos * left - sin * ahead)
-        # What already is nearer than that may stay beside it, and come no nearer.
-        wide_m = min(self.body_m, float(np.hypot(ahead, left).min(initial=math.inf)))
+        wide_m = self._wide_m[self.occupied]
         touches_m = along - np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0))
         touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
         return np.asarray(
@@ -262,18 +276,17 @@ class Surroundings:
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
         moves_m = np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
-        away, aside, circle_m, ratio = np.hypot(along, left), left, math.inf, np.ones(())
+        aside, circle_m, ratio = left, math.inf, np.ones(())
         if bend:  # Along the circle, and how far outside of it; there a cell is touched a half chord earlier.
             circle_m, out = 1.0 / abs(bend), 1.0 / abs(bend) - math.copysign(1.0, bend) * left
             from_middle = np.maximum(np.hypot(along, out), 1e-9)
             along, aside = circle_m * np.arctan2(along, out), from_middle - circle_m
             ratio = np.sqrt(from_middle / circle_m)
-        stands = self.occupied
-        wide_m = min(self.body_m, float(away[stands].min(initial=math.inf)))
+        wide_m = self._wide_m
         half = np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0)) / ratio
         if bend:
             half = 2.0 * circle_m * np.arcsin(np.minimum(half / (2.0 * circle_m), 1.0))
-        touches = stands & (np.abs(aside) < wide_m - 1e-6) & (along > 0.0)
+        touches = self.occupied & (np.abs(aside) < wide_m - 1e-6) & (along > 0.0)
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m)
         unseen &= along > (SETTINGS.unseen if ahead else 1.0) * self.radius_m
         touches_m, unseen_m = (along - half)[touches], along[unseen] - self.radius_m

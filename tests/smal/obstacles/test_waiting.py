@@ -66,8 +66,8 @@ def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() 
 @pytest.mark.parametrize(("side", "atom"), [(1.0, Atom.LEFT), (-1.0, Atom.RIGHT)])
 def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None:
     walks = [sorted((side * y_m, side * (y_m + 0.4))) for y_m in np.arange(1.3, 0.45, -0.1)]
-    walker: list[list[Box]] = [[(1.2, low, 1.5, high, 1.7)] for low, high in walks]
-    decision = Planner(map_of(16.0)).decide(belief((HERE, 0.0, 0.0, 0.0)), around=looks([], [], [], *walker))
+    walker: list[list[Box]] = [[WALL, (1.2, low, 1.5, high, 1.7)] for low, high in walks]
+    decision = Planner(map_of(16.0)).decide(belief((HERE, 0.0, 0.0, 0.0)), around=looks([WALL], *walker))
     assert (decision.kind, decision.motion[0]) == ("blocked", 0.0)
     assert decision.motion[1] == (1.0 if atom is Atom.LEFT else -1.0)
 
