@@ -121,7 +121,7 @@ class Surroundings:
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
         np.minimum(self._evidence, -1, out=self._evidence, where=under)
-        for known in ("clearance_m", "_wide_m"):
+        for known in ("clearance_m", "moving", "_wide_m"):
             self.__dict__.pop(known, None)
 
     def look(self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount) -> bool:
@@ -203,7 +203,7 @@ class Surroundings:
         """Cells in which something stands."""
         return np.asarray(self._evidence > 0)
 
-    @property
+    @cached_property
     def moving(self) -> NDArray[np.bool_]:
         """Cells in which something is seen to stand, or was until a moment ago, that has just come there."""
         return self._walks & (self._evidence > 1) & (self._lasts >= 0.0)
