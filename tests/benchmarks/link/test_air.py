@@ -16,6 +16,8 @@ from tests.benchmarks.child import child
 from tests.benchmarks.link.air import ADDRESSES, Link, Quality, enter, link
 from tests.services.waiting import eventually
 
+pytestmark = pytest.mark.system
+
 BAD = Quality(loss=0.1)
 PACKETS = 200  # Fewer than a device, and a socket, keep for who is slow to take them.
 
