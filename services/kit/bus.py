@@ -18,7 +18,7 @@ from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
 from services.kit.errors import JobError
 from services.kit.replay import Budget, Replay
-from services.kit.wire import BusError, Refused, Take, flaw, reason
+from services.kit.wire import BusError, Refused, Take, checksum, damage, flaw, reason
 from services.kit.zenoh_session import (
     DEFAULT_ROUTER,
     Router,
@@ -133,7 +133,7 @@ class Bus:
         topic = TOPICS[message.topic_name]
         publisher, _ = self._publishers.get(topic.name) or (self.declare_publisher(topic), 0.0)
         self._publishers[topic.name] = publisher, time.monotonic()
-        publisher.put(encode(message))
+        publisher.put(payload := encode(message), attachment=checksum(payload))
 
     def forget(self) -> None:
         """Let go of what is kept, where nothing was sent for longer than it is; on the thread that publishes."""
@@ -184,13 +184,15 @@ class Bus:
         key, session = topic.key(self.robot), self.sessions[topic.lane]
 
         def on_sample(sample: zenoh.Sample) -> None:
-            payload, encoding, put = sample.payload, str(sample.encoding), sample.kind == _PUT
-            if (why := flaw(key, topic.message, str(sample.key_expr), len(payload), encoding, put=put)) is not None:
+            encoding, put, summed = str(sample.encoding), sample.kind == _PUT, sample.attachment
+            size = len(sample.payload) + (0 if summed is None else len(summed))
+            why = flaw(key, topic.message, str(sample.key_expr), size, encoding, put=put)
+            payload = b"" if why else sample.payload.to_bytes()
+            if why := why or (damage(payload, summed.to_bytes()) if summed is not None else None):
                 refused(f"{why}; {_origin(sample)}")
                 return
             stamp = sample.timestamp
-            transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
-            take(payload.to_bytes(), encoding, transit_s)
+            take(payload, encoding, None if stamp is None else time.time() - stamp.get_time().timestamp())
 
         if replay:
             self._subscribe_replayed(session, key, on_sample, refused)

@@ -3,7 +3,8 @@
 - What one bus sends arrives in the order in which it was sent, over all topics that are as urgent and as reliable.
   There is no other order, and any sample may be lost.
 - Nothing is copied before its key, kind, encoding and size are looked at: see ``flaw``. What is refused is told to who
-  listens, with its sender where that is known; an unfit request is answered with a ``Failure``.
+  listens, with its sender where that is known; an unfit request is answered with a ``Failure``. So is a message of
+  which bytes were changed on the way, where its sender said what they were.
 - Handlers run on the bus's own threads, one for what is urgent, one for all else and one for the calls of each key, and
   hold up what follows there until they return. A publisher never waits for one, but for its own
   bus's. What a handler raises is logged.
@@ -14,6 +15,7 @@
 - ``close`` takes back every declaration; who waits for an answer is told that there is none. A closed bus is of no use.
 """
 
+import zlib
 from collections.abc import Callable
 from typing import Final
 
@@ -51,6 +53,16 @@ def flaw(
     if message is not None:
         return misfit(message, encoding, size)
     return f"{size} bytes, at most {MAX_RPC_BYTES} allowed" if size > MAX_RPC_BYTES else None
+
+
+def checksum(payload: bytes) -> bytes:
+    """Return what is sent beside a message: a link on which much is dropped has changed bytes of some (1.10.2)."""
+    return zlib.crc32(payload).to_bytes(4, "little")
+
+
+def damage(payload: bytes, summed: bytes) -> str | None:
+    """Say why a message is refused that is not what its sender said that it is."""
+    return None if summed == checksum(payload) else "bytes of it were changed on their way"
 
 
 def reason(failure: bytes) -> str:
