@@ -28,28 +28,24 @@ def armed(max_age_s: float = MAX_AGE_S, *, attended: bool = False) -> CommandGat
     return gate
 
 
-@pytest.fixture
-def gate() -> CommandGate:
-    gate = armed()
+def begun(gate: CommandGate) -> CommandGate:
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     return gate
 
 
-def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -> None:
-    assert gate.offer(command(0), 10.1) is None
+@pytest.fixture
+def gate() -> CommandGate:
+    return begun(armed())
+
+
+@pytest.mark.parametrize(("max_age_s", "until_s"), [(MAX_AGE_S, 10.0 + MAX_AGE_S), (0.5, 10.125 + SILENCE_S)])
+def test_fresh_command_moves_the_robot_and_silence_stops_it(max_age_s: float, until_s: float) -> None:
+    gate = begun(armed(max_age_s))
+    assert gate.offer(command(0), 10.125) is None
     assert gate.applied(10.2) == Applied(KEYS["forward"], "policy", "command", answered_tick=0)
-    assert gate.applied(10.0 + MAX_AGE_S).velocity == KEYS["forward"]
-    assert gate.applied(10.0 + MAX_AGE_S + 1e-6) == STAND
-
-
-def test_who_allows_for_a_slow_link_allows_for_no_longer_silence() -> None:
-    gate = armed(max_age_s=0.5)
-    gate.begin("e", "policy")
-    gate.captured(0, 10.0)
-    gate.offer(command(0), 10.125)
-    assert gate.applied(10.125 + SILENCE_S).answered_tick == 0
-    assert gate.applied(10.125 + SILENCE_S + 1e-6) == STAND
+    assert gate.applied(until_s).velocity == KEYS["forward"]
+    assert gate.applied(until_s + 1e-6) == STAND
 
 
 @pytest.mark.parametrize(
@@ -76,9 +72,7 @@ def test_refusals_are_named_counted_and_harmless(
 
 
 def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
-    gate = armed(max_age_s=0.5)  # which floating point represents exactly
-    gate.begin("e", "policy")
-    gate.captured(0, 10.0)
+    gate = begun(armed(0.5))  # which floating point represents exactly
     gate.captured(1, 10.5)
     assert gate.offer(command(0), 10.5) is None, "a slow link is allowed for"
     assert gate.applied(10.5).answered_tick == 0
@@ -182,9 +176,7 @@ def test_an_emergency_stop_holds_until_it_is_released(gate: CommandGate, tick: i
 def test_a_robot_that_was_started_moves_for_nobody_until_it_is_armed() -> None:
     gate = CommandGate()
     assert gate.stop_cause == "not_armed"
-    gate.begin("e", "policy")
-    gate.captured(0, 10.0)
-    assert gate.offer(command(0), 10.0) is None, "what it would do is heard"
+    assert begun(gate).offer(command(0), 10.0) is None, "what it would do is heard"
     assert gate.applied(10.0) == Applied(STANDING, None, "emergency_stop")
     assert gate.arm(gate.emergency_stop, "") is None
     assert gate.stop_cause is None
@@ -350,9 +342,7 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     hear(gate, "o", 0, 10.0)
     assert gate.arm(1, "x") == THEIRS
     assert gate.arm(1, "o") is None
-    gate.begin("e", "policy")
-    gate.captured(0, 10.0)
-    gate.offer(command(0), 10.0)
+    begun(gate).offer(command(0), 10.0)
     hear(gate, "o", 1, 10.05)
     assert gate.applied(10.0).velocity == KEYS["forward"]
     hear(gate, "o", 2, 10.1, present=False)
