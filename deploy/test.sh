@@ -9,4 +9,11 @@ ruff format --check .
 mypy
 lint-imports
 # In three processes on two cores: one in three waits for a robot, a browser or a deadline. `tests/sharing.py` shares out.
-python -m pytest -rs -n 3 "$@"
+status=0
+python -m pytest -rsf -n 3 "$@" || status=$?
+if [ "$status" = 1 ]; then
+  echo "once more, alone: what failed beside others, on a machine that may have been too busy; above is why"
+  python -m pytest -rsf --last-failed --last-failed-no-failures none "$@"
+else
+  exit "$status"
+fi
