@@ -181,7 +181,7 @@ class Settings:
     lasts: float = 4.0
     stays: float = 30.0
     walks_m: float = 0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
-    sways_m: float = 0.1  # And from who has come and stands more than from things, metres.
+    sways_m: float = 0.1  # Who has come, and stands, is kept off so much further than things, metres.
     deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.

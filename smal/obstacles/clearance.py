@@ -121,7 +121,7 @@ class Surroundings:
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
         np.minimum(self._evidence, -1, out=self._evidence, where=under)
-        for known in ("clearance_m", "moving", "_wide_m"):
+        for known in ("clearance_m", "moving", "_kinds", "_wide_m"):
             self.__dict__.pop(known, None)
 
     def look(self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount) -> bool:
@@ -190,7 +190,7 @@ class Surroundings:
         there = self.occupied & (np.abs(left * math.cos(turn_rad) - ahead * math.sin(turn_rad)) < self.radius_m / 2.0)
         there &= ahead * math.cos(turn_rad) + left * math.sin(turn_rad) > 0.0
         first = np.where(there, away_m, np.inf).argmin()
-        return bool(there.any() and self._apart(self._freed).flat[first])
+        return bool(there.any() and self._kinds[1][0].flat[first])
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
@@ -231,18 +231,24 @@ class Surroundings:
 
         Who has come is taken to be nearer by how far a person sways.
         """
-        come, clear_m = self._apart(self._freed), np.full(self.occupied.shape, self.reach_m)
-        for cells, sways_m in ((self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)):
+        clear_m = np.full(self.occupied.shape, self.reach_m)
+        for cells, sways_m in self._kinds:
             if cells.any():
                 clear_m = np.minimum(clear_m, np.asarray(distance_transform_edt(~cells)) * self.cell_m - sways_m)
         return clear_m
 
     @cached_property
+    def _kinds(self) -> tuple[tuple[NDArray[np.bool_], float], ...]:
+        """Cells in which things stand, and in which somebody has come; and how far these sway, metres."""
+        come = self._apart(self._freed)
+        return (self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)
+
+    @cached_property
     def _wide_m(self) -> NDArray[np.float64]:
         """How near the robot's middle may come to what stands in each cell; as near as it is already it may stay."""
-        come, away_m = self._apart(self._freed), np.hypot(*self.seen_from(0.0))
-        wide_m = np.zeros(come.shape)
-        for cells, sways_m in ((self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)):
+        away_m = np.hypot(*self.seen_from(0.0))
+        wide_m = np.zeros(away_m.shape)
+        for cells, sways_m in self._kinds:
             wide_m[cells] = min(self.body_m + sways_m, float(away_m[cells].min(initial=math.inf)))
         return wide_m
 
