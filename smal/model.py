@@ -25,6 +25,7 @@ from smal.likelihood import Likelihood, evenly
 from smal.movement import Atom, Movement, leads_on, placed, seen_from
 from smal.settings import SETTINGS
 from smal.sought.sight import Sight, content_of_sights, sights_of_content
+from smal.sought.word import Word, content_of_words, words_of_content
 
 _T = TypeVar("_T", bound=np.floating[Any])
 
@@ -268,6 +269,7 @@ class Model(Stored):
     mapped: VisualMap
     #: What is sought at each goal; of one that has none, a robot that has arrived says that it has found it.
     sights: Mapping[str, Sight] = field(default_factory=dict)
+    words: Mapping[str, Word] = field(default_factory=dict)  # And what detectors say of it.
 
     def __post_init__(self) -> None:
         if len(self.mapped.basis) != self.feature_settings.size:
@@ -294,12 +296,14 @@ class Model(Stored):
         """Return what its file says of it, and the arrays in it."""
         numbers, arrays = content_of_map(self.mapped)
         sights, cells = content_of_sights(self.sights)
-        meta = of_features(self.feature_settings) | {"map": numbers, "sights": sights}
-        return meta, arrays | cells | {"mean": self.centering.mean}
+        words, ratios = content_of_words(self.words)
+        meta = of_features(self.feature_settings) | {"map": numbers, "sights": sights, "words": words}
+        return meta, arrays | cells | ratios | {"mean": self.centering.mean}
 
     @classmethod
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
         """Make it of what a file says."""
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
-        return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights)
+        words = words_of_content(meta.get("words", []), arrays)
+        return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights, words)

@@ -1,7 +1,7 @@
 """`Robot` takes an image and returns an atom; `Localizer` (the filter and the wheels) and `Planner` do the work."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import extract
+from smal.features.detectors import Detection
+from smal.features.extraction import detect
 from smal.features.resizing import small
 from smal.filter import Belief, Filter
 from smal.model import Model
@@ -43,8 +45,8 @@ class Localizer:
         self.features = model.feature_settings  # That it goes by.
         self._filter = Filter(mapped, model.centering, seed)
         goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
-        sight = model.sights.get(goal or "")
-        self._witness = None if sight is None else Witness(sight)
+        sight, word = model.sights.get(goal or ""), model.words.get(goal or "")
+        self._witness = Witness(sight, word) if sight or word else None
         to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
         self._near = (mapped.key_goals == goal) & (np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed)
         self.reset()
@@ -57,9 +59,12 @@ class Localizer:
         if self._witness is not None:
             self._witness.reset()
 
-    def seen(self, picture: NDArray[np.uint8] | None, belief: Belief) -> Glimpse | None:
+    def seen(
+        self, picture: NDArray[np.uint8] | None, belief: Belief, detected: Iterable[Detection] = ()
+    ) -> Glimpse | None:
         """Return whether what is sought is in view of a frame (`resizing.small`); None where nobody knows.
 
+        `detected` is what the detectors among the features find in it (`smal.features.extraction.detect`).
         Far from where it was taught to be, nobody looks; who turns there is still there, whatever that looks like.
         """
         if self._witness is None:
@@ -69,7 +74,7 @@ class Localizer:
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
-        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s)
+        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s, detected)
 
     def observe(
         self,
@@ -149,7 +154,7 @@ class Robot:
         """
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self.made], elapsed_s)
-        seen = self._localizer.seen(small(image), self.belief)
+        seen = self._localizer.seen(small(image), self.belief, detect(image, self._localizer.features))
         if odometry is None:
             self._around = None
         elif depth is not None:

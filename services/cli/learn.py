@@ -147,12 +147,14 @@ def _learn(
         if scheme == "filter":
             mapped = learn_map(drives, settings.features, progress=partial(bars, "views"), parallel=engine.map)
             taught = mapped.mapped
+            # Where detectors are asked for, which of the things that they find is sought.
+            words = {goal: mapped.words[goal].label if goal in mapped.words else "nothing" for goal in {*taught.goals}}
             return mapped, {
                 "drives": len(taught.goals),
                 "frames": len(taught.poses),
                 "keyframes": len(taught.keyframes),
                 "goals": ", ".join(sorted(set(taught.goals))),
-            }
+            } | ({"detected": words} if settings.features.describing != settings.features.modalities else {})
         model = learn_paper(drives, settings, bars)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None

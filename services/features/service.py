@@ -6,12 +6,13 @@ from pydantic import field_validator
 
 from schemas.array import Float32Array
 from schemas.camera import CompressedImage, DepthImage
-from schemas.observation import Observation
+from schemas.observation import MOST_DETECTED, Detected, Observation
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
 from services.kit.settings import FleetSettings
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
+from smal.features.extraction import detect
 from smal.features.resizing import small
 
 _log = logging.getLogger("features")
@@ -87,6 +88,7 @@ class FeaturesService:
             modalities=self._names,
             features=Float32Array.from_numpy(vector),
             picture=small(pixels).tobytes(),
+            detected=tuple(Detected(**one._asdict()) for one in detect(pixels, self._features)[:MOST_DETECTED]),
         )
 
     def _give_up(self, image: CompressedImage) -> None:

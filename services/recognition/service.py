@@ -16,6 +16,7 @@ from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import AnyModel, LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
+from smal.features.detectors import Detection
 from smal.filter import Belief
 from smal.model import Model, in_common_axes
 from smal.movement import Atom
@@ -187,7 +188,8 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
         belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
-        seen = self._localizer.seen(observation.small(), belief)
+        detected = [Detection(one.label, one.score, one.box) for one in observation.detected]
+        seen = self._localizer.seen(observation.small(), belief, detected)
         told = belief.summary()
         places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
         return State.of_belief(

@@ -71,7 +71,7 @@ class Teacher:
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""
         # Vectors of more modalities than the wanted ones hold these.
-        holding = [held for held in features_in(path) if set(self._features.modalities) <= set(held.modalities)]
+        holding = [held for held in features_in(path) if set(self._features.describing) <= set(held.modalities)]
         held = min(holding, key=lambda held: held.size, default=self._features)
         free, taught = self._allowance.left, len(self.teaching.demonstrations)
         try:

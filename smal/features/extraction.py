@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import color
+from smal.features.detectors import Detection
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
 from smal.features.settings import FeatureSettings
@@ -62,6 +63,12 @@ def extract(
         inputs["depth"] = np.ascontiguousarray(depth_mm)
     modalities = [modality_named(name) for name in settings.modalities]
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
+
+
+def detect(image: NDArray[np.uint8], settings: FeatureSettings) -> list[Detection]:
+    """Return what the detectors among some modalities find in an RGB image; ValueError where one does not run."""
+    detectors = [modality_named(name).detect for name in settings.modalities]
+    return [found for one in detectors if one is not None for found in one(image)]
 
 
 def check_image(image: NDArray[np.uint8]) -> None:

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from smal.features import color, depth, gist, hog, ldb, onnx, thumbnail
-from smal.features.modality import Modality
+from smal.features import color, depth, detectors, gist, hog, ldb, onnx, thumbnail
+from smal.features.modality import Modality, detector
 
 #: Those that need no file.
 MODALITIES: Final = {
@@ -15,10 +15,12 @@ MODALITIES: Final = {
         Modality("gist", gist.SIZE, "color", gist.gist_descriptor),
         Modality("ldb", ldb.SIZE, "color", ldb.ldb_descriptor),
         Modality("thumbnail", thumbnail.SIZE, "color", thumbnail.thumbnail_descriptor),
+        detector("apriltag", detectors.apriltags),
+        detector("qr", detectors.qr_codes),
     )
 }
 
-MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")  # Names that users may give.
+MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE", f"{onnx.BOXES}FILE")  # Names that users may give.
 
 
 def modality_named(name: str) -> Modality:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.features.detectors import Detection
+
 # What a camera gives: RGB, uint8 (height, width, 3), or depth, uint16 (height, width) in millimetres.
 Input = Literal["color", "depth"]
 
@@ -17,13 +19,19 @@ class Modality:
 
     The name is what a fingerprint calls it: it names the calculation and nothing else, so of a network its contents and
     not where its file lies. `needs` is the image of the frame, of any size from 32 x 24 on, that `describe` makes the
-    descriptor of: float32 (size,), of unit length or zero.
+    descriptor of: float32 (size,), of unit length or zero. A detector has none, and finds things in a frame.
     """
 
     name: str
     size: int
     needs: Input
     describe: Callable[[NDArray[Any]], NDArray[np.float32]]
+    detect: Callable[[NDArray[np.uint8]], list[Detection]] | None = None
+
+
+def detector(name: str, detect: Callable[[NDArray[np.uint8]], list[Detection]]) -> Modality:
+    """Return the modality that a detector is."""
+    return Modality(name, 0, "color", lambda _image: np.empty(0, dtype=np.float32), detect)
 
 
 def unit_length(values: NDArray[Any]) -> NDArray[np.float32]:

@@ -1,12 +1,13 @@
-"""Network modality: the embedding of an image by any network in an ONNX file.
+"""Network modality: the embedding of an image by any network in an ONNX file, or what a network draws boxes round.
 
-A user gives the file, as ``onnx:FILE``. Everything else, models above all, names the network by what it is:
+A user gives the file, as ``onnx:FILE``, of a detector as ``boxes:FILE`` (`smal.features.detectors.of_boxes` says what
+it gives; its embedding has the size 0). Everything else, models above all, names the network by what it is:
 ``onnx:``, the SHA-256 of the file, ``:`` and the size of the embedding. Such a name opens no file: the network runs
 only in a process that was given its file.
 
 The file needs one input, float32 (1 or any, 3, height, width), for RGB: values 0 to 1, less the mean and divided by
-the standard deviation of each channel. These two are those of ImageNet unless the metadata of the file has `mean` and
-`std`, each three numbers separated by commas. Weights must be inside the file.
+the standard deviation of each channel. These two are those of ImageNet, of a detector 0 and 1, unless the metadata of
+the file has `mean` and `std`, each three numbers separated by commas. Weights must be inside the file.
 """
 
 import hashlib
@@ -21,19 +22,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features.modality import Modality, unit_length
+from smal.features.detectors import Detection, of_boxes
+from smal.features.modality import Modality, detector, unit_length
 from smal.features.resizing import resized
 from smal.files.container import open_regular
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-PREFIX = "onnx:"
+PREFIX, BOXES = "onnx:", "boxes:"
 # Of a network that takes any height or width.
 SIDE = 224
 # No embedding has more entries than a raw image.
-_NAME = re.compile(r"onnx:([0-9a-f]{64}):([1-9][0-9]{0,6})")
+_NAME = re.compile(r"onnx:([0-9a-f]{64}):(0|[1-9][0-9]{0,6})")
+Channels = tuple[float, float, float]
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+ZEROS, ONES = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,15 @@ class Network:
         That is the first output of the network, of unit length; of a map of features (1, channels, height, width) the
         mean over height and width. ValueError where the network does not run, or its output is not finite.
         """
+        output = self._run(image)
+        pooled = output.mean(axis=(2, 3)) if output.ndim == 4 else output
+        return unit_length(pooled)
+
+    def detect(self, image: NDArray[np.uint8]) -> list[Detection]:
+        """Return what the network draws boxes round; ValueError as of `describe`, or as of `of_boxes`."""
+        return of_boxes(self.file, self._run(image), self.rows, self.columns)
+
+    def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         small = resized(image, self.rows, self.columns).astype(np.float32)
         scaled = (small / np.float32(255.0) - self.mean) / self.std
         batch = np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
@@ -65,33 +78,35 @@ class Network:
             raise ValueError(f"{self.file}: the network does not run: {_one_line(error)}") from error
         if output.size == 0:
             raise ValueError(f"{self.file}: the network's first output is empty")
-        pooled = output.mean(axis=(2, 3)) if output.ndim == 4 else output
-        if not np.isfinite(pooled).all():
+        if not np.isfinite(output).all():
             raise ValueError(f"{self.file}: the network's first output contains NaN or infinity")
-        return unit_length(pooled)
+        return output
 
 
 _given: dict[str, Network] = {}  # The networks that the user gave to this process, by their names.
 
 
 @cache
-def open_network(file: str) -> str:
+def open_network(file: str, kind: str = PREFIX) -> str:
     """Read a network's file, as it is the first time; return the name of its modality.
 
     ValueError says in one line that onnxruntime is not installed, or the file is missing or none that fits (see above).
     """
     if not file:
-        raise ValueError(f"the feature modality {PREFIX!r} names no file; write {PREFIX}FILE")
+        raise ValueError(f"the feature modality {kind!r} names no file; write {kind}FILE")
     try:
         with os.fdopen(open_regular(Path(file)), "rb") as opened:
             data = opened.read()
     except FileNotFoundError:
-        raise ValueError(f"{file}: there is no such file for the feature modality {PREFIX}FILE") from None
+        raise ValueError(f"{file}: there is no such file for the feature modality {kind}FILE") from None
     except OSError as error:
         raise ValueError(f"{file}: cannot read the network's file: {error.strerror or error}") from error
-    network = _network(file, _session(file, data))
+    network = _network(
+        file, _session(file, data), *((IMAGENET_MEAN, IMAGENET_STD) if kind == PREFIX else (ZEROS, ONES))
+    )
+    blank = np.zeros((network.rows, network.columns, 3), dtype=np.uint8)
     # Only running it tells the size of an output whose shape depends on that of the input.
-    size = network.describe(np.zeros((network.rows, network.columns, 3), dtype=np.uint8)).size
+    size = network.describe(blank).size if kind == PREFIX else 0 * len(network.detect(blank))
     name = f"{PREFIX}{hashlib.sha256(data).hexdigest()}:{size}"
     _given[name] = network
     return name
@@ -99,15 +114,15 @@ def open_network(file: str) -> str:
 
 def given_as(name: str) -> str:
     """Return how the user gave a network to this process, ``onnx:FILE``; ValueError where nobody did."""
-    _parts(name)
+    kind = PREFIX if _parts(name)[1] else BOXES
     if name not in _given:
-        raise ValueError(f"the network {name} is run only where its file is given, as {PREFIX}FILE")
-    return f"{PREFIX}{_given[name].file}"
+        raise ValueError(f"the network {name} is run only where its file is given, as {kind}FILE")
+    return f"{kind}{_given[name].file}"
 
 
-def file_of(name: str) -> str | None:
-    """Return the file of a network that the user gave to this process, None of anything else."""
-    return _given[name].file if name in _given else None
+def said(name: str) -> str:
+    """Return how the user gave a network to this process; of anything else its name."""
+    return given_as(name) if name in _given else name
 
 
 def is_digest(name: str) -> bool:
@@ -126,7 +141,11 @@ def onnx_modality(name: str) -> Modality:
         given_as(name)
         return _given[name].describe(image)
 
-    return Modality(f"{PREFIX}{digest}", size, "color", describe)
+    def detect(image: NDArray[np.uint8]) -> list[Detection]:
+        given_as(name)
+        return _given[name].detect(image)
+
+    return Modality(f"{PREFIX}{digest}", size, "color", describe) if size else detector(f"{BOXES}{digest}", detect)
 
 
 def _parts(name: str) -> tuple[str, int]:
@@ -158,14 +177,14 @@ def _session(file: str, data: bytes) -> "InferenceSession":
         raise ValueError(f"{file}: no ONNX network that can be used: {line}") from error
 
 
-def _network(file: str, session: "InferenceSession") -> Network:
+def _network(file: str, session: "InferenceSession", mean: Channels, std: Channels) -> Network:
     inputs = session.get_inputs()
     rows, columns = _input_size(file, [(one.type, one.shape) for one in inputs])
     meta = session.get_modelmeta().custom_metadata_map
-    mean, std = _channels(file, meta, "mean", IMAGENET_MEAN), _channels(file, meta, "std", IMAGENET_STD)
-    if not (std > 0.0).all():
+    less, over = _channels(file, meta, "mean", mean), _channels(file, meta, "std", std)
+    if not (over > 0.0).all():
         raise ValueError(f"{file}: its metadata says std = {meta['std']!r}, which is not positive")
-    return Network(file, session, rows, columns, mean, std)
+    return Network(file, session, rows, columns, less, over)
 
 
 def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple[int, int]:
@@ -180,7 +199,7 @@ def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple
     raise ValueError(f"{file}: the network must have one input, float32 (1, 3, height, width), and has {has}")
 
 
-def _channels(file: str, meta: Mapping[str, str], key: str, usual: tuple[float, float, float]) -> NDArray[np.float32]:
+def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> NDArray[np.float32]:
     if key not in meta:
         return np.array(usual, dtype=np.float32)
     try:

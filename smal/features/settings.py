@@ -24,8 +24,8 @@ class FeatureSettings:
     modalities: tuple[str, ...] = ("color", "hog")
 
     def __post_init__(self) -> None:
-        if not self.modalities:
-            raise ValueError("no feature modality is named")
+        if not self.size:
+            raise ValueError("no feature modality is named that describes a frame")
         for number, name in enumerate(self.modalities):
             modality_named(name)
             if name in self.modalities[:number]:
@@ -33,7 +33,7 @@ class FeatureSettings:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process with the names of the files of networks, which are read there."""
-        return _arrived, (type(self), self.modalities, [onnx.file_of(name) for name in self.modalities])
+        return _arrived, (type(self), self.modalities, [onnx.said(name) for name in self.modalities])
 
     @classmethod
     def of(cls, modalities: Iterable[str]) -> Self:
@@ -44,9 +44,9 @@ class FeatureSettings:
     def parse(cls, modalities: str) -> Self:
         """Read what a user says: names separated by commas, for example ``color,hog``.
 
-        For ``onnx:FILE`` the file is read, and the network gets the name that its contents have. The name of the file
-        has no comma and no blank at its end. ValueError as above, or where a network's file cannot be used, or was not
-        given.
+        For ``onnx:FILE`` and ``boxes:FILE`` the file is read, and the network gets the name that its contents have. The
+        name of the file has no comma and no blank at its end. ValueError as above, or where a network's file cannot be
+        used, or was not given.
         """
         return cls.of(_given(name.strip()) for name in modalities.split(","))
 
@@ -71,6 +71,11 @@ class FeatureSettings:
         return frozenset(modality_named(name).needs for name in self.modalities)
 
     @property
+    def describing(self) -> tuple[str, ...]:
+        """Those that are no detectors: what feature vectors are of."""
+        return tuple(name for name in self.modalities if modality_named(name).size)
+
+    @property
     def slices(self) -> tuple[slice, ...]:
         """Where each modality lies in a feature vector."""
         ends = np.cumsum([modality_named(name).size for name in self.modalities]).tolist()
@@ -91,27 +96,26 @@ def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) ->
     """
     if raw.ndim == 0 or raw.shape[-1] != held.size:
         raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")
-    missing = [name for name in wanted.modalities if name not in held.modalities]
+    missing = [name for name in wanted.describing if name not in held.modalities]
     if missing:
         raise ValueError(f"the features {', '.join(held.modalities)} do not hold {', '.join(missing)}")
-    if held.modalities == wanted.modalities:
+    if held.describing == wanted.describing:
         return raw
     where = dict(zip(held.modalities, held.slices, strict=True))
-    return np.concatenate([raw[..., where[name]] for name in wanted.modalities], axis=-1)
+    return np.concatenate([raw[..., where[name]] for name in wanted.describing], axis=-1)
 
 
-def _arrived(kind: type[FeatureSettings], modalities: tuple[str, ...], files: Iterable[str | None]) -> FeatureSettings:
-    for file in files:
-        if file is not None:
-            onnx.open_network(file)
+def _arrived(kind: type[FeatureSettings], modalities: tuple[str, ...], said: Iterable[str]) -> FeatureSettings:
+    for name in said:
+        if not onnx.is_digest(name):
+            _given(name)
     return kind(modalities)
 
 
 def _given(name: str) -> str:
     """Return the name of a modality that a user names."""
-    if not name.startswith(onnx.PREFIX):
-        return name
     if onnx.is_digest(name):
         onnx.given_as(name)
         return name
-    return onnx.open_network(name.removeprefix(onnx.PREFIX))
+    kind, colon, file = name.partition(":")
+    return onnx.open_network(file, kind + colon) if kind + colon in (onnx.PREFIX, onnx.BOXES) else name

@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
+from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
 from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nearest, speaking
+from smal.sought.word import Word, area, best
 
 #: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
 _CODES, _BESIDE, _SOUGHT = 32, 128, 24
@@ -46,6 +48,7 @@ class Taught:
     left_s: NDArray[np.float64]
     ends: bool  # Whether it ends before what is sought.
     box: Box | None = None  # Where that is in its last view, if somebody has drawn it.
+    detected: Sequence[Sequence[Detection]] = ()  # What detectors find in each keyframe; nothing without any.
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:
@@ -109,6 +112,52 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         low = 0.0
     codes_of = every.astype(np.float16), others.astype(np.float16)
     return Sight(*codes_of, windows, far, ratio, size, low) if size > 0.0 else None
+
+
+def learn_word(drives: Sequence[Taught]) -> Word | None:
+    """Learn which thing detectors find where some drives end and not on their ways; None where there is none.
+
+    Of several it is that of which the last views say most, in the box if somebody has drawn one; then the largest.
+    """
+    last = [
+        [
+            found
+            for k in _approach(one)
+            if one.left_s[k] <= SETTINGS.same_moment_s
+            for found in one.detected[k]
+            if area(found) > 0.0 and (one.box is None or _middle_in(found, one.box))
+        ]
+        for one in drives
+    ]
+    words: list[tuple[float, Word]] = []
+    for label in sorted({found.label for each in last for found in each}):
+        scores = [np.array([best(view, label)[0] for view in one.detected]) for one in drives]
+        here = np.concatenate([each[_approach(one)] for one, each in zip(drives, scores, strict=True)])
+        shows = [_shows(one, each, here.mean() / 2.0) for one, each in zip(drives, scores, strict=True)]
+        elsewhere = np.concatenate([each[:first] for first, each in zip(shows, scores, strict=True)])
+        ratio = _ratio(here, elsewhere) if elsewhere.size else None
+        if ratio is not None:
+            of_it = [[found for found in each if found.label == label] for each in last]
+            told = sum(float(np.interp(found.score, SCORES, ratio)) for each in of_it for found in each)
+            size = float(np.median([area(each[-1]) for each in of_it if each]))
+            words.append((told, Word(label, size, ratio)))
+    return max(words, key=lambda each: (each[0], each[1].size))[1] if words else None
+
+
+def _shows(one: Taught, scores: NDArray[np.float64], least: float) -> int:
+    """Return from which view on it shows, with short gaps: along a straight way a tag may be read from far off."""
+    first = _approach(one).start
+    for k in reversed(range(first)):
+        if scores[k] >= least:
+            first = k
+        elif one.left_s[k] - one.left_s[first] > SETTINGS.beside_s:
+            break
+    return first
+
+
+def _middle_in(found: Detection, box: Box) -> bool:
+    middle = (found.box[0] + found.box[2]) / 2.0, (found.box[1] + found.box[3]) / 2.0
+    return box[0] <= middle[0] <= box[2] and box[1] <= middle[1] <= box[3]
 
 
 def _lasting(patches: list[_Patch]) -> list[_Patch]:

@@ -8,16 +8,20 @@ of the sizes that the approach had.
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
+from smal.features.detectors import Detection
 from smal.features.resizing import SHAPE
 from smal.settings import SETTINGS
+
+if TYPE_CHECKING:
+    from smal.sought.word import Word
 
 SCORES: Final = np.linspace(0.0, 1.0, 201)  # What scores are tabulated for.
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
@@ -162,19 +166,19 @@ class Glimpse(NamedTuple):
 
 
 class Witness:
-    """Tells from view to view whether what is sought is in view."""
+    """Tells from view to view whether what is sought is in view, by how it looks, by a detector's word, or by both."""
 
-    def __init__(self, sight: Sight) -> None:
-        self._sight = sight
+    def __init__(self, sight: Sight | None, word: "Word | None" = None) -> None:
+        self._sight, self._word = sight, word
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
         self._said = deque[tuple[float, Said]]()
 
-    def look(self, picture: Image, time_s: float = 0.0) -> Glimpse:
+    def look(self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()) -> Glimpse:
         """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
-        said, near, left = self._sight.says(picture), 0.0, None
+        said, near, left = self._says(picture, detected), 0.0, None
         if said is not None:
             self._said.append((time_s, said))
             while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
@@ -185,3 +189,14 @@ class Witness:
         mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
         odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
         return Glimpse(odds / (1.0 + odds), near, left)
+
+    def _says(self, picture: Image, detected: Iterable[Detection]) -> Said | None:
+        """Return what both say together: their log ratios add up, and where it is tells the one that says most."""
+        if self._sight is None:
+            patch = None if float(picture.std()) < SETTINGS.plain else Said(0.0, 0.0, 0.0)
+        else:
+            patch = self._sight.says(picture)
+        if patch is None or self._word is None:
+            return patch
+        word = self._word.says(detected)
+        return max(patch, word)._replace(log_ratio=patch.log_ratio + word.log_ratio)

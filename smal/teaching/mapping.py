@@ -14,15 +14,17 @@ from scipy.linalg import eigh
 
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
-from smal.features.extraction import Parallel, in_parallel
+from smal.features.detectors import Detection
+from smal.features.extraction import Parallel, detect, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
 from smal.likelihood import evenly
 from smal.model import Model, VisualMap
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
 from smal.settings import SETTINGS
-from smal.sought.learning import Box, Taught, learn_sight
+from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
+from smal.sought.word import Word
 from smal.teaching.calibration import (
     USUAL_CAMERAS,
     TaughtFrames,
@@ -110,7 +112,8 @@ def learn(
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
     )
-    return Model(centering, stitched(visual_map), _sights(frames.images, visual_map, [one.box for one in taught]))
+    boxes = [one.box for one in taught]
+    return Model(centering, stitched(visual_map), *_sights(frames.images, visual_map, boxes, features))
 
 
 def fit(
@@ -207,22 +210,40 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
-def _sights(images: Sequence[Image], mapped: VisualMap, boxes: Sequence[Box | None]) -> dict[str, Sight]:
-    """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view."""
+def _sights(
+    images: Sequence[Image], mapped: VisualMap, boxes: Sequence[Box | None], features: FeatureSettings
+) -> tuple[dict[str, Sight], dict[str, Word]]:
+    """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view.
+
+    And what detectors find there, if any are among the features.
+    """
     keys, of = mapped.keyframes, mapped.key_drives
-    pictures = list(in_parallel(lambda frame: small(images[frame]), keys.tolist()))
+
+    def looked(frame: int) -> tuple[Image, list[Detection]]:
+        image = images[frame]
+        return small(image), detect(image, features)
+
+    pictures, detected = zip(*in_parallel(looked, keys.tolist()), strict=True)
     ends = np.searchsorted(of, of, side="right") - 1
     left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
     drives = [np.flatnonzero(of == drive).tolist() for drive in range(len(mapped.goals))]
-    found = {}
+    sights, words = {}, {}
     for goal in sorted(set(mapped.goals)):
         taught = [
-            Taught([pictures[k] for k in one], left_s[one], mapped.goals[drive] == goal, boxes[drive])
+            Taught(
+                [pictures[k] for k in one],
+                left_s[one],
+                mapped.goals[drive] == goal,
+                boxes[drive],
+                [detected[k] for k in one],
+            )
             for drive, one in enumerate(drives)
         ]
         if (sight := learn_sight(taught)) is not None:
-            found[goal] = sight
-    return found
+            sights[goal] = sight
+        if (word := learn_word(taught)) is not None:
+            words[goal] = word
+    return sights, words
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:

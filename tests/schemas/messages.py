@@ -22,7 +22,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
-from schemas.observation import Observation
+from schemas.observation import Detected, Observation
 from schemas.rpc import LoadRequest
 from schemas.snapshot import Snapshot
 from schemas.state import Place, State
@@ -59,6 +59,7 @@ EXAMPLES: dict[type[Message], Message] = {
         fingerprint="0123456789abcdef",
         modalities=("color", "hog"),
         features=Float32Array.from_numpy(np.array([0.5, -0.25, 1.0], np.float32)),
+        detected=(Detected(label="apriltag 7", score=1.0, box=(0.25, 0.5, 0.375, 0.75)),),
     ),
     TaughtMap: TaughtMap(
         **HEADER,
@@ -161,7 +162,8 @@ def _named(rule: Any) -> dict[str, Any]:
 
 def _fields_of(cls: type[Strict]) -> dict[str, st.SearchStrategy[Any]]:
     fields = cls.model_fields.items()
-    return {name: _OWN[name] if name in _OWN else _any_of(field.annotation, field.metadata) for name, field in fields}
+    own = _OWN if issubclass(cls, Message) else {}
+    return {name: own[name] if name in own else _any_of(field.annotation, field.metadata) for name, field in fields}
 
 
 def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:

@@ -190,7 +190,7 @@ def test_a_strangers_field_name_cannot_forge_a_log_line() -> None:
 
 
 def test_describe_names_the_field_and_counts_the_others() -> None:
-    with pytest.raises(DecodeError, match=r"^smal.Observation/3: robot: Field required \(and 5 more\)$"):
+    with pytest.raises(DecodeError, match=r"^smal.Observation/4: robot: Field required \(and 5 more\)$"):
         decode(Observation, b"\x80", encoding_of(Observation))
 
 

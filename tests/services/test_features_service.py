@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from schemas.codec import decode
 from schemas.observation import Observation
 from services.features.service import FeaturesService
 from services.kit.bus import Bus
-from services.kit.jpeg import decode_jpeg
+from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import Detail
 from smal.features import FeatureSettings, extract
 from tests.services.chain import image, process
@@ -61,6 +62,18 @@ def test_a_frame_is_published_once_both_its_images_are_there(depth_first: bool) 
     assert observation.fingerprint == WITH_DEPTH.fingerprint
     assert (observation.episode, observation.tick, observation.stamp_ns) == ("e", 7, 7)
     assert service.without_depth == 0
+
+
+def test_what_a_detector_finds_goes_with_the_features_of_its_frame() -> None:
+    tag = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 5, 120)
+    pixels = np.full((240, 320, 3), 255, dtype=np.uint8)
+    pixels[60:180, 100:220] = tag[..., None]
+    shown = image(1).model_copy(update={"data": encode_jpeg(pixels), "width": 320, "height": 240})
+    (observation,) = give(FeaturesService(FeatureSettings(("thumbnail", "apriltag"))), shown)
+    (found,) = observation.detected
+    assert (found.label, found.score) == ("apriltag 5", 1.0)
+    assert found.box == pytest.approx((100 / 320, 60 / 240, 220 / 320, 180 / 240), abs=0.01)
+    assert observation.modalities == ("thumbnail", "apriltag")
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.sampled_from("ab")), max_size=20))

@@ -1,15 +1,20 @@
 """Recognition by the filter, its handlers alone: which frames it answers, when, and with what it knows."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from schemas.array import Float32Array
+from schemas.observation import Detected
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
+from smal.sought.sight import SCORES
+from smal.sought.word import Word
 from tests import corridor
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels
 from tests.services.recordings.recorded_messages import applied
@@ -76,6 +81,22 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
     assert state.status == "unknown"
     assert state.lost > 0.5
     assert state.places
+
+
+def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
+    tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
+    replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
+    service, box = RecognitionService(), (0.3, 0.4, 0.5, 0.6)
+    service.load(LoadedModel.read(tmp_path / "way.smal"))
+    picture = np.random.default_rng(0).integers(0, 256, 14_400, dtype=np.uint8).tobytes()
+    for label, found in (("apriltag 8", 0.0), ("apriltag 7", 1.0)):
+        for tick in range(20):
+            service.see(wheels(tick, episode=label[-1]))
+            update = {"picture": picture, "detected": (Detected(label=label, score=1.0, box=box),)}
+            state = service.handle(seen(tick, episode=label[-1]).model_copy(update=update))
+        assert state is not None
+        assert state.seen == pytest.approx(found, abs=0.05)
+    assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
 
 def test_odometry_may_come_before_its_observation_or_after_it(service: RecognitionService, model: Path) -> None:

@@ -13,7 +13,7 @@ from smal.features.modalities import MODALITY_NAMES
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
-OF_IMAGES = FeatureSettings.of(name for name, one in MODALITIES.items() if one.needs == "color")
+OF_IMAGES = FeatureSettings.of(name for name, one in MODALITIES.items() if one.size and one.needs == "color")
 
 
 def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:

@@ -169,7 +169,7 @@ def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
         "onnx:/dev/zero",
         f"{STRANGE}/..",
         STRANGE.upper(),
-        STRANGE[:-1] + "0",
+        STRANGE[:-1] + "00",
         STRANGE + "\n",
         "onnx",
     ],
