@@ -113,9 +113,10 @@ class Settings:
     restless_s: float = 0.01  # Cost of changing the turn rate by the full rate, against swinging to and fro.
     wide_deg: float = 25.0  # Directions that differ by more about their mean are none to drive in.
     #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
-    #: once round and a view more. Then it drives by its best guess, before it looks again.
+    #: and once round to where it began, where it knows best where it is. Then it drives by its best guess, before it
+    #: looks again.
     look_aside_deg: float = 45.0
-    look_deg: float = 490.0
+    look_deg: float = 450.0
     look_speed: float = 0.5  # Share of its speed at which a car does so, in as sharp a bend as it can.
     guess_s: float = 2.0
     #: What going over to another drive must save: how two drives stand to each other is less certain than either.
@@ -126,8 +127,8 @@ class Settings:
     #: It must have been followed for this way before, or have looked all around: a few views may show another place.
     tracked: float = 2.0
     goal_s: float = 1.25
-    #: It waits so long before what nothing leads round: people have walked on by then; again when it has looked around;
-    #: then another taught way is taken, if there is one, for so long.
+    #: It waits so long before what nothing leads round: people have walked on by then; so long it makes room for them;
+    #: again when it has looked around; then another taught way is taken, if there is one, for so long.
     waits_s: float = 5.0
     closed_s: float = 60.0
     stands_after_s: float = 0.5  # Without a decision it stands after this time: it has not gone on turning since.

@@ -216,6 +216,13 @@ class Surroundings:
         return 0.0 if nearest is None else math.atan2(left[nearest], ahead[nearest])
 
     @property
+    def crowded(self) -> bool:
+        """Whether somebody who has come, ahead or to a side, is nearer than one keeps off who moves."""
+        come = self._kinds[1][0]
+        ahead, left = (one[come] for one in self.seen_from(0.0))
+        return bool((np.hypot(ahead, left)[ahead > 0.0] < self.body_m + SETTINGS.walks_m).any())
+
+    @property
     def unknown(self) -> NDArray[np.bool_]:
         """Cells that are neither occupied nor seen to be free."""
         return np.asarray(self._evidence == 0)

@@ -14,7 +14,9 @@ from smal.settings import SETTINGS
 
 Floats = NDArray[np.float64]
 Share = tuple[float, float]  # Linear, ahead, and angular, to the left: of the robot's speed and turn rate, -1 to 1.
-_KEYS: Final[dict[Atom, Share]] = {Atom.FORWARD: (1.0, 0.0), Atom.LEFT: (0.0, 1.0), Atom.RIGHT: (0.0, -1.0)}
+_KEYS: Final[dict[Atom, Share]] = {
+    Atom.FORWARD: (1.0, 0.0), Atom.BACKWARD: (-1.0, 0.0), Atom.LEFT: (0.0, 1.0), Atom.RIGHT: (0.0, -1.0),
+}  # fmt: skip
 
 
 class Chassis(NamedTuple):

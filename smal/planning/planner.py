@@ -168,7 +168,7 @@ class Planner:
             return "goal"
         if self.arrived or self._toward_rad is not None:
             return "search"
-        if clear and (looked or self._blocked_s < SETTINGS.waits_s):
+        if clear and (looked or self._blocked_s < 2.0 * SETTINGS.waits_s):
             return "follow"
         if not looked:
             return "look_around"
@@ -230,18 +230,19 @@ class Planner:
         return frozenset(taught.key_drives[last[near]].tolist()) | {here}
 
     def _wait(self, belief: Belief, elapsed_s: float, around: Surroundings) -> Atom:
-        """Wait before what nothing leads round, and keep in view who moves there.
+        """Wait before what nothing leads round, and keep in view who moves there; then make room for them.
 
-        Who waits in vain may be elsewhere than it believes: it looks around, once. Then it takes another taught way.
+        People wait for it as it waits for them: one has to give way. Who waits in vain may be elsewhere than it
+        believes: it looks around, once. Then it takes another taught way.
         """
         waited, self._blocked_s = self._blocked_s // SETTINGS.waits_s, self._blocked_s + elapsed_s
-        if waited == 0.0 < self._blocked_s // SETTINGS.waits_s:
+        if waited == 1.0 < self._blocked_s // SETTINGS.waits_s:
             self._looked_rad = 0.0
-        elif waited == 1.0 < self._blocked_s // SETTINGS.waits_s:
+        elif waited == 2.0 < self._blocked_s // SETTINGS.waits_s:
             self._close(belief, around.reach_m)
         aside_rad = around.moving_rad
         if abs(aside_rad) <= math.radians(self._map.scene[0]) / 4.0:
-            return Atom.STOP
+            return Atom.BACKWARD if waited and around.crowded and around.free_m(ahead=False) > 0.0 else Atom.STOP
         return Atom.LEFT if aside_rad > 0.0 else Atom.RIGHT
 
     def _close(self, belief: Belief, reach: float) -> None:

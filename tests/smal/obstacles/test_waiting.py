@@ -46,7 +46,7 @@ def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
     assert len(decisions) == 400
     kinds = [(kind, len(list(same))) for kind, same in groupby(one.kind for one in decisions)]
     assert [kind for kind, _ in kinds] == ["follow", "blocked", "look_around", "blocked"]  # it turns before it waits
-    assert kinds[1][1] == pytest.approx(SETTINGS.waits_s / 0.1, abs=1)
+    assert kinds[1][1] == pytest.approx(2.0 * SETTINGS.waits_s / 0.1, abs=1)
 
 
 def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() -> None:
@@ -70,6 +70,23 @@ def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None
     decision = Planner(map_of(16.0)).decide(belief((HERE, 0.0, 0.0, 0.0)), around=looks([WALL], *walker))
     assert (decision.kind, decision.motion[0]) == ("blocked", 0.0)
     assert decision.motion[1] == (1.0 if atom is Atom.LEFT else -1.0)
+
+
+def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
+    """They wait for each other; it backs off to where people feel free to go, as long as it knows that it can."""
+    x = 0.0
+    somebody: Box = (0.7, -0.3, 1.0, 0.3, 1.7)
+    planner, made = Planner(map_of(16.0)), looks([WALL], [WALL, somebody])
+    motions = []
+    for _ in range(round(1.9 * SETTINGS.waits_s / 0.1)):
+        pose = (x, 0.0, 0.0)
+        made.look(pose, depth([WALL, somebody], pose), MOUNT)
+        motions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion)
+        x += 0.04 * motions[-1][0]
+    assert motions[: round(SETTINGS.waits_s / 0.1)].count((0.0, 0.0)) == SETTINGS.waits_s / 0.1
+    assert -1.0 < x < -0.2
+    assert motions[-1] == (0.0, 0.0)
+    assert not [one for one in waits(Planner(map_of(16.0)), ticks=90) if one.motion[0] < 0.0]
 
 
 def test_what_has_just_come_is_not_what_it_was_sent_to_find() -> None:
