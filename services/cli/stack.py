@@ -192,9 +192,9 @@ class Stack:
         if plan.secure is not None:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
         if process in self._routers:
-            others = [address for name, address in self._routers.items() if name != process]
+            routers = [*self._routers.values()] if len(self._routers) > 1 else []
             further = environment.get("SMAL_PEERS")  # Of other machines.
-            peers = ",".join([*others, *([further] if further else [])])
+            peers = ",".join([*([further] if further else []), *routers])
             environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": peers}
         module = plan.modules.get(process)
         program = SERVICES[service].command if module is None else ("-m", module)

@@ -1,10 +1,10 @@
 """The bus: messages and calls over Zenoh between all at one router, or at several; ``wire`` says what to count on."""
 
 import logging
-import re
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, TypeVar, cast
 
 import zenoh
@@ -12,12 +12,14 @@ import zenoh.ext
 from pydantic import ValidationError
 
 from schemas.base import Message, Strict
-from schemas.codec import describe, encode, encoding_of, printable
+from schemas.codec import describe, encode, encoding_of
 from schemas.rpc import Failure
 from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
+from services.kit.connection import Connection, Declared, Entity
 from services.kit.credentials import Credentials
 from services.kit.errors import JobError
-from services.kit.replay import Budget, Replay
+from services.kit.history import in_order, subscribe_whole
+from services.kit.replay import Budget
 from services.kit.wire import BusError, Refused, Take, checksum, damage, flaw, reason
 from services.kit.zenoh_session import (
     DEFAULT_ROUTER,
@@ -53,7 +55,6 @@ HEARTBEAT_S: Final = 0.25
 #: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
 #: them on a busy machine, and the rest be lost.
 REPLAY_PRIORITY: Final = zenoh.Priority.DATA
-REPLAY_TIMEOUT_S: Final = 10.0  # How long a sender that does not answer can hold up its own samples.
 #: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
 #: megabytes a second, which is frames as JPEG at 10 Hz and all else.
 HELD_BYTES: Final = 64 << 20
@@ -63,12 +64,11 @@ MOVE_S: Final = 2.0  # Longest that a robot is without an instance, where one of
 _AGAIN_S: Final = 0.05  # From one call that nobody answers to the next.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW  # Of calls: ahead of images and of what is replayed.
 _LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
-#: How a publisher that keeps samples calls itself: its session, and its number there.
-_SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 _logger = logging.getLogger("bus")
 R = TypeVar("R", bound=Strict)
+E = TypeVar("E", bound=Entity)
 
 
 class RpcError(JobError):
@@ -79,8 +79,8 @@ class Bus:
     """One process's connection to a router; the robot's id is part of every key.
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
-    an outage the connection is made again in the background, with the next of several routers where one is gone. Raises
-    BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
+    an outage the connection is made again in the background (`connection`), with the next of several routers where one
+    is gone. Raises BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
     def __init__(
@@ -97,18 +97,30 @@ class Bus:
         self.robot = robot
         self.endpoint = endpoint
         self._of = of
-        opened = of.sessions if of else {lane: open_client(endpoint, credentials, patience_s) for lane in LANES}
-        self.sessions: dict[Lane, zenoh.Session] = opened
+        open_session = partial(open_client, endpoint, credentials)
+        self._lanes: dict[Lane, Connection] = (
+            of._lanes if of else {lane: Connection(open_session, patience_s) for lane in LANES}
+        )
         #: By topic, with when something was last sent, monotonic seconds.
-        self._publishers: dict[str, tuple[zenoh.Publisher | zenoh.ext.AdvancedPublisher, float]] = {}
-        self._matching: dict[str, zenoh.Publisher] = {}
+        self._publishers: dict[str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]] = {}
+        self._matching: dict[str, Declared[zenoh.Publisher]] = {}
         self._held = Budget(HELD_BYTES)
-        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
+        self._declared: list[tuple[Connection, Declared[Any]]] = []
         self._answering: list[threading.Thread] = []
 
     def of_robot(self, robot: str) -> "Bus":
         """Return another robot's bus by the same connection; close it before this one."""
         return Bus(robot, self.endpoint, of=self)
+
+    @property
+    def sessions(self) -> dict[Lane, zenoh.Session]:
+        """The sessions of now, by lane."""
+        return {lane: connection.session for lane, connection in self._lanes.items()}
+
+    def _declare(self, lane: Lane, make: Callable[[zenoh.Session], E], *, sends: bool = False) -> Declared[E]:
+        declared = self._lanes[lane].declare(make, sends=sends)
+        self._declared.append((self._lanes[lane], declared))
+        return declared
 
     def connected(self) -> bool:
         """Whether every session has a router."""
@@ -131,29 +143,36 @@ class Bus:
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
         topic = TOPICS[message.topic_name]
-        publisher, _ = self._publishers.get(topic.name) or (self.declare_publisher(topic), 0.0)
+        publisher, _ = self._publishers.get(topic.name) or (None, 0.0)
+        if publisher is None:
+            publisher = self._lanes[topic.lane].declare(partial(self.declare_publisher, topic), sends=True)
         self._publishers[topic.name] = publisher, time.monotonic()
-        publisher.put(payload := encode(message), attachment=checksum(payload))
+        publisher.entity.put(payload := encode(message), attachment=checksum(payload))
 
     def forget(self) -> None:
         """Let go of what is kept, where nothing was sent for longer than it is; on the thread that publishes."""
         for name, (publisher, sent_s) in [*self._publishers.items()]:
             if time.monotonic() - sent_s > KEPT_S:
                 del self._publishers[name]
-                publisher.undeclare()
+                self._lanes[TOPICS[name].lane].let_go(publisher)
 
     def has_listeners(self, topic: Topic) -> bool:
         """Whether anybody subscribes to a topic, as far as the router has told yet; for what is costly to make."""
         # Of its own: a publisher that keeps what it sends does not tell.
         if topic.name not in self._matching:
-            self._matching[topic.name] = self.sessions[topic.lane].declare_publisher(topic.key(self.robot))
+            key = topic.key(self.robot)
+            self._matching[topic.name] = self._declare(
+                topic.lane, lambda session: session.declare_publisher(key), sends=True
+            )
         # Zenoh's types say bool; it is an object, and as such always true.
-        status: object = self._matching[topic.name].matching_status
+        status: object = self._matching[topic.name].entity.matching_status
         return cast("zenoh.MatchingStatus", status).matching
 
-    def declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
-        """Declare the publisher that a topic asks for."""
-        session, key, how = self.sessions[topic.lane], topic.key(self.robot), quality(topic)
+    def declare_publisher(
+        self, topic: Topic, session: zenoh.Session | None = None
+    ) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+        """Declare the publisher that a topic asks for, in the session of now."""
+        session, key, how = session or self.sessions[topic.lane], topic.key(self.robot), quality(topic)
         options: dict[str, Any] = {
             "encoding": zenoh.Encoding(encoding_of(topic.message)),
             "congestion_control": getattr(zenoh.CongestionControl, how.congestion_control.upper()),
@@ -181,7 +200,7 @@ class Bus:
         is given why something is no such sample, and whose. With ``replay`` what was published in the last
         ``topics.KEPT_S``, and what gets lost, is sent in order: for what keeps a record, never for what moves a robot.
         """
-        key, session = topic.key(self.robot), self.sessions[topic.lane]
+        key = topic.key(self.robot)
 
         def on_sample(sample: zenoh.Sample) -> None:
             encoding, put, summed = str(sample.encoding), sample.kind == _PUT, sample.attachment
@@ -195,56 +214,11 @@ class Bus:
             take(payload, encoding, None if stamp is None else time.time() - stamp.get_time().timestamp())
 
         if replay:
-            self._subscribe_replayed(session, key, on_sample, refused)
+            connection = self._lanes[topic.lane]
+            both = subscribe_whole(connection, key, on_sample, refused, self._held)
+            self._declared += [(connection, declared) for declared in both]
         else:
-            self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
-
-    def _subscribe_replayed(
-        self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None], refused: Refused
-    ) -> None:
-        senders = f"{key}/@adv/pub"
-
-        def ask(name: str) -> None:
-            def on_reply(reply: zenoh.Reply) -> None:
-                if reply.ok is not None and reply.ok.source_info is not None:
-                    replay.replayed(name, reply.ok.source_info.source_sn, reply.ok)
-
-            session.get(
-                zenoh.Selector(f"{senders}/{name}/**", f"_time=[now(-{KEPT_S:g}s)..]"),
-                zenoh.handlers.Callback(on_reply, lambda: replay.ended(name), indirect=False),
-                consolidation=zenoh.ConsolidationMode.NONE,
-                accept_replies=zenoh.ReplyKeyExpr.ANY,
-                timeout=REPLAY_TIMEOUT_S,
-            )
-
-        def overdue(name: str) -> None:
-            refused(f"{HELD_BYTES} bytes waited for what {name} kept; the rest of that is left out")
-
-        replay = Replay(take, ask, self._held, overdue)
-
-        def on_live(sample: zenoh.Sample) -> None:
-            source = sample.source_info
-            if source is None:  # of a stranger, who keeps nothing
-                take(sample)
-            else:
-                name = f"{source.source_id.zid}/{source.source_id.eid}"
-                replay.live(name, source.source_sn, sample, len(sample.payload))
-
-        def on_sender(token: zenoh.Sample) -> None:
-            if token.kind == _PUT:
-                name = re.match(_SENDER_PATTERN, str(token.key_expr).removeprefix(f"{senders}/"))
-                if name is None:
-                    refused(f"no sender's sign of life: {printable(str(token.key_expr))}")
-                else:
-                    replay.met(name[0])
-
-        # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
-        # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
-        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
-        self._declared += [
-            zenoh.ext.declare_advanced_subscriber(session, key, _in_order(on_live), recovery=recovery),
-            session.liveliness().declare_subscriber(f"{senders}/**", _in_order(on_sender), history=True),
-        ]
+            self._declare(topic.lane, lambda session: session.declare_subscriber(key, in_order(on_sample)))
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary") -> None:
         """Call ``take(key, payload, encoding)`` for each sample on keys; BusError when these are no key expression."""
@@ -253,7 +227,7 @@ class Bus:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
         try:
-            self._declared.append(self.sessions[lane].declare_subscriber(keys, _in_order(on_sample)))
+            self._declare(lane, lambda session: session.declare_subscriber(keys, in_order(on_sample)))
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
@@ -261,7 +235,8 @@ class Bus:
 
     def stand(self, key: str) -> Callable[[], None]:
         """Be seen at a key until what is returned is called, or this process is gone."""
-        return cast("Callable[[], None]", self.sessions["ordinary"].liveliness().declare_token(key).undeclare)
+        lane = self._lanes["ordinary"]
+        return partial(lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key)))
 
     def watch(self, keys: str, take: Callable[[str, bool], None]) -> None:
         """Call ``take(key, whether_there)``, on the bus's thread, for who is seen at the keys, comes, and leaves.
@@ -269,12 +244,19 @@ class Bus:
         By another session than the one that stands: so one hears of oneself what the router has heard, and after all
         that it had heard before. Without a router nobody is there.
         """
+        there: set[str] = set()
 
-        def on_token(token: zenoh.Sample) -> None:
-            take(str(token.key_expr), token.kind == _PUT)
+        def note(key: str, put: bool) -> None:
+            (there.add if put else there.discard)(key)
+            take(key, put)
 
-        session = self.sessions["urgent"]
-        self._declared.append(session.liveliness().declare_subscriber(keys, _in_order(on_token), history=True))
+        def look(session: zenoh.Session) -> zenoh.Subscriber[None]:
+            for key in [*there]:  # as the session before had heard it
+                note(key, put=False)
+            on_token = in_order(lambda token: note(str(token.key_expr), token.kind == _PUT))
+            return session.liveliness().declare_subscriber(keys, on_token, history=True)
+
+        self._declare("urgent", look)
 
     # -- calls ----------------------------------------------------------------------------------------------------
 
@@ -313,7 +295,7 @@ class Bus:
                 query.drop()
                 _logger.exception("a handler on the bus's thread failed")
 
-        def answer_all() -> None:
+        def answer_all(queryable: zenoh.Queryable[Any]) -> None:
             for query in queryable:
                 began_s = time.thread_time()
                 on_query(query)
@@ -323,12 +305,15 @@ class Bus:
 
         # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
         # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
-        calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
-        queryable = self.sessions["ordinary"].declare_queryable(key, calls, complete=True)
-        self._declared.append(queryable)
-        thread = threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True)
-        self._answering.append(thread)
-        thread.start()
+        def take_calls(session: zenoh.Session) -> zenoh.Queryable[Any]:
+            calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
+            queryable = session.declare_queryable(key, calls, complete=True)
+            thread = threading.Thread(target=answer_all, args=(queryable,), name=f"calls of {key}", daemon=True)
+            self._answering = [*(one for one in self._answering if one.is_alive()), thread]
+            thread.start()
+            return queryable
+
+        self._declare("ordinary", take_calls)
 
     def call(
         self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0,
@@ -360,7 +345,7 @@ class Bus:
 
     def _ask(self, key: str, request: Strict, timeout_s: float) -> zenoh.Reply | None:
         """Return the first reply to a call; None where nobody answers."""
-        replies = self.sessions["ordinary"].get(
+        replies = self._lanes["ordinary"].session.get(
             key,
             # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
             zenoh.handlers.FifoChannel(1),
@@ -374,14 +359,14 @@ class Bus:
 
     def close(self) -> None:
         """Take back every declaration and leave the router."""
+        for name in self._publishers:
+            self._declared.append((self._lanes[TOPICS[name].lane], self._publishers[name][0]))
         while self._declared:
-            self._declared.pop().undeclare()
+            connection, declared = self._declared.pop()
+            connection.let_go(declared)
         if self._of is None:
-            for session in self.sessions.values():
-                session.close()
-        else:
-            for publisher in (*(one for one, _ in self._publishers.values()), *self._matching.values()):
-                publisher.undeclare()
+            for connection in self._lanes.values():
+                connection.close()
         # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
         for thread in self._answering:
             if thread is not threading.current_thread():
@@ -393,8 +378,3 @@ def _origin(sample: zenoh.Sample) -> str:
     if sample.source_info is not None:
         return f"sent by {sample.source_info.source_id.zid}"
     return "stamped by nobody" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
-
-
-def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
-    """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
-    return zenoh.handlers.Callback(on_sample, indirect=False)

@@ -42,6 +42,7 @@ class _Sender(Generic[T]):
     """Number of the last sample passed on, and, until what was kept has come, the live samples and their sizes."""
 
     last: int = -1
+    asked: bool = False
     held: list[tuple[int, T, int]] | None = field(default_factory=list)
 
 
@@ -66,13 +67,20 @@ class Replay(Generic[T]):
     def met(self, name: str) -> _Sender[T]:
         """Note that a sender is there."""
         with self._lock:
-            if (sender := self._senders.get(name)) is not None:
+            sender = self._senders.setdefault(name, _Sender())
+            if sender.asked:
                 return sender
-            sender = self._senders[name] = _Sender()
+            sender.asked = True
             if len(self._senders) > _KNOWN:
                 self._release(self._senders.pop(next(iter(self._senders))))
         self._ask(name)
         return sender
+
+    def hold(self) -> None:
+        """Ask each sender once more when it is heard of: what comes from now on does not follow what came before."""
+        with self._lock:
+            for sender in self._senders.values():
+                sender.held, sender.asked = sender.held or [], False
 
     def live(self, name: str, number: int, sample: T, size: int) -> None:
         """Take a sample of `size` bytes that was just sent, the `number`-th of its sender; numbers grow."""

@@ -34,8 +34,8 @@ LEASE_MS: Final = 2000  # After so long a silence a link is dead, and so is one 
 PAIR_LEASE_MS: Final = 1000
 #: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
 #: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
-#: lease. The rest is for 16 programs of people.
-MAX_SESSIONS: Final = 96
+#: lease, and those that were there before an outage (`connection`). The rest is for 16 programs of people.
+MAX_SESSIONS: Final = 120
 #: What each further robot of a fleet brings: its own process, a recorder, a page and one program of people.
 SESSIONS_A_ROBOT: Final = 4 * len(LANES)
 #: Threads that take in what comes. A router has one for each session, so that whoever sends more than its receivers
@@ -113,9 +113,12 @@ def _everything(key: str) -> list[str]:
 def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Sequence[str] = ()) -> dict[str, object]:
     """Return what a router, or a client of one or of several, tells Zenoh, by the paths of Zenoh's own settings.
 
-    A router links itself with its peers, and does so again for as long as it takes; itself among them it refuses.
+    A router links itself with its peers, and does so again for as long as it takes; where it is among them, with those
+    before it alone. Of two who both do so one may take the other's new link for that of before (1.10.2, issue 2806).
     """
-    several = [named(one) for one in (peers if mode == "router" else addresses(endpoint))]
+    peers = list(peers)
+    before = peers[: peers.index(endpoint)] if endpoint in peers else peers
+    several = [named(one) for one in (before if mode == "router" else addresses(endpoint))]
     settings: dict[str, object] = {
         "mode": mode,
         **({"listen/endpoints": [endpoint]} if mode == "router" else {}),
@@ -138,6 +141,8 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         # the default of 5 s: its connection is closed, and it may connect again.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
+    if several:
+        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     if mode == "router":
         settings["transport/unicast/accept_timeout"] = LEASE_MS
         settings["low_pass_filter"] = [
@@ -150,7 +155,6 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         # `zenoh.open` blocks for ever where there is no router, deaf to signals.
         settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
         if len(several) > 1:
             # A frozen router takes connections, and never answers: after so long it is the next one's turn.
             settings["transport/unicast/open_timeout"] = ATTEMPT_MS

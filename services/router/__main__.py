@@ -15,7 +15,7 @@ class RouterSettings(FleetSettings):
     """Listens on ``--router``."""
 
     peers: str | None = None
-    """Addresses of the routers beside it, separated by commas; its own among them does no harm."""
+    """Addresses of the routers beside it, separated by commas; if its own is one, it links to those before it."""
     insecure: bool = False
     """Whether it may listen without certificates where other machines reach it."""
 

@@ -95,7 +95,8 @@ def test_the_routers_know_each_other_and_all_know_both(objects: list[Object]) ->
     replicas, service = routers["spec"]["replicas"], of_kind(objects, "Service")["router"]
     both = [f"tls/router-{k}.{service['metadata']['name']}:{BUS}" for k in range(replicas)]
     own = {one["name"]: one["value"] for one in containers(routers)[0]["env"]}
-    assert addresses(settings["SMAL_ROUTER"]) == addresses(own["SMAL_PEERS"]) == both
+    assert addresses(settings["SMAL_ROUTER"]) == both
+    assert addresses(own["SMAL_PEERS"]) == both[:1]
     assert len(both) == 2
     # A name has to hold before its router is ready, which it is when it is its own client.
     assert service["spec"]["publishNotReadyAddresses"]

@@ -121,6 +121,22 @@ def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
     assert stream.recorded == list(range(stream.recorded[0], stream.recorded[-1] + 1))
 
 
+def test_who_finds_a_router_again_that_was_frozen_comes_under_a_new_name(tmp_path: Path) -> None:
+    """For to the router that they had they might still be who they were, with other numbers for other keys."""
+    plan = StackPlan(("router",), ROBOT, free_endpoint(), logs=tmp_path / "logs")
+    with Stack(plan) as stack, closing(Stream(stack, apart=False)) as stream:
+        sessions = [session for bus in stream.buses for session in bus.sessions.values()]
+        os.kill(stack.pid("router"), signal.SIGSTOP)
+        eventually(lambda: not any(session.info.routers_zid() for session in sessions))
+        os.kill(stack.pid("router"), signal.SIGCONT)
+        eventually(
+            lambda: not {id(one) for bus in stream.buses for one in bus.sessions.values()} & {*map(id, sessions)}
+        )
+        stream.goes_on()
+        eventually(lambda: sorted(stream.recorded) == list(range(1, max(stream.recorded) + 1)))
+    assert stream.heard == sorted(set(stream.heard))
+
+
 def test_stacks_of_two_machines_are_one_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keys, addresses_of_both = make_keys(tmp_path / "keys"), [free_endpoint() for _ in range(2)]
     here, there = (one.replace("tcp/127.0.0.1", "tls/localhost") for one in addresses_of_both)
