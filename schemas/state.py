@@ -1,5 +1,6 @@
 """Where in what was taught the robot is."""
 
+import math
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -32,8 +33,8 @@ class State(Message):
     By the filter it is a belief over places; by the paper's scheme the learned state of Eq. 9.
     """
 
-    version: ClassVar[int] = 5
-    reads: ClassVar[tuple[int, ...]] = (4,)
+    version: ClassVar[int] = 6
+    reads: ClassVar[tuple[int, ...]] = (4, 5)
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
@@ -55,6 +56,8 @@ class State(Message):
     """Distance from it where the taught ways ended, over the distance now, by how much of the view speaks for it."""
     seen_left: Annotated[float | None, Field(ge=-0.5, le=0.5)] = None
     """How far left of the middle of the view it is, as a share of the width; none where it is hidden."""
+    strange_m: Annotated[float | None, Field(ge=0, le=1e6)] = None
+    """How far ahead the ground looks as none of the taught one, where that is looked at; none where nothing does."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized by the paper's scheme."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -77,12 +80,14 @@ class State(Message):
         offsets: NDArray[np.float64],
         weights: NDArray[np.float64],
         seen: tuple[float, float, float | None] | None = None,
+        strange_m: float = math.inf,
         **of_all: float,
     ) -> Self:
         """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
 
         ``seen`` is the probability that what is sought is in view, how near it is, and how far to the left;
-        ``of_all`` is what is said of all of it: lost, cosine and tracked_m.
+        ``strange_m`` is how far ahead the ground looks strange; ``of_all`` is what is said of all of it: lost, cosine
+        and tracked_m.
         """
         places = tuple(
             Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
@@ -93,6 +98,7 @@ class State(Message):
         lost = min(of_all.pop("lost"), 1.0)
         status = "unknown" if lost > 0.5 else "recognized"
         told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
+        told |= {"strange_m": strange_m} if math.isfinite(strange_m) else {}
         return cls.after(observation, status=status, model=model, places=places, lost=lost, **told, **of_all)
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:

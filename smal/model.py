@@ -23,6 +23,7 @@ from smal.files.packed import unit, unpacked
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.likelihood import Likelihood, evenly
 from smal.movement import Atom, Movement, leads_on, placed, seen_from
+from smal.obstacles.strange import Ground
 from smal.settings import SETTINGS
 from smal.sought.sight import Sight, content_of_sights, sights_of_content
 from smal.sought.word import Word, content_of_words, words_of_content
@@ -259,6 +260,21 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
     return poses
 
 
+def way_from(mapped: VisualMap, keyframe: int, offset: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+    """Return the taught way of a keyframe from there on, (s, 2), ahead and left of a robot at an offset from it."""
+    first, end = mapped.keyframes[keyframe], mapped.keyframes[mapped.key_range[1][keyframe]] + 1
+    end = first + max(int(np.searchsorted(mapped.arc[first:end], mapped.arc[first] + reach)), 1)
+    places = mapped.poses[first : end : max(1, (end - first) // 32)]
+    return seen_from(seen_from(places, mapped.poses[first]), offset)[:, :2]
+
+
+def beside(mapped: VisualMap, keyframe: int) -> NDArray[np.intp]:
+    """Return the keyframes of the same drive that are about one, itself among them."""
+    first, last = (int(one[keyframe]) for one in mapped.key_range)
+    count = SETTINGS.strange_keyframes
+    return np.arange(max(first, keyframe - count), min(last, keyframe + count) + 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Model(Stored):
     """What `smal.fit` and `smal.learn` make, and `smal.Robot` takes: a map, and what centres a frame's features."""
@@ -270,12 +286,15 @@ class Model(Stored):
     #: What is sought at each goal; of one that has none, a robot that has arrived says that it has found it.
     sights: Mapping[str, Sight] = field(default_factory=dict)
     words: Mapping[str, Word] = field(default_factory=dict)  # And what detectors say of it.
+    ground: Ground | None = None  # How the ground looks, if that is known.
 
     def __post_init__(self) -> None:
         if len(self.mapped.basis) != self.feature_settings.size:
             raise ValueError(
                 f"the map has views of {len(self.mapped.basis)} features, a frame has {self.feature_settings.size}"
             )
+        if self.ground is not None and len(self.ground.colours) != len(self.mapped.keyframes):
+            raise ValueError("the ground is known of other keyframes than those of the map")
 
     @property
     def feature_settings(self) -> FeatureSettings:
@@ -298,7 +317,10 @@ class Model(Stored):
         sights, cells = content_of_sights(self.sights)
         words, ratios = content_of_words(self.words)
         meta = of_features(self.feature_settings) | {"map": numbers, "sights": sights, "words": words}
-        return meta, arrays | cells | ratios | {"mean": self.centering.mean}
+        arrays |= cells | ratios | {"mean": self.centering.mean}
+        if self.ground is not None:
+            meta, arrays = meta | {"strange": self.ground.strange}, arrays | {"ground": self.ground.colours}
+        return meta, arrays
 
     @classmethod
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -306,4 +328,6 @@ class Model(Stored):
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
         words = words_of_content(meta.get("words", []), arrays)
-        return cls(Centering(mean, features_of(meta)), VisualMap(**parts_of_map(meta["map"], arrays)), sights, words)
+        ground = Ground(arrays.pop("ground"), meta["strange"]) if "strange" in meta else None
+        mapped = VisualMap(**parts_of_map(meta["map"], arrays))
+        return cls(Centering(mean, features_of(meta)), mapped, sights, words, ground)

@@ -13,13 +13,15 @@ from smal.features.detectors import Detection
 from smal.features.extraction import detect
 from smal.features.resizing import small
 from smal.filter import Belief, Filter
-from smal.model import Model
+from smal.model import Model, beside, way_from
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.motions import Share
 from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse, Witness
+
+NO_GROUND = "the model does not know how the ground looks, which a robot that watches goes by; learn it again"
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Localizer:
     def __init__(self, model: Model, seed: int = 0, goal: str | None = None) -> None:
         self._map = mapped = model.mapped
         self.features = model.feature_settings  # That it goes by.
+        self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed)
         goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
         sight, word = model.sights.get(goal or ""), model.words.get(goal or "")
@@ -56,6 +59,7 @@ class Localizer:
         self._filter.reset(belief)
         self._pose = pose if self._map.odometry else None
         self._since_near, self._time_s = math.inf, 0.0
+        self._strange_s, self._step_s, self._strange = 0.0, 0.0, math.inf
         if self._witness is not None:
             self._witness.reset()
 
@@ -75,6 +79,24 @@ class Localizer:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
         return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s, detected)
+
+    def strange(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float:
+        """Return how far ahead the ground looks as none of the taught one, in the map's unit; see `Settings.slows_s`.
+
+        It is infinity where nothing does, and where nobody knows.
+        """
+        best = int(belief.weights.argmax())
+        if self._ground is None or picture is None or belief.lost > 0.5:
+            self._strange_s, self._strange = 0.0, math.inf
+        elif abs(belief.offsets[best, 2]) < math.radians(SETTINGS.spacing_deg):
+            key = int(belief.keyframes[best])
+            way = way_from(self._map, key, belief.offsets[best], SETTINGS.slows_s * self._map.speed)
+            far = self._ground.strange_m(picture, beside(self._map, key), way, self._map.scene)
+            # What shows for a moment is none.
+            self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
+            self._strange = far if self._strange_s >= SETTINGS.strange_s else math.inf
+        # Turned aside it sees what the taught views have not shown, and what it saw is still there.
+        return self._strange
 
     def observe(
         self,
@@ -108,7 +130,9 @@ class Localizer:
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, noise)
         self._since_near += abs(movement.ahead)
-        self._time_s += self._map.tick_s if elapsed_s is None else elapsed_s
+        self._strange = max(self._strange - movement.ahead, 0.0)
+        self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        self._time_s += self._step_s
         # Not before: a frame that is refused is not taken in.
         if odometry is not None or atoms:
             self._pose = odometry
@@ -118,14 +142,18 @@ class Localizer:
 class Robot:
     """Finds the goal, which may be left out where all drives lead to one: takes an image, gives the atom to make next.
 
-    The seed is of the filter's noise. ValueError where the model has not this goal, or several and none is named.
+    The seed is of the filter's noise; who `watches` stops before ground that looks strange, where it has no depth.
+    ValueError where the model has not this goal, or several and none is named, or does not know
+    the ground.
     """
 
     belief: Belief  # After the last image.
     decision: Decision
 
-    def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
-        self._map = model.mapped
+    def __init__(self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False) -> None:
+        self._map, self._watches = model.mapped, watches
+        if watches and model.ground is None:
+            raise ValueError(NO_GROUND)
         goal = chosen_goal(model.mapped.goals, goal)
         self._localizer, self._planner = Localizer(model, seed, goal), Planner(model.mapped, goal)
         self.reset()
@@ -162,7 +190,9 @@ class Robot:
             self._around.look(odometry, *depth)
         elif self._around is not None:
             self._around.move(odometry)
-        self.decision = self._planner.decide(self.belief.summary(), elapsed_s, seen=seen, around=self._around)
+        told = self.belief.summary()
+        strange = self._localizer.strange(small(image), told) if self._watches else math.inf
+        self.decision = self._planner.decide(told, elapsed_s, seen=seen, around=self._around, strange=strange)
         self.made = self.decision.atom
         return self.decision.atom
 

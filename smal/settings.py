@@ -200,6 +200,21 @@ class Settings:
     aside_cost: float = 1.5
     unknown_cost: float = 0.5
 
+    # -- what is strange on the ground, without depth (`smal.obstacles.strange`)
+    #: Half the width of what a robot sweeps, in heights of its camera: robots are about as wide as that is high.
+    swept: float = 0.7
+    #: Time of driving ahead within which something strange slows it, to a share of its speed, and stops it: indoors the
+    #: ground shows from 1.5 s on.
+    slows_s: float = 3.0
+    slowly: float = 0.5
+    stops_s: float = 2.0
+    strange_s: float = 0.2  # For so long, at least, it must be seen.
+    strange_keyframes: int = 3  # To either side whose ground is known here.
+    strange_views: float = 1e4  # One of so many views would be called strange: a kilometre of keyframes indoors.
+    #: Colours that are less apart are alike: a twelfth of the brightness, by light, exposure and compression.
+    least_strange: float = 0.03
+    patch_known: int = 6  # Of the nine cells of a patch that must lie on the swept ground.
+
     # -- stitches
     #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.
     advance: int = 3

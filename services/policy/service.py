@@ -1,6 +1,7 @@
 """One state in; a decision where one is due, and always a command, out."""
 
 import logging
+import math
 from collections import deque
 from statistics import median
 from typing import Final
@@ -134,7 +135,8 @@ class _ByFilter:
         belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
         seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
-        decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around)
+        strange = math.inf if state.strange_m is None else state.strange_m
+        decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around, strange)
         velocity = Velocity(*decision.motion)
         known = state.places[0].keyframe if state.status == "recognized" else None
         things = () if around is None else tuple(map(tuple, around.things(SHOWN).round(2).tolist()))

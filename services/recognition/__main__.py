@@ -7,9 +7,16 @@ from services.kit.process import run_group
 from services.recognition.service import RecognitionService
 
 
-def serve(node: Node, settings: ModelSettings) -> None:
+class RecognitionSettings(ModelSettings):
+    """What recognition goes by."""
+
+    watch: bool = False
+    """Look for ground that is not as it was taught, for a robot without a depth camera to stop before."""
+
+
+def serve(node: Node, settings: RecognitionSettings) -> None:
     """Recognize states until stopped."""
-    service = RecognitionService()
+    service = RecognitionService(settings.watch)
     service.behind = lambda: node.waits(topics.OBSERVATION)
     service.announce = node.publish
     node.subscribe(topics.ODOMETRY, service.see)
@@ -18,4 +25,4 @@ def serve(node: Node, settings: ModelSettings) -> None:
 
 
 if __name__ == "__main__":
-    run_group("recognition", ModelSettings, serve)
+    run_group("recognition", RecognitionSettings, serve)

@@ -1,5 +1,6 @@
 """One observation in, one state out."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -21,7 +22,7 @@ from smal.filter import Belief
 from smal.model import Model, in_common_axes
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
-from smal.robot import Localizer
+from smal.robot import NO_GROUND, Localizer
 
 _KEPT: Final = 100  # Odometry and commands that are kept until the observation of their frame comes, frames.
 _MOST_DRIVES: Final = 1000  # Drives whose beginnings a message of the map has room for.
@@ -32,10 +33,12 @@ class RecognitionService:
 
     A frame that another one already waits behind is left out by the filter, which goes by the odometry of the next, and
     only taken in by the paper's scheme: answering it would make the newest answer later. In lockstep there is none.
+    One that `watches` tells where the ground ahead looks strange: for a robot without a depth camera.
     A model that was taught without odometry has the filter go by what the actuator did instead.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, watches: bool = False) -> None:
+        self._watches = watches
         self.behind: Callable[[], bool] = lambda: False  # Whether newer observations wait.
         #: Told where the keyframes are, before the first belief of an episode tells of them.
         self.announce: Callable[[TaughtMap], None] = lambda _map: None
@@ -49,7 +52,9 @@ class RecognitionService:
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model from now on; where its keyframes are those of the one before, so is the belief."""
         model, before, handed = loaded.model, self._loaded, self.hands_on()
-        localizer = _ByFilter(model, loaded) if isinstance(model, Model) else _ByPaper(model, loaded)
+        if self._watches and (not isinstance(model, Model) or model.ground is None):
+            raise ServiceError(NO_GROUND)
+        localizer = _ByFilter(model, loaded, self._watches) if isinstance(model, Model) else _ByPaper(model, loaded)
         self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
         if handed is not None and before is not None and _same_keyframes(model, before.model):
             self.resume(*handed)
@@ -162,7 +167,8 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 
 
 class _ByFilter:
-    def __init__(self, model: Model, loaded: LoadedModel) -> None:
+    def __init__(self, model: Model, loaded: LoadedModel, watches: bool) -> None:
+        self._watches = watches
         self._identity, self._mapped = loaded.identity, model.mapped
         self._localizer = Localizer(model, goal=loaded.goal)
         self.by_odometry = self._mapped.odometry
@@ -191,9 +197,11 @@ class _ByFilter:
         detected = [Detection(one.label, one.score, one.box) for one in observation.detected]
         seen = self._localizer.seen(observation.small(), belief, detected)
         told = belief.summary()
+        strange = self._localizer.strange(observation.small(), told) if self._watches else math.inf
         places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
+        tracked_m = told.tracked
         return State.of_belief(
-            observation, self._identity, *places, seen=seen, lost=lost, cosine=cosine, tracked_m=told.tracked
+            observation, self._identity, *places, seen, strange, lost=lost, cosine=cosine, tracked_m=tracked_m
         )
 
     def taught_map(self) -> Iterator[dict[str, Any]]:

@@ -32,7 +32,7 @@ _ALIGNED = 8
 LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
 LARGEST_HEADER = 2**24  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
 _MOST_AXES = 8
-_DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
+_DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|u1", "|b1")}
 
 
 class ModelError(ValueError):

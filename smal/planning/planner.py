@@ -99,6 +99,7 @@ class Planner:
         delay_s: float = 0.0,
         seen: Glimpse | None = None,
         around: Surroundings | None = None,
+        strange: float = math.inf,
     ) -> Decision:
         """Say what to do until the next frame.
 
@@ -106,7 +107,8 @@ class Planner:
         what is decided moves the robot, which until then goes on as before. `seen` says whether what is
         sought is in view: it is found where it is as near as where the ways ended; a robot that has arrived, or nearly,
         goes up to it. Where nobody can tell, a robot that has arrived says that it has found it.
-        With odometry, a robot that turns on the spot also goes round what stands in its way (`around`).
+        With odometry, a robot that turns on the spot also goes round what stands in its way (`around`). Without that it
+        drives slowly towards ground that looks so far away as none of the taught one (`strange`), and waits before it.
         """
         # A robot that hears nothing stands.
         times_s = self._map.tick_s if elapsed_s is None else elapsed_s, delay_s
@@ -146,21 +148,37 @@ class Planner:
             way, step_m = self._way_ahead(belief, around.reach_m), self._map.speed * self._map.tick_s
             round_rad = way_round(around, way, self._turn_rad, step_m, self._map.correlation_length, error_rad)
             kind, error_rad = ("blocked", error_rad) if round_rad is None else (kind, round_rad)
+        kind, slow = self._strange(kind, error_rad, strange if around is None else math.inf, seen)
         to_turn_rad = error_rad - self._turn_rad * min(delay_s / self._map.tick_s, 1.0) * self._motion[1]
         atom, free_m = self._atom(kind, to_turn_rad, elapsed_s), around.free_m(ahead=True) if around else math.inf
         if atom is Atom.FORWARD and free_m == 0.0:
             self._turning = Atom.LEFT if to_turn_rad > 0.0 else Atom.RIGHT
             self._turning = self._turning if abs(to_turn_rad) >= self._turn_rad / 2.0 else None
             kind, atom = (kind, self._turning) if self._turning else ("blocked", Atom.STOP)
-        if kind == "blocked" and around is not None:
+        if kind == "blocked":
             atom = self._wait(belief, elapsed_s, around)
         elif atom in self._going:
             self._blocked_s = 0.0
         # Round things, and before those that are near, it goes turn by turn.
         drives = kind in ("follow", "guess") or (kind == "search" and self._toward_rad is not None)
         aims = directions if drives and error_rad == wanted_rad and free_m > self._ahead else None
-        self._motion = self._chassis.choose(atom, aims, say + 1e-9, self._motion, delay_s)
+        linear, angular = self._chassis.choose(atom, aims, say + 1e-9, self._motion, delay_s)
+        self._motion = slow * linear, (slow or 1.0) * angular
         return Decision(kind, atom, error_rad, self._motion)
+
+    def _strange(self, kind: Kind, error_rad: float, strange: float, seen: Glimpse | None) -> tuple[Kind, float]:
+        """Return what to do before ground that looks strange so far ahead, and at which share of the speed.
+
+        What is sought is not in the way.
+        """
+        goes = kind in ("follow", "guess") or (kind == "look_around" and self._chassis.car)
+        if not goes or (seen is not None and seen.probability > 0.5):
+            return kind, 1.0
+        if strange < SETTINGS.stops_s * self._map.speed:
+            # It looks there before it waits.
+            aside = abs(error_rad) > math.radians(SETTINGS.spacing_deg) and not self._chassis.car
+            return (kind, 0.0) if aside else ("blocked", 1.0)
+        return kind, SETTINGS.slowly if strange < SETTINGS.slows_s * self._map.speed else 1.0
 
     def _kind(self, clear: bool, looked: bool, guesses: bool) -> Kind:
         """Say what to do if nothing stands in the way: where what to do is clear, or it has looked, or may guess."""
@@ -229,7 +247,7 @@ class Planner:
         near = (away < 2.0 * SETTINGS.goal_s * taught.speed) & (group[taught.key_drives[last]] == group[here])
         return frozenset(taught.key_drives[last[near]].tolist()) | {here}
 
-    def _wait(self, belief: Belief, elapsed_s: float, around: Surroundings) -> Atom:
+    def _wait(self, belief: Belief, elapsed_s: float, around: Surroundings | None) -> Atom:
         """Wait before what nothing leads round, and keep in view who moves there; then make room for them.
 
         People wait for it as it waits for them: one has to give way. Who waits in vain may be elsewhere than it
@@ -239,10 +257,11 @@ class Planner:
         if waited == 1.0 < self._blocked_s // SETTINGS.waits_s:
             self._looked_rad = 0.0
         elif waited == 2.0 < self._blocked_s // SETTINGS.waits_s:
-            self._close(belief, around.reach_m)
-        aside_rad = around.moving_rad
+            self._close(belief, around.reach_m if around else SETTINGS.slows_s * self._map.speed)
+        aside_rad = around.moving_rad if around else 0.0
         if abs(aside_rad) <= math.radians(self._map.scene[0]) / 4.0:
-            return Atom.BACKWARD if waited and around.crowded and around.free_m(ahead=False) > 0.0 else Atom.STOP
+            crowded = around is not None and around.crowded and around.free_m(ahead=False) > 0.0
+            return Atom.BACKWARD if waited and crowded else Atom.STOP
         return Atom.LEFT if aside_rad > 0.0 else Atom.RIGHT
 
     def _close(self, belief: Belief, reach: float) -> None:

@@ -19,8 +19,9 @@ from smal.features.extraction import Parallel, detect, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
 from smal.likelihood import evenly
-from smal.model import Model, VisualMap
+from smal.model import Model, VisualMap, beside, way_from
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
+from smal.obstacles.strange import Ground, colours_of, extreme, patches
 from smal.settings import SETTINGS
 from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
@@ -113,7 +114,8 @@ def learn(
         names=tuple(names for names, _ in whole),
     )
     boxes = [one.box for one in taught]
-    return Model(centering, stitched(visual_map), *_sights(frames.images, visual_map, boxes, features))
+    visual_map = stitched(visual_map)
+    return Model(centering, visual_map, *_seen(frames.images, visual_map, boxes, features))
 
 
 def fit(
@@ -210,12 +212,12 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
-def _sights(
+def _seen(
     images: Sequence[Image], mapped: VisualMap, boxes: Sequence[Box | None], features: FeatureSettings
-) -> tuple[dict[str, Sight], dict[str, Word]]:
+) -> tuple[dict[str, Sight], dict[str, Word], Ground]:
     """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view.
 
-    And what detectors find there, if any are among the features.
+    And what detectors find there, if any are among the features; and how the ground looks.
     """
     keys, of = mapped.keyframes, mapped.key_drives
 
@@ -243,7 +245,22 @@ def _sights(
             sights[goal] = sight
         if (word := learn_word(taught)) is not None:
             words[goal] = word
-    return sights, words
+    return sights, words, _ground(pictures, mapped)
+
+
+def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
+    """Learn how the ground looks, and from where on it is strange: each keyframe is left out of what explains it."""
+    colours = np.stack([colours_of(one) for one in pictures])
+
+    def strangest(key: int) -> float:
+        others = np.setdiff1d(beside(mapped, key), key)
+        way = way_from(mapped, key, np.zeros(3), SETTINGS.slows_s * mapped.speed)
+        return float(patches(pictures[key], colours[others], way, mapped.scene)[1].max(initial=0.0))
+
+    # Of a drive of one keyframe nothing is left.
+    alone = mapped.key_range[0] == mapped.key_range[1]
+    scores = list(in_parallel(strangest, np.flatnonzero(~alone).tolist()))
+    return Ground(colours, max(extreme(scores), SETTINGS.least_strange))
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:

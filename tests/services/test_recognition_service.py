@@ -13,6 +13,7 @@ from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
+from smal.obstacles.strange import Ground
 from smal.sought.sight import SCORES
 from smal.sought.word import Word
 from tests import corridor
@@ -97,6 +98,24 @@ def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
         assert state is not None
         assert state.seen == pytest.approx(found, abs=0.05)
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
+
+
+def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows_none(tmp_path: Path) -> None:
+    black = Ground(np.zeros((len(corridor.model().mapped.keyframes), 9, 3), dtype=np.uint8), 0.1)
+    for ground, watches in ((black, True), (black, False), (None, True)):
+        replace(corridor.model(), ground=ground).save(tmp_path / "way.smal")
+        service, loaded = RecognitionService(watches), LoadedModel.read(tmp_path / "way.smal")
+        if ground is None:
+            with pytest.raises(ServiceError, match="does not know how the ground looks"):
+                service.load(loaded)
+            continue
+        service.load(loaded)
+        for tick in range(6):
+            service.see(wheels(tick))
+            light = np.full(14_400, 200, dtype=np.uint8).tobytes()
+            state = service.handle(seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000}))
+        assert state is not None
+        assert (state.strange_m is not None) == watches
 
 
 def test_odometry_may_come_before_its_observation_or_after_it(service: RecognitionService, model: Path) -> None:
