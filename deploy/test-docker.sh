@@ -171,7 +171,7 @@ runs=$!
 begun() { docker compose logs --no-log-prefix robot | grep -c 'frame 0: started' || true; }
 before=$(begun) began=$SECONDS
 while [ "$(begun)" = "$before" ] && [ $((SECONDS - began)) -lt 60 ]; do sleep 0.2; done
-served() { for one in $(container recognition); do docker logs -t "$one" 2>&1 | grep ' serves ' | sed "s/ .*/ $one/"; done | sort | tail -n 1; }
+served() { for one in $(container recognition); do docker logs -t "$one" 2>&1 | sed -n "/ serves /s/ .*/ $one/p"; done | sort | tail -n 1; }
 killed=$(served | cut -d ' ' -f 2)
 docker kill "$killed" >/dev/null
 status=0
