@@ -61,8 +61,7 @@ def subscribe_whole(
 ) -> tuple[Declared[Any], Declared[Any]]:
     """Call ``take`` for each sample of a key, also for those of the last ``topics.KEPT_S``; return what is declared."""
     senders = f"{key}/@adv/pub"
-
-    renewed: list[bool] = []  # one for each session; empty senders of a second one are asked again
+    renewed: list[bool] = []  # One for each session: who had nothing to send is asked again from the second one on.
 
     def ask(name: str) -> None:
         def on_reply(sample: zenoh.Sample) -> None:

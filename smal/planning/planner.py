@@ -260,8 +260,8 @@ class Planner:
             self._close(belief, around.reach_m if around else SETTINGS.slows_s * self._map.speed)
         aside_rad = around.moving_rad if around else 0.0
         if abs(aside_rad) <= math.radians(self._map.scene[0]) / 4.0:
-            crowded = around is not None and around.crowded and around.free_m(ahead=False) > 0.0
-            return Atom.BACKWARD if waited and crowded else Atom.STOP
+            makes_room = waited and around and around.crowded and around.free_m(ahead=False) > 0.0
+            return Atom.BACKWARD if makes_room else Atom.STOP
         return Atom.LEFT if aside_rad > 0.0 else Atom.RIGHT
 
     def _close(self, belief: Belief, reach: float) -> None:
