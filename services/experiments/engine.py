@@ -4,6 +4,7 @@ import hashlib
 import logging
 import os
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
@@ -23,7 +24,10 @@ from smal.features.extraction import in_parallel
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_REACHED_S, _WORKER_S = 10.0, 60.0  # A scheduler is there within this time, and has a worker within that.
+_REACHED_S: Final = 10.0  # A scheduler is there within this time.
+#: It has a worker within this time, also where all were killed: one takes 3 s to start, on a busy machine ten times it.
+_WORKER_S: Final = 60.0
+_LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
 _BATCH: Final = 16  # Items of one task: an image takes 5 ms or more, a task 2 ms of the engine's own.
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
 _TRIES = 3  # How many workers may be killed at a task before it is given up.
@@ -87,9 +91,9 @@ class Engine:
         for batch in iter(lambda: list(islice(items, _BATCH)), []):
             waiting.append(self.client.submit(_each, function, batch, pure=False))
             if len(waiting) >= _AHEAD * self._threads():
-                yield from _result(waiting.popleft())
+                yield from _result(self._done([waiting.popleft()]))
         while waiting:
-            yield from _result(waiting.popleft())
+            yield from _result(self._done([waiting.popleft()]))
 
     def graph(
         self, tasks: Sequence[Task], do: Callable[[Task], Answer], needs: Callable[[Task], Iterable[Task]]
@@ -99,23 +103,36 @@ class Engine:
         The first that can be done are, when those are done that they need. None waits at a worker for another one: who
         was there when a worker was killed is known.
         """
-        from distributed import as_completed  # noqa: PLC0415 - takes a second to import
-
-        waiting, under_way, done = dict.fromkeys(tasks), dict[object, Task](), as_completed(loop=self.client.loop)
+        waiting, under_way = dict.fromkeys(tasks), dict["Future[Any]", Task]()
         while waiting or under_way:
             free = max(self._threads(), 1) - len(under_way)
             missing = {*waiting, *under_way.values()}
             ready = (task for task in waiting if missing.isdisjoint(needs(task)))
             for task in list(islice(ready, max(free, 0))):
-                future = self.client.submit(do, task, pure=False)
-                under_way[future.key] = task
+                under_way[self.client.submit(do, task, pure=False)] = task
                 del waiting[task]
-                done.add(future)
-            future = next(done)
-            yield under_way.pop(future.key), partial(_result, future)
+            future = self._done(under_way)
+            yield under_way.pop(future), partial(_result, future)
+
+    def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
+        """Wait for one of some answers and return it; JobError where no scheduler is left, or no worker for long."""
+        from distributed import CancelledError, wait  # noqa: PLC0415 - takes a second to import
+
+        there_s, at = time.monotonic(), f"--scheduler {self.scheduler}: " if self.scheduler else ""
+        while time.monotonic() < there_s + _WORKER_S:
+            try:
+                return next(iter(wait([*futures], timeout=_LOOK_S, return_when="FIRST_COMPLETED").done))
+            except TimeoutError:
+                there_s = time.monotonic() if self._threads() else there_s
+            except CancelledError:
+                raise JobError(f"{at}the scheduler is lost") from None
+        raise JobError(f"{at}no worker is left, and none came for {_WORKER_S:g} s")
 
     def _threads(self) -> int:
-        return sum(self.client.nthreads().values())
+        try:
+            return sum(self.client.nthreads().values())
+        except OSError:
+            return 0  # The scheduler is lost, and with it every answer that somebody waits for.
 
     def on_each(self, function: Callable[..., Answer], *arguments: object) -> dict[str, Answer]:
         """Return what a function says on each worker, by its address."""

@@ -5,6 +5,7 @@ import os
 import signal
 from collections.abc import Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import psutil
 import pytest
 
 import smal
+from services.experiments import engine as engines
 from services.experiments.engine import Engine
 from services.experiments.evaluation.results import Results
 from services.kit.errors import JobError, UsageError
@@ -36,33 +38,32 @@ def address(keys: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[st
         yield address
 
 
-def killing(folder: Path, image: np.ndarray) -> np.ndarray:
-    """Describe an image; the first process that is asked for the fiftieth is killed."""
-    if (image == IMAGES[50]).all() and not (folder / "killed").exists():
-        (folder / "killed").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return describe(image)
-
-
 def same(some: Iterator[np.ndarray]) -> bool:
     return [one.tobytes() for one in some] == [describe(image).tobytes() for image in IMAGES]
 
 
 def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobody_elses(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with Engine(None) as engine:
         assert same(engine.map(describe, IMAGES))
         assert multiprocessing.active_children() == []  # Threads, where no workers are asked for.
     with Engine(2) as engine:
-        assert same(engine.map(partial(killing, tmp_path), IMAGES))
-        assert (tmp_path / "killed").exists()
+        answers = engine.map(describe, IMAGES)
+        first = next(answers)
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        assert same(chain([first], answers))
         me = psutil.Process()
         listening = [
             one for process in (me, *me.children()) for one in process.net_connections() if one.status == "LISTEN"
         ]
         assert {one.laddr.ip for one in listening} == {"127.0.0.1"}
         assert engine.client.scheduler_info()["address"].startswith("tls://")
+        monkeypatch.setattr(engines, "_WORKER_S", 1.0)
+        engine.client.cluster.scale(0)
+        with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
+            list(engine.map(describe, IMAGES))
     assert multiprocessing.active_children() == []
     assert capfd.readouterr() == ("", "")
 
@@ -70,14 +71,6 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
 def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
     address: str, keys: Path, tmp_path: Path
 ) -> None:
-    with Engine(1, address, keys) as engine:
-        assert same(engine.map(describe, IMAGES))
-        smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
-        results = Results(tmp_path, [])
-        results.complete([After(SITE, (), 0)], engine, lambda: None)
-    assert [found["threads"] for found in results.findings.values()] == ["1"]
-    corridor.save_model(tmp_path / "here")
-    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
     with pytest.raises(UsageError, match="only tls:// will do"):
         Engine(1, "tcp://192.0.2.1:8786")
     with (
@@ -85,3 +78,16 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
         Engine(1, address, make_keys(tmp_path / "others")) as one,
     ):
         list(one.map(describe, IMAGES))
+    with Engine(1, address, keys) as engine:
+        assert same(engine.map(describe, IMAGES))
+        smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
+        results = Results(tmp_path, [])
+        results.complete([After(SITE, (), 0)], engine, lambda: None)
+        port = int(address.rpartition(":")[2])
+        found = (one.pid for one in psutil.net_connections() if one.status == "LISTEN" and one.laddr.port == port)
+        os.kill(next(pid for pid in found if pid is not None), signal.SIGKILL)
+        with pytest.raises(JobError, match=f"^--scheduler {address}: the scheduler is lost"):
+            list(engine.map(describe, IMAGES * 100))
+    assert [found["threads"] for found in results.findings.values()] == ["1"]
+    corridor.save_model(tmp_path / "here")
+    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
