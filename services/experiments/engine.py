@@ -11,6 +11,7 @@ from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import islice
+from operator import length_hint
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
@@ -28,7 +29,7 @@ _REACHED_S: Final = 10.0  # A scheduler is there within this time.
 #: It has a worker within this time, also where all were killed: one takes 3 s to start, on a busy machine ten times it.
 _WORKER_S: Final = 60.0
 _LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
-_BATCH: Final = 16  # Items of one task: an image takes 5 ms or more, a task 2 ms of the engine's own.
+_BATCH: Final = 16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
 _TRIES = 3  # How many workers may be killed at a task before it is given up.
 #: What the workers of this machine do first: Ctrl-C is left to the process that ends them, and damaged images are named
@@ -86,10 +87,14 @@ class Engine:
         if self.scheduler is None and self._workers is None:
             yield from in_parallel(function, items)
             return
-        items = iter(items)
+        # Few are shared out evenly: whoever has the last batch should not keep all others waiting.
+        fair = length_hint(items, sys.maxsize) // max(_AHEAD * self._threads(), 1)
+        size, left = min(max(fair, 1), _BATCH), iter(items)
+        # An answer of its own: it may be megabytes, and goes to each worker once.
+        once = self.client.submit(partial, function, pure=False)
         waiting: deque[Future[Any]] = deque()
-        for batch in iter(lambda: list(islice(items, _BATCH)), []):
-            waiting.append(self.client.submit(_each, function, batch, pure=False))
+        for batch in iter(lambda: list(islice(left, size)), []):
+            waiting.append(self.client.submit(_each, once, batch, pure=False))
             if len(waiting) >= _AHEAD * self._threads():
                 yield from _result(self._done([waiting.popleft()]))
         while waiting:
@@ -152,7 +157,7 @@ class Engine:
         )  # fmt: skip
         if watched:
             _say_watched(cluster.dashboard_link)
-        client: Client = distributed.Client(cluster)
+        client: Client = distributed.Client(cluster, direct_to_workers=True)  # Not by the scheduler, here as well.
         return client
 
     def _reached(self, address: str) -> "Client":

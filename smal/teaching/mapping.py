@@ -288,6 +288,12 @@ def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> 
     return _described(centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2])))
 
 
+def _in_components(
+    basis: NDArray[np.float32], rows_of: Callable[[Any], NDArray[np.float32]], of: object
+) -> NDArray[np.int8]:
+    return packed(rows_of(of) @ basis)
+
+
 def _make_views(
     frames: TaughtFrames,
     keyframes: NDArray[np.int32],
@@ -302,11 +308,11 @@ def _make_views(
     made = dict(zip(sample, parallel(views_of, tasks_of(frames.images, sample)), strict=True))
     basis = _components(np.concatenate(list(made.values())))
     others = [frame for frame in keyframes.tolist() if frame not in made]
-    further = iter(parallel(views_of, tasks_of(frames.images, others)))
+    further = iter(parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others)))
     views = np.empty((keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
     for key, frame in enumerate(keyframes.tolist()):
-        rows = made.pop(frame) if frame in made else next(further)
-        views[key] = packed(rows @ basis).reshape(views.shape[1:])
+        row = _in_components(basis, made.pop, frame) if frame in made else next(further)
+        views[key] = row.reshape(views.shape[1:])
         progress(key + 1, keyframes.size)
     return views, basis
 
