@@ -1,8 +1,10 @@
 """What is in a recording, and what is wrong with it: for people, who have many of them."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise, starmap
 from pathlib import Path
 from typing import Final
 
@@ -154,7 +156,7 @@ class _Reading:
         self._bad: dict[str, list[str]] = defaultdict(list)
         self._twice: dict[str, list[int]] = defaultdict(list)
         self._drivers: dict[int, tuple[int, str]] = {}
-        self._pose: Odometry | None = None
+        self._places: dict[int, tuple[float, float]] = {}
         self._began = False
         self._end: int | None = None
 
@@ -200,14 +202,15 @@ class _Reading:
             case Observation():
                 episode.modalities = message.modalities
             case Odometry():
-                last_pose, self._pose = self._pose or message, message
-                step_m = ((message.x_m - last_pose.x_m) ** 2 + (message.y_m - last_pose.y_m) ** 2) ** 0.5
-                episode.odometry_m = (episode.odometry_m or 0.0) + step_m
+                self._places[message.tick] = message.x_m, message.y_m
             case _:
                 pass
 
     def told(self) -> EpisodeContents:
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
+        if self._places:
+            way = [self._places[tick] for tick in sorted(self._places)]  # One may have come late, after an outage.
+            self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)))
         return self.episode
 
     def conclude(self, contents: Contents) -> None:

@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 
 from services.kit.errors import JobError
 from services.recordings.contents import contents_of, verify
+from services.recordings.reader import read_recording
 from services.recordings.repair import repair, usual_name
 from services.recordings.sink import partial_of
 from services.recordings.stream import RecordingError
@@ -16,7 +17,7 @@ from services.recordings.views import is_view
 from services.recordings.writer import EpisodeWriter
 from tests.services.cli.conftest import Smal
 from tests.services.recordings import driven_corridor
-from tests.services.recordings.recorded_messages import applied, episode, event, frame, image
+from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, image
 from tests.services.recordings.test_recorder_files import check, leave, read_all, record, stored_in, wanted
 
 
@@ -47,6 +48,19 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
         {"camera/jpeg": 30, "odometry": 30, "command/applied": 30, "command/teleop": 30, "camera/info": 1, "episode": 2}
     )
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
+
+
+def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
+    started, *rest, ended = episode("drive-1")
+    told = []
+    for folder, sent in ((tmp_path / "1", rest), (tmp_path / "2", [*rest[1::2], *rest[::2]])):
+        folder.mkdir()
+        path = record(folder, [started, *sent, ended])
+        (known,), (read,) = contents_of(path).episodes, read_recording(path, FINGERPRINT).episodes
+        told.append(
+            (known, [(piece.ticks.tolist(), piece.atoms.tolist(), str(piece.odometry)) for piece in read.pieces()])
+        )
+    assert told[0] == told[1]
 
 
 def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path, smal: Smal) -> None:
