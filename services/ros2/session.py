@@ -4,6 +4,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
+from itertools import count
 from threading import Lock
 from typing import Any, Final
 
@@ -77,8 +78,7 @@ class Ros2Session:
         self._zid = str(self._session.info.zid())
         self._declared: list[Any] = []
         self._publishers: dict[str, tuple[zenoh.Publisher, bytes]] = {}
-        self._sequence = 0
-        self._number = 0
+        self._sequence, self._number = count(1), count(1)
         self._declare(self._dialect.node_token(self._zid))
         changes = senses.changes()
         for topic, heard in senses.inputs.items():
@@ -97,9 +97,8 @@ class Ros2Session:
             self._declared.append(self._session.liveliness().declare_token(token))
 
     def _announce(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> str:
-        self._number += 1
         endpoint = Endpoint(kind, topic, type_name, self._dialect.type_hash(type_name))
-        token = self._dialect.endpoint_token(self._zid, self._number, endpoint, qos)
+        token = self._dialect.endpoint_token(self._zid, next(self._number), endpoint, qos)
         self._declare(token)
         return token or ""
 
@@ -209,10 +208,9 @@ class Ros2Session:
             return
         stamp_ns = round((robot_s or 0.0) * 1e9) if type_name.endswith("Stamped") else None
         publisher, gid = self._publisher(type_name)
-        self._sequence += 1
         publisher.put(
             self._messages.velocity(ahead_m_s, turn_rad_s, stamp_ns, self._config.velocity.wheelbase_m),
-            attachment=self._dialect.attachment(self._sequence, time.time_ns(), gid),
+            attachment=self._dialect.attachment(next(self._sequence), time.time_ns(), gid),
         )
 
     def _publisher(self, type_name: str) -> tuple[zenoh.Publisher, bytes]:
