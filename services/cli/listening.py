@@ -4,11 +4,10 @@ import json
 import os
 import sys
 import time
-from array import array
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Final, cast
 
 import numpy as np
@@ -71,32 +70,21 @@ class Sample:
         return f"{printable(self.key)}  " + " ".join(f"{name}={_text(value)}" for name, value in fields.items())
 
 
-@dataclass
-class Arrivals:
-    """When each message of a key came, seconds, and how many bytes it had."""
-
-    times_s: "array[float]" = field(default_factory=lambda: array("d"))
-    sizes: "array[int]" = field(default_factory=lambda: array("q"))
-
-    def add(self, size: int, now_s: float) -> None:
-        """Note a message."""
-        self.times_s.append(now_s)
-        self.sizes.append(size)
-
-    def figures(self, elapsed_s: float) -> dict[str, Any]:
-        """Return how many came, how regularly and how large, and the bandwidth over all the time that was listened."""
-        gaps_s, sizes = np.diff(self.times_s), np.array(self.sizes)
-        spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
-        if gaps_s.size:
-            spread = {"min_s": float(gaps_s.min()), "max_s": float(gaps_s.max()), "std_s": float(gaps_s.std())}
-        return {
-            "messages": len(self.sizes),
-            "rate_hz": 1.0 / float(gaps_s.mean()) if gaps_s.any() else None,
-            **spread,
-            "bytes_per_s": float(sizes.sum()) / elapsed_s,
-            "mean_bytes": float(sizes.mean()),
-            "max_bytes": int(sizes.max()),
-        }
+def figures(arrivals: Sequence[tuple[float, int]], elapsed_s: float) -> dict[str, Any]:
+    """Return how many came, when (s) and of how many bytes each, how regularly, and the bandwidth over all the time."""
+    times_s, sizes = np.array(arrivals).T
+    gaps_s = np.diff(times_s)
+    spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
+    if gaps_s.size:
+        spread = {"min_s": float(gaps_s.min()), "max_s": float(gaps_s.max()), "std_s": float(gaps_s.std())}
+    return {
+        "messages": len(sizes),
+        "rate_hz": 1.0 / float(gaps_s.mean()) if gaps_s.any() else None,
+        **spread,
+        "bytes_per_s": float(sizes.sum()) / elapsed_s,
+        "mean_bytes": float(sizes.mean()),
+        "max_bytes": int(sizes.max()),
+    }
 
 
 def echo(
@@ -139,15 +127,15 @@ def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = Fal
     Example: smal topic hz camera/jpeg --seconds 10
     """
     expression = key_expression(keys, reach.robot)
-    heard: defaultdict[str, Arrivals] = defaultdict(Arrivals)
+    heard: defaultdict[str, list[tuple[float, int]]] = defaultdict(list)
     began_s = time.monotonic()
     with _listening(reach) as bus:
         # Noted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
-        bus.listen(expression, lambda key, payload, _: heard[key].add(len(payload), time.monotonic()))
+        bus.listen(expression, lambda key, payload, _: heard[key].append((time.monotonic(), len(payload))))
         began_s = time.monotonic()
         wait(expression, seconds)
     elapsed_s = time.monotonic() - began_s
-    found = {key: one.figures(elapsed_s) for key, one in sorted(heard.items())}
+    found = {key: figures(one, elapsed_s) for key, one in sorted(heard.items())}
     if not found:
         typer.echo(f"smal: nothing was published on {expression}", err=True)
     if as_json:
@@ -160,8 +148,8 @@ def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
     """Yield the figures of each key as a table for people."""
     rows = [["key", "messages", *FIGURES]]
     for key, one in found.items():
-        figures = (number(one[name], scale) for name, scale in FIGURES.values())
-        rows.append([printable(key), str(one["messages"]), *figures])
+        cells = (number(one[name], scale) for name, scale in FIGURES.values())
+        rows.append([printable(key), str(one["messages"]), *cells])
     return table(rows)
 
 

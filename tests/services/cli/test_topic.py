@@ -14,7 +14,7 @@ from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.topics import TOPICS
 from services.cli import listening
-from services.cli.listening import Arrivals, Sample
+from services.cli.listening import Sample, figures
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Listen, Mistake, Smal
@@ -114,10 +114,7 @@ KEY = "smal/rescuebot/command/teleop"
 @given(st.lists(st.floats(0.001, 10), max_size=30), st.integers(0, 10_000))
 def test_rates_and_sizes_are_those_of_what_came(intervals_s: list[float], size: int) -> None:
     times_s = np.cumsum([100.0, *intervals_s])
-    heard = Arrivals()
-    for time_s in times_s:
-        heard.add(size, time_s)
-    found = heard.figures(4.0)
+    found = figures([(time_s, size) for time_s in times_s], 4.0)
     assert found["messages"] == len(times_s)
     assert found["bytes_per_s"] == size * len(times_s) / 4.0
     assert found["mean_bytes"] == found["max_bytes"] == size
