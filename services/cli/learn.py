@@ -16,7 +16,7 @@ from services.cli.adding import add_runs, save
 from services.cli.progress import Bars
 from services.experiments.engine import Engine
 from services.experiments.showing.summary import numbers_of
-from services.experiments.words import described_by, remark
+from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, features_of_recordings, find_recordings
@@ -88,7 +88,7 @@ def learn(
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
     chosen = {"modalities": features.modalities}
     recorded = f"{teaching.recordings} ({teaching.episodes} episodes used)"
-    rows = {"recordings": recorded, "features": described_by(features)} | found
+    rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found
     _say(rows, out, began_s, json_file, used | chosen | found)
 
 

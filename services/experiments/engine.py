@@ -38,7 +38,7 @@ _PRELOAD: Final = """import signal, cv2
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 """
-_PACKAGES: Final = Path(__file__).parents[2]
+_PACKAGES: Final = Path(__file__).parents[2]  # What holds our packages: a checkout, or where they are installed.
 _DECIDING: Final = ("numpy", "scipy", "opencv-python-headless")  # Of another version they give other last digits.
 
 Item = TypeVar("Item")
@@ -205,9 +205,16 @@ def _check(scheduler: str, secure: Path | None) -> None:
 @cache
 def program() -> str:
     """Return the digest of all that decides what workers answer: our code, and the versions of what computes."""
-    digest = hashlib.sha256(" ".join(f"{name} {version(name)}" for name in _DECIDING).encode())
-    for path in sorted(path for name in ("schemas", "services", "smal") for path in (_PACKAGES / name).rglob("*.py")):
-        digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
+    versions = " ".join(f"{name} {version(name)}" for name in _DECIDING)
+    return digest_of(("schemas/**/*.py", "services/**/*.py", "smal/**/*.py"), versions)
+
+
+def digest_of(patterns: Sequence[str], beside: str = "") -> str:
+    """Return the digest of our files by these patterns, and of what is said beside them."""
+    digest = hashlib.sha256(beside.encode())
+    for path in sorted({path for pattern in patterns for path in _PACKAGES.glob(pattern)}):
+        if path.is_file() and path.suffix != ".pyc":
+            digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 

@@ -3,8 +3,6 @@
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 
-from smal.features import FeatureSettings
-
 
 def counted(count: int, what: str) -> str:
     """Return "1 drive" or "2 drives"."""
@@ -14,11 +12,6 @@ def counted(count: int, what: str) -> str:
 def listed(names: Sequence[str]) -> str:
     """Name ten of them, and say how many more there are."""
     return ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
-
-
-def described_by(features: FeatureSettings) -> str:
-    """Name the modalities."""
-    return " ".join(features.modalities)
 
 
 def remark(lines: Iterable[object]) -> None:

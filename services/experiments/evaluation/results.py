@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -46,7 +47,7 @@ class Results:
         left = [unit for unit in units if unit not in self.findings]
         if left and engine.scheduler is not None:
             self._check_shared(engine)
-        for unit, found in engine.graph(left, partial(_timed, self.work.resolve()), lambda unit: unit.needs):
+        for unit, found in engine.graph(left, partial(timed, self.work.resolve()), lambda unit: unit.needs):
             try:
                 self.add(unit, found())
             except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
@@ -62,5 +63,8 @@ class Results:
                 raise UsageError(f"--out {self.folder}: the worker {worker} does not see it; take a shared folder")
 
 
-def _timed(folder: Path, unit: Unit) -> Finding:
-    return unit.timed(folder)
+def timed(folder: Path, unit: Unit) -> Finding:
+    """Find a unit out, and the processor time that it takes."""
+    began_s = time.process_time()
+    found = unit.do(folder)
+    return found | {"cpu_s": round(time.process_time() - began_s, 3)}

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 
 from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
+from services.experiments.engine import digest_of
 from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
 from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
@@ -47,7 +47,6 @@ from smal.teaching.mapping import learn as learn_map
 Finding = dict[str, Any]  # Numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
 U = TypeVar("U", bound="Unit")
 FEATURES: Final = FeatureSettings()  # Of all drives and queries.
-_PACKAGES: Final = Path(__file__).parents[3]  # What holds our packages: a checkout, or where they are installed.
 _ASKED: Final = ("start", "victim", "obstacles", "people", "blocked")  # What a trial asks of the simulator.
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = (
@@ -59,11 +58,7 @@ _SOURCES: Final = (
 @cache
 def code_fingerprint() -> str:
     """Return the digest of the code, the shaders and the worlds that results depend on."""
-    digest = hashlib.sha256()
-    for path in sorted({path for pattern in _SOURCES for path in _PACKAGES.glob(pattern)}):
-        if path.is_file() and path.suffix != ".pyc":
-            digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    return digest_of(_SOURCES)
 
 
 @dataclass(frozen=True)
@@ -101,12 +96,6 @@ class Unit(ABC):
     @abstractmethod
     def do(self, folder: Path) -> Finding:
         """Find it out; ``file`` says whether a file was left."""
-
-    def timed(self, folder: Path) -> Finding:
-        """Find it out, and the processor time that it takes."""
-        began_s = time.process_time()
-        found = self.do(folder)
-        return found | {"cpu_s": round(time.process_time() - began_s, 3)}
 
     def needed(self, kind: type[U]) -> tuple[U, ...]:
         """Return the needs of one kind."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.codec import printable
 from services.experiments.matching.traverse import Traverse
-from services.experiments.words import counted, described_by, table
+from services.experiments.words import counted, table
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.reliability import Reliability, known_from_unknown
@@ -105,7 +105,7 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
     matches = result.matches
     rows = {
         "chosen": title_of(result),
-        "features": described_by(result.settings.features),
+        "features": " ".join(result.settings.features.modalities),
         "references": _frames(result.references),
         "queries": _frames(result.queries),
         "matched": f"{matches.matched.sum()} of {matches.matched.size} query frames{_why_not_all(result)}",

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from schemas.codec import printable
-from services.experiments.words import counted, described_by
+from services.experiments.words import counted
 from services.recordings.recorded import episode_of
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
@@ -75,7 +75,7 @@ def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
     found = {
         "model": f"{printable(file)}, {size / 1e6:.1f} MB, checksum {model.checksum[:12]}",
         "scheme": "filter, by a map of views" if isinstance(model, Model) else "paper, by states",
-        "modalities": described_by(model.feature_settings),
+        "modalities": " ".join(model.feature_settings.modalities),
     }
     return found | (_of_map(model) if isinstance(model, Model) else _of_paper(model))
 

@@ -13,6 +13,7 @@ import pytest
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation import units as work
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.results import timed
 from services.experiments.evaluation.search import finding, search
 from services.experiments.evaluation.units import Finding, Recognize, Searches, Unit, units
 from services.simulator.sensors.readings import Tilt
@@ -56,7 +57,7 @@ def found(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tupl
     simulation, usual = Simulation(load_world(near), PlaceCamera(1.0)), FeatureSettings(("color",))
     patch.setattr(work, "simulation_in", lambda *_: simulation)
     patch.setattr(work, "FEATURES", usual)  # the usual ones take ten times as long to make views of
-    yield folder, {unit: unit.timed(folder) for unit in units(plan(near))}
+    yield folder, {unit: timed(folder, unit) for unit in units(plan(near))}
     patch.undo()
 
 
