@@ -8,28 +8,24 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from schemas.camera import CameraInfo, CompressedImage
-from schemas.motion import Odometry
 from services.cli.adding import keep, versions
-from services.kit.jpeg import encode_jpeg
+from services.kit.cameras import camera_info
+from smal.camera import Camera
 from smal.model import Model
 from tests import corridor
 from tests.services.cli.conftest import Mistake, Smal
-from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import record
 
 
 def run(name: str, new: float, goal: str = "victim") -> Iterator[Message]:
     """Give a run along the corridor, so much of whose paint is another one."""
     yield event(name, 0, "started", purpose="run").model_copy(update={"goal": goal})
-    size = {"width": corridor.WIDTH, "height": corridor.HEIGHT}
-    centre = {"centre_x_px": corridor.WIDTH / 2, "centre_y_px": corridor.HEIGHT / 2}
-    yield CameraInfo.after(header(name, 0), focal_px=0.7 * corridor.WIDTH, **size, **centre)
+    yield camera_info(header(name, 0), Camera(0.7), corridor.WIDTH, corridor.HEIGHT)
     for frame in range(corridor.FRAMES):
-        cause, (x_m, y_m, heading_rad) = header(name, frame), corridor.pose(frame)
+        x_m, y_m, heading_rad = corridor.pose(frame)
         pixels = (1.0 - new) * corridor.view(x_m, y_m, heading_rad) + new * corridor.view(x_m + 5.0, y_m, heading_rad)
-        yield CompressedImage.after(cause, data=encode_jpeg(pixels.astype(np.uint8)), **size)
-        yield Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
+        yield from seen(header(name, frame), pixels.astype(np.uint8), (x_m, y_m, heading_rad))
         yield applied(name, frame, atom="forward")
     end = event(name, corridor.FRAMES - 1, "ended", "found", purpose="run")
     yield end.model_copy(update={"goal": goal})

@@ -18,7 +18,6 @@ from schemas.motion import Odometry
 from schemas.observation import Observation
 from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
-from services.kit.jpeg import encode_jpeg
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
@@ -29,7 +28,7 @@ from smal.paper.model import Model as PaperModel
 from smal.teaching.demonstration import drives_to_goals
 from tests import corridor
 from tests.services.cli.conftest import Mistake
-from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import leave, record
 
 FEATURES = corridor.FEATURES
@@ -55,11 +54,7 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
     for tick in range(frames):
         pixels = view(first + tick)
         cause = header(name, tick)
-        messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
-        x_m, y_m, heading_rad = odometry(first + tick)
-        messages.append(
-            Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
-        )
+        messages += seen(cause, pixels, odometry(first + tick))
         vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
         named = fingerprint or features.fingerprint
         messages.append(Observation.after(cause, fingerprint=named, modalities=features.modalities, features=vector))

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from schemas.camera import CompressedImage
-from schemas.motion import Odometry
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
-from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
 from smal.model import Model
 from smal.movement import Atom
@@ -24,7 +21,7 @@ from smal.paper.model import Model as PaperModel
 from smal.settings import SETTINGS
 from smal.teaching.mapping import learn as learn_map
 from tests.services.cli.conftest import Mistake, Smal
-from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import record
 from tests.sharing import made_once
 from tests.smal.synthetic_world import COLOR, SCENE, START, Drive, Room, drive
@@ -37,11 +34,7 @@ def messages(name: str, one: Drive, room: Room, goal: str) -> Iterator[Message]:
     """Give a drive through a room that reached a goal, as the recorder would get it."""
     yield event(name, 0, "started").model_copy(update={"goal": goal})
     for tick, (pose, atom) in enumerate(zip(one.poses, one.atoms, strict=True)):
-        cause = header(name, tick)
-        pixels = room.look(pose)
-        yield CompressedImage.after(cause, width=pixels.shape[1], height=pixels.shape[0], data=encode_jpeg(pixels))
-        x_m, y_m, heading_rad = pose.tolist()
-        yield Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=0.5, turn_rate_rad_s=0.0)
+        yield from seen(header(name, tick), room.look(pose), pose.tolist(), speed_m_s=0.5)
         yield applied(name, tick, atom=Atom(atom).name.lower())
     yield event(name, len(one.poses) - 1, "ended", "found").model_copy(update={"goal": goal})
 

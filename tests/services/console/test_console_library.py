@@ -21,22 +21,18 @@ from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.records import MAGIC
-from services.recordings.writer import EpisodeWriter
 from tests import corridor
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
-from tests.services.recordings import recorded_messages
+from tests.services.recordings import recorded_messages, test_recorder_files
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
 
 def record(folder: Path, messages: list[Message], name: str | None = None) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    writer = EpisodeWriter.begin(folder, messages[0])
-    for message in messages:
-        writer.write(message)
-    path = writer.seal()
+    path = test_recorder_files.record(folder, messages)
     return path if name is None else path.rename(folder / name)
 
 

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Final
 
 from schemas.base import Message
-from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Odometry
-from services.kit.jpeg import encode_jpeg
+from services.kit.cameras import camera_info
 from services.recordings.writer import EpisodeWriter
+from smal.camera import Camera
 from tests import corridor
-from tests.services.recordings.recorded_messages import START_NS
+from tests.services.recordings.recorded_messages import START_NS, seen
 
 NAME: Final = "drive-corridor"
 FRAMES: Final = 30
@@ -34,15 +33,9 @@ def header(tick: int) -> Message:
 def told(tick: int) -> list[Message]:
     """Return what was said of one frame, and who commanded."""
     here = header(tick)
-    x_m, y_m, heading_rad = pose(tick)
-    data = encode_jpeg(corridor.view(x_m, y_m, heading_rad))
-    size = {"width": corridor.WIDTH, "height": corridor.HEIGHT}
-    centre = {"centre_x_px": corridor.WIDTH / 2, "centre_y_px": corridor.HEIGHT / 2}
-    way = {"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad, "speed_m_s": 1.6, "turn_rate_rad_s": 0.0}
     return [
-        *([CameraInfo.after(here, focal_px=0.7 * corridor.WIDTH, **size, **centre)] if tick == 0 else []),
-        Odometry.after(here, **way),
-        CompressedImage.after(here, data=data, **size),
+        *([camera_info(here, Camera(0.7), corridor.WIDTH, corridor.HEIGHT)] if tick == 0 else []),
+        *seen(here, corridor.view(*pose(tick)), pose(tick), speed_m_s=1.6),
         Command.after(here, source="teleop", atom="forward", session="somebody"),
         CommandApplied.after(here, atom="forward", speed=1.0, source="teleop", reason="command"),
     ]

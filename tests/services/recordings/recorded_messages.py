@@ -1,6 +1,6 @@
 """Episodes made up for the tests: every message that a robot would send."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,16 @@ def pixels(tick: int) -> NDArray[np.uint8]:
 def image(episode: str, tick: int) -> CompressedImage:
     data = encode_jpeg(pixels(tick))
     return CompressedImage.after(header(episode, tick), width=WIDTH, height=HEIGHT, data=data)
+
+
+def seen(cause: Message, pixels: NDArray[np.uint8], pose: Iterable[float], speed_m_s: float = 2.0) -> list[Message]:
+    """Give the image of a frame, and where odometry has the robot: (x, y, heading)."""
+    height, width, _ = pixels.shape
+    x_m, y_m, heading_rad = pose
+    return [
+        CompressedImage.after(cause, width=width, height=height, data=encode_jpeg(pixels)),
+        Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=speed_m_s, turn_rate_rad_s=0.0),
+    ]
 
 
 def features(episode: str, tick: int) -> np.ndarray:

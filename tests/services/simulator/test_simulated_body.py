@@ -20,7 +20,6 @@ from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
-INDOOR = load_world("indoor")
 PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
 HEADER = Message(robot="r", episode="e", tick=0, stamp_ns=0)
 
