@@ -96,9 +96,9 @@ class Engine:
         for batch in iter(lambda: list(islice(left, size)), []):
             waiting.append(self.client.submit(_each, once, batch, pure=False))
             if len(waiting) >= _AHEAD * self._threads():
-                yield from _result(self._done([waiting.popleft()]))
+                yield from self._answer(waiting.popleft())
         while waiting:
-            yield from _result(self._done([waiting.popleft()]))
+            yield from self._answer(waiting.popleft())
 
     def graph(
         self, tasks: Sequence[Task], do: Callable[[Task], Answer], needs: Callable[[Task], Iterable[Task]]
@@ -117,7 +117,7 @@ class Engine:
                 under_way[self.client.submit(do, task, pure=False)] = task
                 del waiting[task]
             future = self._done(under_way)
-            yield under_way.pop(future), partial(_result, future)
+            yield under_way.pop(future), partial(self._answer, future)
 
     def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
         """Wait for one of some answers and return it; JobError where no scheduler is left, or no worker for long."""
@@ -129,9 +129,24 @@ class Engine:
                 return next(iter(wait([*futures], timeout=_LOOK_S, return_when="FIRST_COMPLETED").done))
             except TimeoutError:
                 there_s = time.monotonic() if self._threads() else there_s
-            except CancelledError:
+            except (CancelledError, ValueError):  # The latter of a client that gave up its scheduler a while ago.
                 raise JobError(f"{at}the scheduler is lost") from None
         raise JobError(f"{at}no worker is left, and none came for {_WORKER_S:g} s")
+
+    def _answer(self, future: "Future[Any]") -> Any:  # noqa: ANN401
+        """Return what a worker answered, or raise what it raised; JobError where every worker that tried was killed."""
+        from distributed import CancelledError, KilledWorker  # noqa: PLC0415
+
+        while True:
+            # Waited for again where who had the answer was killed: somebody else makes it anew.
+            self._done([future])
+            try:
+                return future.result(timeout=_WORKER_S)
+            except KilledWorker:
+                raise JobError("workers were killed, perhaps for memory") from None
+            except (TimeoutError, CancelledError):
+                if future.status == "error":
+                    raise
 
     def _threads(self) -> int:
         try:
@@ -227,6 +242,8 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
         logging.getLogger(name).setLevel(logging.CRITICAL)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
+    # With Dask's own setting a killed worker that takes longer than 15 s to start anew is given up for good.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": f"{_WORKER_S:g} s"})
     # With Dask's own setting each image is memory that the system has to give anew: two and a half times the time.
     dask.config.set({"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None})
     return distributed
@@ -238,13 +255,3 @@ def _say_watched(link: str) -> None:
 
 def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:
     return [function(one) for one in items]
-
-
-def _result(future: "Future[Any]") -> Any:  # noqa: ANN401
-    """Return what a worker answered, or raise what it raised; JobError where every worker that tried was killed."""
-    from distributed import KilledWorker  # noqa: PLC0415
-
-    try:
-        return future.result()
-    except KilledWorker:
-        raise JobError("workers were killed, perhaps for memory") from None

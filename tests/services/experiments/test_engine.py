@@ -60,8 +60,11 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
         ]
         assert {one.laddr.ip for one in listening} == {"127.0.0.1"}
         assert engine.client.scheduler_info()["address"].startswith("tls://")
+        ((_, answer),) = engine.graph(["one"], len, lambda _: ())
         monkeypatch.setattr(engines, "_WORKER_S", 1.0)
         engine.client.cluster.scale(0)
+        with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
+            answer()  # It was at a worker that is there no more.
         with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
             list(engine.map(describe, IMAGES))
     assert multiprocessing.active_children() == []
