@@ -237,8 +237,14 @@ class Filter:
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: View) -> None:
-        """Weigh all by a view, and send scouts."""
+        """Weigh all by a view, and send scouts.
+
+        What nobody taught looks like taught places more often than these look like each other: by how far the followed
+        robot looks away, the view counts less.
+        """
         tracked, jumped, sent, lost = self._odds
+        looks = float(self._tracked.weights @ self._tracked.looks())
+        seen = seen._replace(newness=seen.newness * (looks + (1.0 - looks) * SETTINGS.untaught))
         # Scouts take the shares from before this view: that it is unlike the followed place says nothing of others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)

@@ -80,12 +80,12 @@ class Particles:
 
     def update(self, seen: View, rng: np.random.Generator) -> float:
         """Weigh by a view; return how much likelier it is here than elsewhere."""
-        found, beyond, away = self.interpolated(seen.components)
+        found, beyond = self.interpolated(seen.components)
         z = seen.stands_out(found)
         log_ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
-        # Where it looks away from all that was taught, the view says nothing; far aside is like nowhere.
+        # Far aside is like nowhere; where it looks away from all that was taught, the view says nothing.
         log_ratio[1:] = np.maximum(log_ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.log_ratio[1:, :1])
-        log_ratio *= np.exp(-2.0 * np.square(away))
+        log_ratio *= self.looks()
         likelihood = self.shares[:, None] * np.exp(seen.newness * log_ratio)
         joint = likelihood * self.weights
         total = float(joint.sum())
@@ -94,6 +94,12 @@ class Particles:
         if (self.weights**2).sum() > 2.0 / len(self.weights):
             self.resampled(rng)
         return total
+
+    def looks(self) -> NDArray[np.float64]:
+        """Return how far each looks at what was taught, 0 to 1: less, where it is turned beyond all views (p,)."""
+        turned = np.abs(np.degrees(self.offsets()[:, 2])) / STEP_DEG
+        beyond = np.maximum(turned - TURNS_DEG.size / 2.0, 0.0) * math.radians(STEP_DEG) / self._map.apart_rad
+        return np.asarray(np.exp(-2.0 * np.square(beyond)))
 
     def cosine(self, seen: View) -> float:
         """Return the mean cosine of a view with those of these places."""
@@ -131,8 +137,7 @@ class Particles:
             np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,
             np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0) / length,
         )
-        turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
-        return found, beyond, turned_beyond * math.radians(STEP_DEG) / self._map.apart_rad
+        return found, beyond
 
     @classmethod
     def joined(cls, *sets: tuple["Particles", float]) -> "Particles":

@@ -91,6 +91,9 @@ class Settings:
     hidden: float = 0.1
     appears: float = 0.5
     light: float = 0.02
+    #: How far a view counts that nobody taught: so far that those of a robot that turns round, one after the other, are
+    #: no more evidence for other places than they should be by chance, measured indoors and out.
+    untaught: float = 0.3
     blind: float = 2.0  # Way without a view after which the wheels are believed half.
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.
     located: float = 0.9
