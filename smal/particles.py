@@ -105,13 +105,11 @@ class Particles:
         """Return the mean cosine of a view with those of these places."""
         return float(self.weights @ self.interpolated(seen.components)[0])
 
-    def interpolated(
-        self, components: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the cosine with the view at each particle's offset, and how far that lies and is turned beyond views.
+    def interpolated(self, components: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the cosines with the view at each particle's offset, and how far that lies beyond views.
 
         Between two views the one between them is their sum, scaled to unit length; what lies beyond the outermost ones
-        is in steps aside, correlation lengths ahead, and correlation turns.
+        is in steps aside and correlation lengths ahead.
         """
         offsets = self.offsets()
         by_turn, by_place = self._map.neighbour_cosines
