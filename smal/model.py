@@ -260,12 +260,17 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
     return poses
 
 
-def way_from(mapped: VisualMap, keyframe: int, offset: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
-    """Return the taught way of a keyframe from there on, (s, 2), ahead and left of a robot at an offset from it."""
-    first, end = mapped.keyframes[keyframe], mapped.keyframes[mapped.key_range[1][keyframe]] + 1
-    end = first + max(int(np.searchsorted(mapped.arc[first:end], mapped.arc[first] + reach)), 1)
-    places = mapped.poses[first : end : max(1, (end - first) // 32)]
-    return seen_from(seen_from(places, mapped.poses[first]), offset)[:, :2]
+def way_from(
+    mapped: VisualMap, keyframe: int, offset: NDArray[np.float64], along: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return where a keyframe's drive is so far `along` (s,), to its end, from beside a robot at an offset from there.
+
+    These are places (s, 2) ahead and left of the robot.
+    """
+    key = mapped.keyframes[keyframe]
+    first, end = (np.searchsorted(mapped.drives, mapped.drives[key], side) for side in ("left", "right"))
+    target = np.clip(np.searchsorted(mapped.arc, mapped.arc[key] + offset[0] + along), first, end - 1)
+    return seen_from(seen_from(mapped.poses[target], mapped.poses[key]), offset)[:, :2]
 
 
 def beside(mapped: VisualMap, keyframe: int) -> NDArray[np.intp]:

@@ -17,6 +17,7 @@ from smal.model import Model, beside, way_from
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.motions import Share
+from smal.obstacles.strange import swept
 from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse, Witness
@@ -90,7 +91,7 @@ class Localizer:
             self._strange_s, self._strange = 0.0, math.inf
         elif abs(belief.offsets[best, 2]) < math.radians(SETTINGS.spacing_deg):
             key = int(belief.keyframes[best])
-            way = way_from(self._map, key, belief.offsets[best], SETTINGS.slows_s * self._map.speed)
+            way = way_from(self._map, key, belief.offsets[best], swept(self._map.speed))
             far = self._ground.strange_m(picture, beside(self._map, key), way, self._map.scene)
             # What shows for a moment is none.
             self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0

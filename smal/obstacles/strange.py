@@ -48,6 +48,11 @@ class Ground:
         return float(along[score > self.strange].min(initial=math.inf))
 
 
+def swept(speed: float) -> Floats:
+    """Return how far along its way a robot of this speed looks at the ground that it sweeps, (s,): every 0.1 s."""
+    return np.linspace(0.0, SETTINGS.slows_s * speed, 32)
+
+
 def colours_of(picture: Image) -> NDArray[np.uint8]:
     """Return the colours of the ground in a small picture, (n, 3)."""
     seen = _mean_colours(picture, _KEPT)[-(-_HORIZON // _KEPT) :].reshape(-1, 3)

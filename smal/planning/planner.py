@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from smal.filter import Belief
-from smal.model import VisualMap, in_common_axes
+from smal.model import VisualMap, in_common_axes, way_from
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
@@ -321,14 +321,10 @@ class Planner:
 
     def _way_ahead(self, belief: Belief, reach: float) -> NDArray[np.float64]:
         """Return places (s, 2) of the way from where it aims on, ahead of and left of the robot's likeliest place."""
-        taught, best = self._map, belief.weights.argmax()
+        best = belief.weights.argmax()
         here = belief.keyframes[best]
-        own, key = placed(belief.offsets[best], self._offset[here]), taught.keyframes[self._guide[here]]
-        start, end = (np.searchsorted(taught.drives, taught.drives[key], side) for side in ("left", "right"))
-        apart = max(self._ahead / 4.0, reach / 100.0)
-        stations = taught.arc[key] + own[0] + np.arange(self._ahead, self._ahead + reach, apart)
-        target = np.clip(np.searchsorted(taught.arc, stations), start, end - 1)
-        return seen_from(seen_from(taught.poses[target], taught.poses[key]), own)[:, :2]
+        along = np.arange(self._ahead, self._ahead + reach, max(self._ahead / 4.0, reach / 100.0))
+        return way_from(self._map, self._guide[here], placed(belief.offsets[best], self._offset[here]), along)
 
     def _directions(self, belief: Belief) -> tuple[Floats, Floats, Floats]:
         """Return for each particle the direction to aim at less its heading, the way left, and how far the end is."""

@@ -21,7 +21,7 @@ from smal.files.packed import packed, unit
 from smal.likelihood import evenly
 from smal.model import Model, VisualMap, beside, way_from
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
-from smal.obstacles.strange import Ground, colours_of, extreme, patches
+from smal.obstacles.strange import Ground, colours_of, extreme, patches, swept
 from smal.settings import SETTINGS
 from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
@@ -254,7 +254,7 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
 
     def strangest(key: int) -> float:
         others = np.setdiff1d(beside(mapped, key), key)
-        way = way_from(mapped, key, np.zeros(3), SETTINGS.slows_s * mapped.speed)
+        way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
         return float(patches(pictures[key], colours[others], way, mapped.scene)[1].max(initial=0.0))
 
     # Of a drive of one keyframe nothing is left.
