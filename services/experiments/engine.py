@@ -32,11 +32,12 @@ _LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
 _BATCH: Final = 16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
 _TRIES = 3  # How many workers may be killed at a task before it is given up.
-#: What the workers of this machine do first: Ctrl-C is left to the process that ends them, and damaged images are named
-#: there alone (`quiet_opencv`).
+#: What the workers of this machine do first: Ctrl-C is left to the process that ends them, which alone names damaged
+#: images (`quiet_opencv`), and OpenCV has one thread: there is a worker for each core.
 _PRELOAD: Final = """import signal, cv2
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+cv2.setNumThreads(1)
 """
 _PACKAGES: Final = Path(__file__).parents[2]  # What holds our packages: a checkout, or where they are installed.
 _DECIDING: Final = ("numpy", "scipy", "opencv-python-headless")  # Of another version they give other last digits.
@@ -246,6 +247,10 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
     dask.config.set({"distributed.deploy.lost-worker-timeout": f"{_WORKER_S:g} s"})
     # With Dask's own setting each image is memory that the system has to give anew: two and a half times the time.
     dask.config.set({"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None})
+    # Otherwise a worker that was killed and takes more than 15 s to come back, on a busy machine, is never let back.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
+    # What looks at a worker a hundred times a second, and at its loop fifty times, takes a twelfth of its time.
+    dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"})
     return distributed
 
 

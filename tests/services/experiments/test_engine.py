@@ -8,6 +8,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+import dask
 import numpy as np
 import psutil
 import pytest
@@ -48,6 +49,7 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
     with Engine(None) as engine:
         assert same(engine.map(describe, IMAGES))
         assert multiprocessing.active_children() == []  # Threads, where no workers are asked for.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"})  # Of Dask: who is away for longer stays away.
     with Engine(2) as engine:
         answers = engine.map(describe, IMAGES)
         first = next(answers)
