@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 _REACHED_S: Final = 10.0  # A scheduler is there within this time.
-#: It has a worker within this time, also where all were killed: one takes 3 s to start, on a busy machine ten times it.
-_WORKER_S: Final = 60.0
+#: It has a worker within this time, also where all were killed: one takes 2 s to start, 50 s on a very busy machine.
+_WORKER_S: Final = 120.0
 _LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
 _BATCH: Final = 16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
