@@ -244,11 +244,9 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
     # With Dask's own setting a killed worker that takes longer than 15 s to start anew is given up for good.
-    dask.config.set({"distributed.deploy.lost-worker-timeout": f"{_WORKER_S:g} s"})
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
     # With Dask's own setting each image is memory that the system has to give anew: two and a half times the time.
     dask.config.set({"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None})
-    # Otherwise a worker that was killed and takes more than 15 s to come back, on a busy machine, is never let back.
-    dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
     # What looks at a worker a hundred times a second, and at its loop fifty times, takes a twelfth of its time.
     dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"})
     return distributed
