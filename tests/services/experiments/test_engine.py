@@ -23,6 +23,7 @@ from tests import corridor
 from tests.services.experiments.cluster import scheduler_and_worker
 from tests.services.experiments.evaluation.test_units import SITE, After
 from tests.services.secured import make_keys
+from tests.services.waiting import eventually
 
 IMAGES = list(np.random.default_rng(0).integers(0, 255, (70, 24, 32, 3), dtype=np.uint8))
 describe = partial(extract, settings=FeatureSettings())
@@ -65,6 +66,7 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
         ((_, answer),) = engine.graph(["one"], len, lambda _: ())
         monkeypatch.setattr(engines, "_WORKER_S", 1.0)
         engine.client.cluster.scale(0)
+        eventually(lambda: not engine.client.nthreads())
         with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
             answer()  # It was at a worker that is there no more.
         with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):

@@ -53,7 +53,8 @@ class Stream:
         ticks.append(decode(Odometry, payload, encoding).tick)
 
     def _send(self) -> None:
-        while not self._ended.wait(0.005):
+        # As many are kept as come in 45 s ten times a second: of an outage of nine seconds nothing is lost.
+        while not self._ended.wait(0.02):
             self.sent += 1
             self.robot.publish(EXAMPLES[Odometry].model_copy(update={"tick": self.sent}))
 
