@@ -1,5 +1,6 @@
 """``smal evaluate``: the paper's experiments in simulation, or laps of a real robot, as a page of results."""
 
+import sys
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -41,6 +42,7 @@ def evaluate(
     views recur, and takes some minutes.
 
     Example: smal evaluate --out evaluation --quick
+
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
@@ -73,7 +75,11 @@ def evaluate(
                 tqdm(total=len(planned), initial=begun, desc="evaluating", unit="unit", dynamic_ncols=True) as bar,
                 at_work.engine() as engine,
             ):
-                results.complete(planned, engine, bar.update)
+                try:
+                    results.complete(planned, engine, bar.update)
+                except KeyboardInterrupt:
+                    bar.write("smal: stopping; the same command goes on from here", file=sys.stderr)
+                    raise
         from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
         page = write_page(plan, results)

@@ -64,6 +64,8 @@ def learn(
     MODEL.1 and so on; `smal model back MODEL` goes back.
 
     Example: smal learn drives --out campus.smal
+
+    Example: smal learn drives --modalities color,hog,apriltag --workers 2 --out campus.smal
     """
     began_s = time.perf_counter()
     given = {"length": length, "lambda1": lambda1, "lambda2": lambda2, "tau": tau, "gamma": gamma, "memory": memory}

@@ -53,6 +53,8 @@ def run(
     after three times the frames of the longest taught drive, and at least 3000.
 
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
+
+    Example: smal run --model campus.smal --world campus --obstacles 3 --people 2 --report results
     """
     loaded = options.read_model(model, use)
     chosen, name = stack.world(world)
@@ -117,9 +119,15 @@ def run(
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found, (low, high) = round(summary["success_rate"] * len(records)), summary["wilson_95"]
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
-    others = Counter(record.outcome for record in records if record.outcome != "found")
+    others = Counter(_told(record) for record in records if record.outcome != "found")
     if others:
-        typer.echo("; ".join(f"{outcome.replace('_', ' ')}: {count}" for outcome, count in others.most_common()))
+        typer.echo("; ".join(f"{outcome}: {count}" for outcome, count in others.most_common()))
+
+
+def _told(record: EpisodeRecord) -> str:
+    """Return how a run ended, for people."""
+    truth = "" if record.right is None else ", as it is" if record.right else ", untruly"
+    return record.outcome.replace("_", " ") + truth
 
 
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:

@@ -211,7 +211,9 @@ def _check(scheduler: str, secure: Path | None) -> None:
     kind, _, place = scheduler.partition("://")
     host, _, port = place.rpartition(":")
     if kind not in ("tcp", "tls") or not host or not port.isdecimal():
-        raise UsageError(f"--scheduler {scheduler}: is no address; for example tls://host:8786")
+        raise UsageError(
+            f"--scheduler {scheduler}: is no address; try tcp://127.0.0.1:8786, or tls://host:8786 with --secure"
+        )
     if kind == "tls" and secure is None:
         raise UsageError(f"--scheduler {scheduler}: give --secure, a folder that `smal secure init` made")
     if kind == "tcp" and others_reach(host.strip("[]")):

@@ -210,7 +210,7 @@ class _Reading:
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
         if self._places:
             way = [self._places[tick] for tick in sorted(self._places)]  # One may have come late, after an outage.
-            self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)))
+            self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)), 0.0)
         return self.episode
 
     def conclude(self, contents: Contents) -> None:
