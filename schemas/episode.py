@@ -44,6 +44,11 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 Box = Annotated[tuple[_Share, _Share, _Share, _Share], AfterValidator(_has_an_area)]
 
 
+def in_words(outcome: Outcome | None, right: bool | None) -> str:
+    """Return how an episode ended, and whether what was said is so where somebody knows, for people."""
+    return (outcome or "").replace("_", " ") + {True: ", rightly", False: ", wrongly", None: ""}[right]
+
+
 class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 

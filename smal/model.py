@@ -263,9 +263,9 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
 def way_from(
     mapped: VisualMap, keyframe: int, offset: NDArray[np.float64], along: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where a keyframe's drive is so far `along` (s,), to its end, from beside a robot at an offset from there.
+    """Return places (s, 2) of a keyframe's drive, ahead and left of a robot at an offset from that keyframe.
 
-    These are places (s, 2) ahead and left of the robot.
+    They are so far `along` (s,) the drive from where it passes the robot; none lies beyond its end.
     """
     key = mapped.keyframes[keyframe]
     first, end = (np.searchsorted(mapped.drives, mapped.drives[key], side) for side in ("left", "right"))

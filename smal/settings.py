@@ -91,9 +91,9 @@ class Settings:
     hidden: float = 0.1
     appears: float = 0.5
     light: float = 0.02
-    #: How far a view counts that nobody taught. Robots that look back (campus, indoors) see what is 2 and 9 times as
-    #: likely to look like another place as what was taught is; counted by 0.7 it would be as likely, and what they see
-    #: while they turn repeats itself.
+    #: How far a view counts that nobody taught. What a robot sees that looks back is 2 (campus) to 9 times (indoors) as
+    #: much evidence for other places as it should be. Counted by 0.7, one such view would be none; but views of one
+    #: turn repeat each other.
     untaught: float = 0.3
     blind: float = 2.0  # Way without a view after which the wheels are believed half.
     #: Probability from which a place is one to look near after a jump; share of the way since that the wheels may err.

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 from typer import Option
 
+from schemas.episode import in_words
 from schemas.rpc import LoadReply, LoadRequest, Nothing, ResetRequest, Start, Status
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
@@ -119,15 +120,9 @@ def run(
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found, (low, high) = round(summary["success_rate"] * len(records)), summary["wilson_95"]
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
-    others = Counter(_told(record) for record in records if record.outcome != "found")
+    others = Counter(in_words(record.outcome, record.right) for record in records if record.outcome != "found")
     if others:
         typer.echo("; ".join(f"{outcome}: {count}" for outcome, count in others.most_common()))
-
-
-def _told(record: EpisodeRecord) -> str:
-    """Return how a run ended, for people."""
-    truth = "" if record.right is None else ", as it is" if record.right else ", untruly"
-    return record.outcome.replace("_", " ") + truth
 
 
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any, Final
 from schemas import topics
 from schemas.base import NO_EPISODE, Atom, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
-from schemas.episode import Box, Episode, Outcome, Purpose, Said
+from schemas.episode import Box, Episode, Outcome, Purpose, Said, in_words
 from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import RpcError
@@ -58,12 +58,6 @@ class Report:
     world: str | None = None
     outcome: Outcome | None = None  # How it ended.
     right: bool | None = None  # Whether what it said is so, of "not here"; None where nobody knows.
-
-
-def told_of(event: Episode) -> str:
-    """Return how an episode ended, for people."""
-    rightly = {True: ", rightly", False: ", wrongly", None: ""}[event.right]
-    return (event.outcome or "").replace("_", " ") + rightly
 
 
 class Operator:
@@ -133,7 +127,7 @@ class Operator:
             self._note(**told, at=self._clock(), waiting=False, episode=event.episode)
         elif event.event == "ended":
             self._note(**told, at=self._clock(), episode=None)
-            self._say(f"{named}: {told_of(event)} after {event.tick} frames")
+            self._say(f"{named}: {in_words(event.outcome, event.right)} after {event.tick} frames")
             if event.episode == self.mine:
                 self.mine = None
         else:
