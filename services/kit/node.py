@@ -25,11 +25,12 @@ from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.snapshot import Snapshot
-from schemas.topics import Topic, key_of
+from schemas.topics import KEPT_S, Topic, key_of
 from services.kit.bus import PATIENCE_S, Bus, Refused
 from services.kit.errors import JobError
 from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import MOST_BYTES, Inbox, Item
+from services.kit.memory import give_back
 from services.kit.settings import FleetSettings, ServiceSettings
 from services.kit.throttle import Throttle
 from services.table import role_of
@@ -105,6 +106,7 @@ class Node:
         self._inbox = Inbox(most_bytes=MOST_BYTES // robots)  # What one robot sends is never at the cost of another.
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
+        self.every(KEPT_S, give_back)  # What is kept over an outage is let go of after so long.
         self._apart: list[threading.Thread] = []
         self._closed = threading.Event()
         self._stop = threading.Event()

@@ -3,7 +3,6 @@
 Where routers are, what they and clients take, and how each message travels.
 """
 
-import ctypes
 import json
 import os
 import re
@@ -19,6 +18,7 @@ import zenoh
 from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
+from services.kit.memory import share_heaps
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
 from services.table import roles
 
@@ -50,7 +50,6 @@ MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
 _OPENING: Final = threading.Lock()
-_ARENA_MAX: Final = -8  # Of glibc's `mallopt`: in how many heaps threads allocate, by default eight a core.
 
 
 class Quality(NamedTuple):
@@ -241,12 +240,8 @@ def check_credentials(endpoint: str, credentials: Credentials) -> None:
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
-    """Open a session; the first one of a process decides, by the environment, how many threads take in what comes.
-
-    They share one heap a core: what each new session leaves free in eight a core was twice as much after some outages.
-    """
-    with suppress(AttributeError):  # no glibc
-        ctypes.CDLL(None).mallopt(_ARENA_MAX, os.cpu_count() or 1)
+    """Open a session; the first one of a process decides, by the environment, how many threads take in what comes."""
+    share_heaps()
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
