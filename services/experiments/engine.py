@@ -3,14 +3,19 @@
 import hashlib
 import logging
 import os
+import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future as Future_
+from contextlib import suppress
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import islice
+from multiprocessing.resource_tracker import ensure_running
 from operator import length_hint
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +28,7 @@ from services.kit.errors import JobError, UsageError
 from smal.features.extraction import in_parallel
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 _REACHED_S: Final = 10.0  # A scheduler is there within this time.
 #: It has a worker within this time, also where all were killed: one takes 2 s to start, 50 s on a very busy machine.
@@ -165,12 +170,14 @@ class Engine:
         distributed = _quiet_distributed()
         watched = find_spec("bokeh") is not None
         # Without a limit of memory: it would kill what works today where a unit takes more than its share.
-        cluster = distributed.LocalCluster(
+        start = partial(
+            distributed.LocalCluster,
             n_workers=self._workers or len(os.sched_getaffinity(0)),
             threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0",
             security=True, silence_logs=logging.CRITICAL, preload=[_PRELOAD],
             scheduler_kwargs={"allowed_failures": _TRIES - 1, "dashboard": watched},
         )  # fmt: skip
+        cluster = _undisturbed(start)
         if watched:
             _say_watched(cluster.dashboard_link)
         client: Client = distributed.Client(cluster, direct_to_workers=True)  # Not by the scheduler, here as well.
@@ -205,6 +212,30 @@ class Engine:
         if client.dashboard_link:
             _say_watched(client.dashboard_link)
         return client
+
+
+def _undisturbed(start: Callable[[], "LocalCluster"]) -> "LocalCluster":
+    """Start workers; whoever interrupts meanwhile has them end first: what has half begun would die noisily.
+
+    Ctrl-C in a terminal reaches the workers as well, which are deaf to it from their first moment: they inherit that.
+    """
+    ensure_running()  # Whoever starts this helper of Python's hears Ctrl-C again.
+    started: Future_[LocalCluster] = Future_()
+
+    def work() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            started.set_result(start())
+        except BaseException as error:  # noqa: BLE001 - raised where it is asked for
+            started.set_exception(error)
+
+    threading.Thread(target=work, name="workers start", daemon=True).start()
+    try:
+        return started.result()
+    except KeyboardInterrupt:
+        with suppress(Exception):
+            started.result(_WORKER_S).close()
+        raise
 
 
 def _check(scheduler: str, secure: Path | None) -> None:
