@@ -117,13 +117,14 @@ def match(
         references = queries = describe_frames(known, settings.features, depths[0], "reading references", engine)
         if query is not None:
             queries = describe_frames(asked, settings.features, depths[1], "reading queries", engine)
-    read_s = time.perf_counter()
-    for one in (references, queries)[: 1 if settings.loops else 2]:
-        one.say_skipped()
-        if one.numbers.size < settings.length:
-            few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
-            raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
-    found = in_sources(_match(method, references, queries, settings), references, queries)
+        read_s = time.perf_counter()
+        for one in (references, queries)[: 1 if settings.loops else 2]:
+            one.say_skipped()
+            if one.numbers.size < settings.length:
+                few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
+                raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
+        matched = _match(method, references, queries, replace(settings, parallel=engine.map))
+    found = in_sources(matched, references, queries)
     matches = found if tau is None else found.above(tau)
     matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}

@@ -191,9 +191,7 @@ class AtWork:
 
     workers: Annotated[
         int | None,
-        Option(
-            min=1, max=1024, help="Processes at work here. [default: one a core; threads where images are all the work]"
-        ),
+        Option(min=1, max=1024, help="Processes at work here. [default: one a core for `evaluate`; else threads]"),
     ] = None
     scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")] = None
     secure: Secure = None

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 import shapely
 import typer
+from numpy.typing import NDArray
 from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import options, outputs
-from services.cli.grouping import STYLE
+from services.cli.grouping import STYLE, grouped
 from services.experiments.words import table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
@@ -26,6 +27,8 @@ from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from services.simulator.scene.rendering import SceneCamera
 
 app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE)
 
@@ -128,23 +131,35 @@ def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:
 
 
 @app.command("render")
+@grouped
 def render(
     name: Annotated[str, Argument(metavar="WORLD", help="Name of a world, or the path of a map or world file.")],
     out: Annotated[Path, Option(help="Folder for the pictures.")] = Path("views"),
     views: Annotated[int, Option(min=2, max=_MOST_VIEWS, help="Pictures along the route.")] = 6,
     camera: options.CameraSize = None,
+    at_work: options.AtWork = options.HERE,
 ) -> None:
     """Draw a world: map.png from above with the planned route, and what the robot sees along that route.
 
     The views are named view-NN-DISTANCEm.png by how far along the route they are; the first is at the start, the last
-    one faces the victim.
+    one faces the victim. With --workers or --scheduler each worker opens the world for itself, which takes seconds.
 
     Example: smal world render campus --out campus-views --views 8
     """
     size = camera or options.USUAL_CAMERA
     outputs.make_folder(out, "--out")
     world = load_world(name)
-    _draw(world, out, views, CameraSettings(size.width, size.height))
+    from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
+
+    places = viewpoints(world, views)
+    world_map(world, places).savefig(out / "map.png", dpi=150)
+    seen = _Seen(world, CameraSettings(size.width, size.height))
+    poses = [pose for _, pose in places]
+    with at_work.engine() as engine:
+        pictures = map(seen, poses) if at_work == options.HERE else engine.map(seen, poses)
+        bar = tqdm(zip(places, pictures, strict=True), "rendering", views, unit="picture", dynamic_ncols=True)
+        for number, ((metres, _), picture) in enumerate(bar):
+            imsave(out / f"view-{number:02d}-{metres:.0f}m.png", picture)
     typer.echo(f"wrote the map and {views} views in {out}")
 
 
@@ -160,16 +175,18 @@ def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
     return list(zip(along.tolist(), poses, strict=True))
 
 
-def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None:
-    from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
+class _Seen:
+    """What is seen of a world; it is opened, which takes seconds, when something is to be seen."""
 
-    from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - loads the renderer
+    def __init__(self, world: World, settings: CameraSettings) -> None:
+        self._opened = world, settings
+        self._eye: SceneCamera | None = None
 
-    places = viewpoints(world, views)
-    world_map(world, places).savefig(out / "map.png", dpi=150)
-    eye = SceneCamera(world, settings)
-    for number, (metres, pose) in enumerate(tqdm(places, desc="rendering", unit="picture", dynamic_ncols=True)):
-        imsave(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
+    def __call__(self, pose: Pose) -> NDArray[np.uint8]:
+        from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - loads the renderer
+
+        self._eye = self._eye or SceneCamera(*self._opened)
+        return self._eye.render(pose)
 
 
 def world_map(world: World, places: list[tuple[float, Pose]]) -> "Figure":

@@ -49,8 +49,8 @@ def match(
     The method is one of `smal.place_recognition.methods.METHODS`. Only `smal` has loops; a tolerance, references so
     many frames away being right as well (if None, those that look alike); and a lag, how many later queries answer
     a query (if None, all). Features describe images (if None, the method's), or are the modalities of those that
-    are given (if None, all are one). `parallel` describes images, threads if not given. ValueError where there is no
-    such method, it has not got what is chosen, or inputs are others.
+    are given (if None, all are one). `parallel` describes images and, of the method `smal`, compares them; threads if
+    not given. ValueError where there is no such method, it has not got what is chosen, or inputs are others.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
@@ -65,7 +65,7 @@ def match(
         raise ValueError(f"the method {method} has its own features, {', '.join(way.features.modalities)}")
     if features is None and known.shape[1] != settings.size:
         settings = _Given(size=known.shape[1])
-    chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None)
+    chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None, parallel=parallel)
     return way.match(known, asked, chosen, ignore)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
+from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.paper_matching import match_as_in_the_paper
@@ -20,13 +21,17 @@ Features = NDArray[np.float32] | NDArray[np.float16]
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What can be chosen of a method, of `smal` as `match_places` says; for loops the queries are the references."""
+    """What can be chosen of a method, of `smal` as `match_places` says; for loops the queries are the references.
+
+    `parallel` is who works on parts of them, if the method has any.
+    """
 
     features: FeatureSettings
     length: int = 1
     tolerance: int | None = None
     lag: int | None = None
     loops: bool = False
+    parallel: Parallel = in_parallel
 
 
 #: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows of both.
@@ -59,7 +64,7 @@ def _smal(references: Features, queries: Features, settings: MatchSettings, prog
         centred = (Centering.fit(references, settings.features).apply(references),) * 2
     else:
         centred = centre_traverses(references, queries, settings.features, causal=settings.lag is not None)
-    return match_places(*centred, settings.tolerance, settings.lag, progress, loops=settings.loops)
+    return match_places(*centred, settings.tolerance, settings.lag, progress, settings.parallel, loops=settings.loops)
 
 
 def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:

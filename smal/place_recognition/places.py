@@ -8,21 +8,22 @@ query is new.
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain as chain_of
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features.extraction import in_parallel
+from smal.features.extraction import Parallel, in_parallel
 from smal.likelihood import GRID, log_ratio, over
 from smal.place_recognition.hidden_markov import Array, Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 Levels = NDArray[np.uint16]  # How far queries stand out at references, in steps of z.
-Answer = tuple[int, Array, float]  # A query, the probabilities of references (n,), and of none.
+Best = tuple[int, float, float]  # A reference, how probable it is within the tolerance, and how probable none.
 
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
@@ -39,7 +40,23 @@ _SILENT, _NEVER = _LEVELS.size, _LEVELS.size + 1
 _Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
 _STANDING: Final = 0.4  # A step shorter than this share of one in moving is one of standing still.
 _STRETCH, _STRETCHES = 500, 4  # It learns from stretches of so many queries, at most as many of them.
+#: So many queries are answered at a time, by them and by a stretch more on either side. Of what was seen a stretch ago
+#: the chain knows less than a hundredth: it may have left the references since (`hidden_markov`).
+_PART: Final = _STRETCH * _STRETCHES
 _BLOCK: Final = 256  # Queries whose cosines are computed at a time.
+
+
+class Part(NamedTuple):
+    """Some queries, centred, in order: which of all is the first, and which are answered, not only looked at."""
+
+    first: int
+    queries: Array
+    own: slice
+
+    def blocks(self) -> "list[Part]":
+        """Return it in pieces."""
+        begins = range(0, len(self.queries), _BLOCK)
+        return [Part(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None)) for begin in begins]
 
 
 class Evidence:
@@ -68,44 +85,80 @@ class Evidence:
         return self._ratio[levels]
 
 
+class Places:
+    """References (n, m), centred, of frames that stops are left out of; a loop leads to those so far ``apart``."""
+
+    def __init__(self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None) -> None:
+        self.chain, self._references, self._apart = Chain(len(references)), references, apart
+        self._frames = frames
+        self._first = np.searchsorted(frames, frames - tolerance)
+        self._end = np.searchsorted(frames, frames + tolerance, "right")
+
+    def levels(self, part: Part) -> Levels:
+        """Return how far queries stand out here."""
+        levels = np.empty((len(part.queries), len(self._references)), np.uint16)
+        for begin in range(0, len(levels), _BLOCK):
+            z = part.queries[begin : begin + _BLOCK] @ self._references.T
+            for row, level in zip(z, levels[begin : begin + _BLOCK], strict=True):
+                row[:] = over(row, float(row.mean()), float(row.std()))
+                place = np.rint((row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0])))
+                level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
+        if self._apart is not None:
+            for query, level in enumerate(levels, part.first):
+                level[max(query - self._apart + 1, 0) :] = _NEVER
+        return levels
+
+    def answers(self, evidence: Evidence, part: Part, levels: Levels | None = None) -> list[Best]:
+        """Return the best answers to the queries of a part that are its own, in order, by all of its queries."""
+        levels = self.levels(part) if levels is None else levels
+        found = [self.best(there, none) for _, there, none in smoothed(self.chain, levels, evidence.of)][::-1]
+        return found[part.own]
+
+    def best(self, there: Array, none: float) -> Best:
+        """Return the frame that a query most probably shows, how probably one within the tolerance, and none."""
+        best = there.argmax()
+        return int(self._frames[best]), float(there[self._first[best] : self._end[best]].sum(dtype=float)), none
+
+
 def match_places(
     references: Array,
     queries: Array,
     tolerance: int | None = None,
     lag: int | None = None,
     progress: Progress = ignore,
+    parallel: Parallel = in_parallel,
     *,
     loops: bool = False,
 ) -> Matches:
     """Match every query (q, m) with the reference (n, m) that it most probably shows; both are centred, in order.
 
     References up to `tolerance` frames away are right as well; if it is None, those that look alike. Each query is
-    answered by those up to `lag` after it, or by all. For loops the queries are the references, matched with those that
-    are too far back to look alike only because they are near. The score is the probability of being right within the
-    tolerance. Features that do not fit each other or are not finite raise ValueError.
+    answered by those up to `lag` after it, or by all of its part: `parallel` works on parts of 2,000 queries, each with
+    500 more on either side, so that no more is held at once. For loops the queries are the references, matched with
+    those that are too far back to look alike only because they are near. The score is the probability of being right
+    within the tolerance. Features that do not fit each other or are not finite raise ValueError.
     """
     check_features(references, queries)
     steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]
     standing = _STANDING * float(np.quantile(steps, 0.75)) if steps else 0.0
     known, asked = moving(references, standing), moving(queries, standing)
     tolerance = alike(references[known], 0.5) if tolerance is None else tolerance
-    levels = _levels(references, queries, known, asked)
-    if loops:
-        apart = max(alike(references[known], 0.0), tolerance + 1)
-        for row in range(len(asked)):
-            levels[row, max(row - apart + 1, 0) :] = _NEVER
-    # The middle of each stop, and which of them are within the tolerance of each.
+    apart = max(alike(references[known], 0.0), tolerance + 1) if loops else None
+    # The middle of each stop.
     frames = (known + np.append(known[1:], len(references)) - 1) // 2
-    first, end = np.searchsorted(frames, frames - tolerance), np.searchsorted(frames, frames + tolerance, "right")
-    found, chain = Matches.none(len(asked)), Chain(len(known))
+    places, moved = Places(references[known], frames, tolerance, apart), queries[asked]
+
+    def part(first: int, end: int, margin: int = 0) -> Part:
+        begin = max(first - margin, 0)
+        return Part(begin, moved[begin : end + margin], slice(first - begin, end - begin))
+
     if lag is None:
-        answers = smoothed(chain, levels, _learned(chain, levels, progress).of)
+        answers = _smoothed(places, part, len(asked), progress, parallel)
     else:
-        answers = _followed(chain, levels, asked, lag, progress)
-    for query, there, none in answers:
-        best = there.argmax()
-        found.reference[query], found.unknown[query] = frames[best], none
-        found.score[query] = there[first[best] : end[best]].sum(dtype=float)
+        answers = _followed(places, part, asked, lag, progress)
+    found = Matches.none(len(asked))
+    for query, best in enumerate(answers):
+        found.reference[query], found.score[query], found.unknown[query] = best
     progress(len(queries))
     return found.of(np.searchsorted(asked, np.arange(len(queries)), "right") - 1)
 
@@ -127,33 +180,39 @@ def alike(references: Array, cosine: float) -> int:
     return max(len(references) - 1, 1)
 
 
-def _levels(references: Array, queries: Array, known: NDArray[np.intp], asked: NDArray[np.intp]) -> Levels:
-    """Return how far queries stand out at references, for those that are asked and known."""
-    levels = np.empty((len(asked), len(known)), np.uint16)
+def _smoothed(
+    places: Places, part: Callable[..., Part], count: int, progress: Progress, parallel: Parallel
+) -> Iterator[Best]:
+    """Yield the best answers to so many queries, each by those before and after it."""
+    learned = _stretches(part, count)
+    levels = [np.concatenate(list(parallel(places.levels, one.blocks()))) for one in learned]
+    evidence = _learned(places.chain, levels, progress)
+    if count <= _PART:
+        yield from places.answers(evidence, part(0, count), levels[0])
+        return
+    parts = [part(first, min(first + _PART, count), _STRETCH) for first in range(0, count, _PART)]
+    done = 0
+    for answers in parallel(partial(places.answers, evidence), parts):
+        yield from answers
+        done += len(answers)
+        progress(done)
 
-    def fill(start: int) -> None:
-        z = (queries[asked[start : start + _BLOCK]] @ references.T)[:, known]
-        for row, level in zip(z, levels[start : start + _BLOCK], strict=True):
-            row[:] = over(row, float(row.mean()), float(row.std()))
-            place = np.rint((row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0])))
-            level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
 
-    for _ in in_parallel(fill, range(0, len(asked), _BLOCK)):
-        pass
-    return levels
+def _stretches(part: Callable[..., Part], count: int) -> list[Part]:
+    """Return what is learned from: all of so many queries, or a few stretches of them, evenly spread."""
+    if count <= _PART:
+        return [part(0, count)]
+    starts = np.linspace(0, count - _STRETCH, _STRETCHES).astype(int).tolist()
+    return [part(start, start + _STRETCH) for start in starts]
 
 
-def _learned(chain: Chain, levels: Levels, progress: Progress = ignore) -> Evidence:
-    """Return the evidence of queries (q, n), learned from a part of them if they are many."""
-    count = min(_STRETCHES, -(-len(levels) // _STRETCH))
-    whole = len(levels) <= count * _STRETCH
-    starts = [0] if whole else np.linspace(0, len(levels) - _STRETCH, count).astype(int).tolist()
-    stretches = [levels[start : len(levels) if whole else start + _STRETCH] for start in starts]
+def _learned(chain: Chain, stretches: list[Levels], progress: Progress = ignore) -> Evidence:
+    """Return the evidence of queries, learned from stretches (q, n)."""
     evidence, every = Evidence(), np.concatenate(stretches)
     for done in range(1, _ROUNDS):
         answered = in_parallel(partial(_there, chain, evidence), stretches)
         evidence = Evidence.learn(every, np.concatenate(list(answered)))
-        progress(len(levels) * done // _ROUNDS)
+        progress(len(every) * done // _ROUNDS)
     return evidence
 
 
@@ -162,22 +221,25 @@ def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
     return np.array([there for _, there, _ in smoothed(chain, levels, evidence.of)][::-1])
 
 
-def _followed(chain: Chain, levels: Levels, frames: NDArray[np.intp], lag: int, progress: Progress) -> Iterator[Answer]:
-    """Yield the probabilities of each query (q, n) by those up to `lag` frames after it, learning again meanwhile."""
-    recent = deque[tuple[int, Array, Array]]()
+def _followed(
+    places: Places, part: Callable[..., Part], frames: NDArray[np.intp], lag: int, progress: Progress
+) -> Iterator[Best]:
+    """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
+    recent, chain = deque[tuple[int, Array, Array]](), places.chain
 
-    def oldest() -> Answer:
+    def oldest() -> Best:
         message = np.ones_like(belief)
         for _, _, ratios in list(recent)[:0:-1]:
             message = chain.back(chain.seen(message, ratios))
         query, then, _ = recent.popleft()
         progress(int(frames[query]) + 1)
-        return query, *chain.at_references(then * message)
+        return places.best(*chain.at_references(then * message))
 
     evidence, belief = Evidence(), chain.first()
-    for query, row in enumerate(levels):
+    rows = chain_of.from_iterable(map(places.levels, part(0, len(frames)).blocks()))
+    for query, row in enumerate(rows):
         if query.bit_count() == 1:
-            evidence = _learned(chain, levels[:query])
+            evidence = _learned(chain, [places.levels(one) for one in _stretches(part, query)])
         while recent and frames[query] - frames[recent[0][0]] > lag:
             yield oldest()
         ratios = evidence.of(row)

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import shapely
 
-from services.cli.options import Camera
-from services.cli.world import render
 from services.simulator.world import World, load_world
 from services.simulator.world.route import obstacles_of, plan_route, route_length_m
 from tests.services.cli.conftest import Mistake, Smal
@@ -82,8 +80,9 @@ def test_a_wrong_wish_is_one_line(
 
 
 @pytest.mark.rendering
-def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> None:
-    render("yard", tmp_path, views=3, camera=Camera(160, 120))
+def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path, smal: Smal) -> None:
+    rendered, again = ("world", "render", "yard", "--views", 3, "--camera", "160x120", "--out"), tmp_path / "again"
+    assert smal(*rendered, tmp_path)[0] == smal(*rendered, again, "--workers", 2)[0] == 0
     world = load_world("yard")
     length = shapely.LineString(plan_route(world, (world.start.x, world.start.y))).length
     names = sorted(path.name for path in tmp_path.glob("view-*.png"))
@@ -91,6 +90,7 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> Non
     assert [name.split("-")[1] for name in names] == ["00", "01", "02"]
     assert metres[0] == 0
     assert length - 6 < metres[2] < length
+    assert all((tmp_path / name).read_bytes() == (again / name).read_bytes() for name in names)
     images = [cv2.imread(str(tmp_path / name)) for name in names]
     assert all(image is not None and image.shape == (120, 160, 3) and image.std() > 20 for image in images)
     drawn = cv2.imread(str(tmp_path / "map.png"))

@@ -26,6 +26,8 @@ from tests.services.secured import make_keys
 from tests.services.waiting import eventually
 
 IMAGES = list(np.random.default_rng(0).integers(0, 255, (70, 24, 32, 3), dtype=np.uint8))
+WAY = np.cumsum(np.random.default_rng(0).normal(size=(100, 16)), axis=0)
+LONG = np.tile(WAY, (21, 1))  # The method makes two parts of it.
 describe = partial(extract, settings=FeatureSettings())
 
 
@@ -88,6 +90,7 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
     with Engine(1, address, keys) as engine:
         assert same(engine.map(describe, IMAGES))
         smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
+        there = smal.match(WAY, LONG, tolerance=2, parallel=engine.map)
         results = Results(tmp_path, [])
         results.complete([After(SITE, (), 0)], engine, lambda: None)
         port = int(address.rpartition(":")[2])
@@ -97,4 +100,7 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
             list(engine.map(describe, IMAGES * 100))
     assert [found["threads"] for found in results.findings.values()] == ["1"]
     corridor.save_model(tmp_path / "here")
+    here = smal.match(WAY, LONG, tolerance=2)
+    np.testing.assert_array_equal(there.reference, here.reference)
+    np.testing.assert_array_equal(there.score, here.score)
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from smal.place_recognition import places as module
 from smal.place_recognition.places import match_places
 from tests.smal.place_recognition.traverses import Walk, unit
 
@@ -80,6 +81,18 @@ def test_either_of_two_visits_is_a_match() -> None:
     ways = np.tile(np.arange(20.0, 220.0), 2)
     matches = match_places(walk.at(ways, 0.4), walk.at(places, 1.0))
     assert (np.abs(ways[matches.reference] - places) <= 2).mean() > 0.97
+
+
+def test_parts_answer_as_the_whole_does_whoever_works_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = np.tile(np.append(np.arange(20.0, 220.0), np.arange(220.0, 20.0, -1.0)), 6)
+    references, queries = traverses(ways, 7.0)
+    monkeypatch.setattr(module, "_learned", lambda *_: module.Evidence())  # Learned, it would be of other queries.
+    by_parts = match_places(references, queries, 3, parallel=map)
+    monkeypatch.setattr(module, "_PART", len(queries))
+    whole = match_places(references, queries, 3)
+    assert 0.5 < whole.score.mean() < 0.98  # Not so clear that nothing before and after would count.
+    np.testing.assert_array_equal(by_parts.reference, whole.reference)
+    np.testing.assert_allclose(by_parts.score, whole.score, atol=1e-4)
 
 
 def test_answers_do_not_know_what_comes_later_than_the_lag() -> None:
