@@ -134,6 +134,8 @@ class ResetReply(Strict):
     found_m: Annotated[float, Field(gt=0)] | None = None  # How near the victim counts as found, if it is seen.
     #: Where the victim lies, metres; none where that is not known, or nowhere.
     victim: tuple[float, float] | None = None
+    #: Outlines of what stands on and beside the way anew, metres, where that is known.
+    things: tuple[tuple[tuple[float, float], ...], ...] = ()
 
 
 class LookReply(Strict):

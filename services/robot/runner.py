@@ -150,6 +150,7 @@ class EpisodeRunner(Generic[V]):
             route=episode.beginning.route,
             found_m=episode.beginning.found_m,
             victim=episode.beginning.victim,
+            things=episode.beginning.things,
         )
         return reply, messages
 

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Final
 
+import shapely
+
 from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
@@ -75,7 +77,9 @@ class SimulatedBody:
             self._ordered_s = self._moved_s = self._clock()
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         lies = self.simulation.victim
-        return Beginning(route, self.simulation.found_m, None if lies is None else (lies.x, lies.y))
+        outlines = (shapely.get_coordinates(one.footprint).tolist() for one in self.simulation.obstacles)
+        things = tuple(tuple((x, y) for x, y in outline) for outline in outlines)
+        return Beginning(route, self.simulation.found_m, None if lies is None else (lies.x, lies.y), things)
 
     def _go_where_asked(self, request: ResetRequest) -> None:
         wished = request.world, request.variation

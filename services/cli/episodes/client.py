@@ -41,6 +41,7 @@ class EpisodeRecord:
     ticks: int = 0  # Frames that passed.
     outcome: Outcome = "aborted"
     right: bool | None = None  # Whether "not here" was so, where somebody knows.
+    things: tuple[tuple[tuple[float, float], ...], ...] = ()  # Outlines of what stood there anew, metres.
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)  # True poses, (x, y) metres.
     said: Said | None = None  # What the robot said of the goal.
     decisions: dict[int, str] = field(default_factory=dict)  # Kind of every decision.
@@ -107,7 +108,7 @@ class EpisodeClient:
         # Rendering may be compiling its pipelines: the first reset takes seconds.
         asked = request.model_copy(update={"session": self.node.session})
         reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
-        self._episode, record.world = reply.episode, reply.world
+        self._episode, record.world, record.things = reply.episode, reply.world, reply.things
         self._alive_s = time.monotonic()
         try:
             if world not in (None, reply.world):

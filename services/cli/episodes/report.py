@@ -8,13 +8,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from schemas.episode import in_words
+from schemas.rpc import ResetRequest
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
 from services.experiments.drawing import legend, look_at
+from services.experiments.words import counted
+from services.robot.clock import TICK_S
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored
 
+THING_COLOUR: Final = "#d6602d"
 STRIP: Final = 6  # Camera images shown of the example run.
 OUTCOME_COLOURS: Final = {
     "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666",
@@ -35,12 +40,16 @@ def write_report(
     routes = "<p>The robot does not tell where it truly is.</p>"
     if any(record.poses for record in records):
         routes = html.image(html.png(draw_routes(world, records)), "routes on the map")
-    counts = ((one.request.seed, one.ticks, len(one.decisions), len(one.unrecognized)) for one in records)
-    rows = [[one.outcome, *map(str, count)] for one, count in zip(records, counts, strict=True)]
+    rows = [
+        [in_words(one.outcome, one.right), str(one.request.seed), str(one.ticks), f"{TICK_S * one.ticks:.0f}",
+         str(len(one.decisions)), str(len(one.unrecognized))]
+        for one in records
+    ]  # fmt: skip
     facts = {
         "victim found": f"{sum(record.outcome == 'found' for record in records)} of {len(records)}",
         "95 % interval": f"{low:.0%} to {high:.0%}",
         "scheme": model.scheme,
+        "conditions": _conditions(records[0].request),
         "decision, median": latency["p50"],
         "decision, 95 %": latency["p95"],
     }
@@ -51,9 +60,23 @@ def write_report(
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
         html.strip({f"frame {tick}": shown.frames[tick] for tick in some}),
         "<h2>Every run</h2>",
-        html.table(["outcome", "seed", "frames", "decisions", "state unknown"], rows, left=1),
+        html.table(["outcome", "seed", "frames", "seconds", "decisions", "state unknown"], rows, left=1),
     ]
-    return html.write_page(folder, f"SMAL: {world or records[0].world}, {len(records)} runs", parts, 60)
+    title = f"SMAL: {world or records[0].world}, {counted(len(records), 'run')}"
+    return html.write_page(folder, title, parts, 60)
+
+
+def _conditions(request: ResetRequest) -> str:
+    """Say what was other than it was taught."""
+    said = {
+        f"victim {request.victim}": request.victim != "there",
+        counted(request.obstacles, "obstacle"): request.obstacles,
+        f"{request.people} walking": request.people,
+        "way closed": request.blocked,
+        "begun anywhere": request.start == "anywhere",
+        f"carried away at frame {request.kidnap_tick}": request.kidnap_tick,
+    }
+    return ", ".join(name for name, so in said.items() if so) or "as taught"
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
@@ -64,6 +87,8 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     name = world or (records[0].world if records[0].world in known_worlds() else None)
     there = None if name is None else load_world(name)
     seen: list[NDArray[np.float64]] = []
+    for outline in dict.fromkeys(outline for record in records for outline in record.things):
+        axes.fill(*np.array(outline).T, color=THING_COLOUR, lw=0, alpha=0.6, label="new, in one run", zorder=2.5)
     for record in records:
         if record.poses:
             xy = np.array([record.poses[tick] for tick in sorted(record.poses)])
