@@ -329,7 +329,9 @@ class Bus:
         while (reply := self._ask(key, request, timeout_s)) is None and time.monotonic() < began_s + patience_s:
             time.sleep(_AGAIN_S)
         if reply is None:
-            raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
+            raise RpcError(
+                f"{service} {verb}: no answer; is the service running for robot {self.robot}? (router {self.endpoint})"
+            )
         result, at, put = reply.result, key, True
         if isinstance(result, zenoh.Sample):
             at, put = str(result.key_expr), result.kind == _PUT
