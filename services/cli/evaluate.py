@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from tqdm import tqdm
 from typer import Option
 
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
-from services.cli.progress import Bars
 from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
+from services.experiments.progress import Bars, bar_of
 from services.kit.errors import UsageError
 
 
@@ -72,7 +71,7 @@ def evaluate(
         if not report_only:
             begun = len(results.findings)
             with (
-                tqdm(total=len(planned), initial=begun, desc="evaluating", unit="unit", dynamic_ncols=True) as bar,
+                bar_of(total=len(planned), initial=begun, desc="evaluating", unit="unit") as bar,
                 at_work.engine() as engine,
             ):
                 try:

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated, cast
 
 import typer
-from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import outputs
+from services.experiments.progress import bar_of
 from services.experiments.words import remark
 from services.exporters.drives import FORMATS, Drive, read, write
 from services.importers.drive import Tally
@@ -40,10 +40,10 @@ def export_recordings(
     try:
         with outputs.new_folder(out, "--out") as folder:
             # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
-            reading = tqdm(files, desc="reading", unit="file", dynamic_ncols=True, disable=None)
+            reading = bar_of(files, desc="reading", unit="file", disable=None)
             drives = read(reading, speed, turn_rate, tally)
             total = sum(len(drive.ticks) for drive in drives)
-            with tqdm(desc="exporting", unit="tick", total=total, dynamic_ncols=True, disable=None) as bar:
+            with bar_of(desc="exporting", unit="tick", total=total, disable=None) as bar:
                 write(form, drives, folder, tally, lambda: cast("None", bar.update()))
     finally:
         remark(tally.lines())

@@ -16,7 +16,7 @@ from schemas.base import STILL, TURNING
 from schemas.codec import printable
 from services.cli import options, outputs
 from services.cli.child import tied
-from services.cli.progress import Bars
+from services.experiments.progress import Bars
 from services.experiments.words import remark
 from services.importers.job import FORMATS, Job, Report, check_format
 from services.importers.ticks import QUANTILE

@@ -13,8 +13,8 @@ from typer import Argument, Option
 from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.adding import add_runs, save
-from services.cli.progress import Bars
 from services.experiments.engine import Engine
+from services.experiments.progress import Bars
 from services.experiments.showing.summary import numbers_of
 from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError

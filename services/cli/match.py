@@ -11,12 +11,12 @@ import typer
 from typer import Argument, Option
 
 from services.cli import options, outputs
-from services.cli.progress import Bars
 from services.experiments.matching import truth_file
 from services.experiments.matching.page import judging_page
 from services.experiments.matching.report import Quality, Result, as_g2o, as_json, as_text, in_sources, title_of
 from services.experiments.matching.sources import Source, open_source
 from services.experiments.matching.traverse import Traverse, describe_frames
+from services.experiments.progress import Bars
 from services.experiments.words import counted
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth

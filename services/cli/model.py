@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.adding import back, versions
 from services.cli.grouping import STYLE
-from services.cli.progress import Bars
+from services.experiments.progress import Bars, bar_of
 from services.experiments.showing.summary import lines
 from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
@@ -63,7 +62,7 @@ def show(
     with closing(Bars()) as bars:
         found = None
         if files is not None:
-            found = find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
+            found = find_drives(model, bar_of(files, desc="reading", unit="file", disable=None))
             remark([*found.remarks, *(f"missing: {one}" for one in found.missing)])
         try:
             page = write_page(out, model, file, found, bars)

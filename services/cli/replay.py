@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final
 
-from tqdm import tqdm
 from typer import Argument, Option
 
 from schemas.base import Message
@@ -15,6 +14,7 @@ from schemas.episode import Episode
 from schemas.topics import JPEG, Topic
 from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
+from services.experiments.progress import bar_of
 from services.kit.errors import UsageError
 from services.kit.node import Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
@@ -94,7 +94,7 @@ class Player:
         ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
             # disable=None: no bar in a pipe or a log.
-            for tick in tqdm(ticks, total=len(self._track), unit="frame", dynamic_ncols=True, disable=None):
+            for tick in bar_of(ticks, total=len(self._track), unit="frame", disable=None):
                 if not wait(tick):
                     break
                 for message in tick.messages:

@@ -11,11 +11,11 @@ import numpy as np
 import shapely
 import typer
 from numpy.typing import NDArray
-from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.grouping import STYLE, grouped
+from services.experiments.progress import bar_of
 from services.experiments.words import table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
@@ -157,7 +157,7 @@ def render(
     poses = [pose for _, pose in places]
     with at_work.engine() as engine:
         pictures = map(seen, poses) if at_work == options.HERE else engine.map(seen, poses)
-        bar = tqdm(zip(places, pictures, strict=True), "rendering", views, unit="picture", dynamic_ncols=True)
+        bar = bar_of(zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture")
         for number, ((metres, _), picture) in enumerate(bar):
             imsave(out / f"view-{number:02d}-{metres:.0f}m.png", picture)
     typer.echo(f"wrote the map and {views} views in {out}")

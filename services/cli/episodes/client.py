@@ -21,6 +21,7 @@ from schemas.heartbeat import Heartbeat
 from schemas.motion import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import Access
+from services.experiments.progress import bar_of
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
@@ -143,7 +144,7 @@ class EpisodeClient:
     ) -> Iterator[EpisodeRecord]:
         """Run one episode after another, with one bar over all of them; see `run`."""
         outcomes: list[Outcome] = []
-        with tqdm(requests, desc=what, unit="episode", dynamic_ncols=True) as bar:
+        with bar_of(requests, desc=what, unit="episode") as bar:
 
             def show(tick: int) -> None:
                 bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from schemas.codec import printable
 from services.experiments.engine import Engine
 from services.experiments.matching.feature_cache import FeatureCache, Features
 from services.experiments.matching.sources import Picture, Source, loaded, quiet_opencv, read_color, read_depth
+from services.experiments.progress import bar_of
 from services.experiments.words import listed, remark
 from services.kit.errors import JobError
 from smal.features import FeatureSettings, extract
@@ -62,7 +62,7 @@ def describe_frames(
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
         looked_up = in_parallel(partial(_looked_up, cache), frames)
         described = engine.map(partial(_described, str(source.path), settings), looked_up)
-        bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
+        bar = bar_of(described, desc=title, total=count, unit="image", disable=None)
         for number, (key, one) in enumerate(bar):
             if one is not None:
                 features[len(numbers)] = one if key is None else cache.keep(key, one)

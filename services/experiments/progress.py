@@ -1,10 +1,19 @@
 """How far a command is."""
 
 import json
+import os
 import sys
 from typing import Any
 
 from tqdm import tqdm
+
+
+def bar_of(items: Any = None, **how: Any) -> "tqdm[Any]":  # noqa: ANN401
+    """Return a bar of tqdm's, as wide as the terminal; in one that does not tell its size tqdm alone draws none."""
+    told = not sys.stderr.isatty() or all(os.get_terminal_size(sys.stderr.fileno()))
+    how |= {"dynamic_ncols": True} if told else {"ncols": 80, "nrows": 24}
+    bar: tqdm[Any] = tqdm(items, **how)
+    return bar
 
 
 class Bars:
@@ -24,7 +33,7 @@ class Bars:
             return
         if self._bar is None or stage != self._stage:
             self.close()
-            self._stage, self._bar = stage, tqdm(desc=stage, unit=self._unit, dynamic_ncols=True, disable=None)
+            self._stage, self._bar = stage, bar_of(desc=stage, unit=self._unit, disable=None, initial=done, total=total)
         self._bar.total = total
         self._bar.update(done - self._bar.n)
 
