@@ -65,10 +65,10 @@ def identity_of(model: AnyModel) -> str:
 def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None) -> str | None:
     """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
     if scheme not in (None, model.scheme):
-        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}: smal learn --scheme {scheme}"
+        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}; learn again with --scheme {scheme}"
     if isinstance(model, Model):
         if stride not in (None, 1):
-            return f"stride {stride}: the filter decides at every frame; only the paper's scheme has a stride"
+            return f"stride {stride}: the filter decides at every frame; for a stride learn again with --scheme paper"
         try:
             chosen_goal(model.mapped.goals, goal)
         except ValueError as error:

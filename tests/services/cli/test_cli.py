@@ -142,7 +142,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("none", (), "No such file"),
         ("text", (), "text.smal"),
         ("newer", (), f"format {FORMAT_VERSION + 1}"),
-        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
+        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; for a stride"),
         ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper'"),
         ("mapped", ("--goal", "office"), "the model has no goal 'office'; it has victim"),
         ("mapped", ("--modalities", "color"), "--modalities color: the model was learned on"),
