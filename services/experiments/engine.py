@@ -74,6 +74,11 @@ class Engine:
     ) -> None:
         if self._client is not None:
             cluster = self._client.cluster
+            for nanny in cluster.workers.values() if error is not None and cluster is not None else ():
+                # What it does nobody waits for, and Dask would: whole tasks, and seconds where a machine is busy.
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    os.kill(nanny.pid, signal.SIGKILL)
             self._client.close()
             if cluster is not None:
                 cluster.close()
