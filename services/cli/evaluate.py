@@ -1,8 +1,8 @@
 """``smal evaluate``: the paper's experiments in simulation, or laps of a real robot, as a page of results."""
 
-import sys
 from contextlib import closing
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,14 +14,15 @@ from services.cli.interrupts import interrupted_by_signals
 from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
-from services.experiments.progress import Bars, bar_of
+from services.experiments.progress import Bars
+from services.experiments.words import remark
 from services.kit.errors import UsageError
 
 
 def evaluate(
     *,
     out: Annotated[Path, Option(help="Folder for the results; where it has some already, it goes on.")],
-    quick: Annotated[bool, Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
+    quick: Annotated[bool, Option(help="Fewer drives, lengths and runs: 5 to 10 minutes on two idle cores.")] = False,
     world: Annotated[str | None, Option(help="In this one instead: SMAL and teach and repeat, one drive.")] = None,
     runs: Annotated[int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")] = None,
     changes: options.Changes,
@@ -33,8 +34,9 @@ def evaluate(
     """Run the paper's experiments in simulation, and write a page with their figures.
 
     OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
-    OUT/results.json. The whole evaluation takes about an hour on two cores. It can be interrupted at any time: the
-    same command goes on where it was, and while it works another one with --report-only shows what there is so far.
+    OUT/results.json. The whole evaluation takes about an hour on two idle cores. It is done in units: a drive, a model,
+    or the searches of one driver under one condition. It can be interrupted at any time: the same command goes on with
+    the units that are not done, and while it works another one with --report-only shows what there is so far.
 
     With --laps nothing is simulated: one lap teaches SMAL, which is asked where it is on all others, with and without
     odometry, beside the nearest taught frame and teach and repeat. It needs three whole laps, which are found where
@@ -69,15 +71,12 @@ def evaluate(
     results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:
-            begun = len(results.findings)
-            with (
-                bar_of(total=len(planned), initial=begun, desc="evaluating", unit="unit") as bar,
-                at_work.engine() as engine,
-            ):
+            with at_work.engine() as engine, closing(Bars("unit")) as bars:
                 try:
-                    results.complete(planned, engine, bar.update)
+                    results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
                 except KeyboardInterrupt:
-                    bar.write("smal: stopping; the same command goes on from here", file=sys.stderr)
+                    bars.close()
+                    remark(["stopping; the same command goes on from here"])
                     raise
         from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 

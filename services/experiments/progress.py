@@ -33,7 +33,8 @@ class Bars:
             return
         if self._bar is None or stage != self._stage:
             self.close()
-            self._stage, self._bar = stage, bar_of(desc=stage, unit=self._unit, disable=None, initial=done, total=total)
+            how = {"desc": stage, "unit": self._unit, "disable": None}
+            self._stage, self._bar = stage, bar_of(**how, initial=done, total=total, smoothing=0)
         self._bar.total = total
         self._bar.update(done - self._bar.n)
 

@@ -42,11 +42,12 @@ class Results:
             file.write(text.encode())
         self.findings[unit] = finding
 
-    def complete(self, units: Sequence[Unit], engine: Engine, done: Callable[[], object]) -> None:
-        """Have workers do what is not done, and call `done` after each; JobError where one failed: the rest is kept."""
+    def complete(self, units: Sequence[Unit], engine: Engine, progress: Callable[[int, int], object]) -> None:
+        """Have workers do what is not done, and tell how many are; JobError where one failed: the rest is kept."""
         left = [unit for unit in units if unit not in self.findings]
-        if left and engine.scheduler is not None:
-            self._check_shared(engine)
+        if left:
+            self._check_shared(engine)  # Where nobody is there to work, this says so before anything is shown.
+        progress(len(self.findings), len(units))
         for unit, found in engine.graph(left, partial(timed, self.work.resolve()), lambda unit: unit.needs):
             try:
                 self.add(unit, found())
@@ -54,7 +55,7 @@ class Results:
                 what = f"{type(unit).__name__.lower()} in {unit.site.world}"
                 kind = "" if isinstance(error, JobError) else f"{type(error).__name__}: "
                 raise JobError(f"{what}: {kind}{' '.join(str(error).split())}; run again to go on") from None
-            done()
+            progress(len(self.findings), len(units))
 
     def _check_shared(self, engine: Engine) -> None:
         """Raise UsageError where a worker elsewhere does not see the folder."""

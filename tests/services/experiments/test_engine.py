@@ -92,7 +92,7 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
         smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
         there = smal.match(WAY, LONG, tolerance=2, parallel=engine.map)
         results = Results(tmp_path, [])
-        results.complete([After(SITE, (), 0)], engine, lambda: None)
+        results.complete([After(SITE, (), 0)], engine, lambda _done, _of: None)
         port = int(address.rpartition(":")[2])
         found = (one.pid for one in psutil.net_connections() if one.status == "LISTEN" and one.laddr.port == port)
         os.kill(next(pid for pid in found if pid is not None), signal.SIGKILL)

@@ -75,8 +75,8 @@ def write_page(plan: Plan, results: Results) -> Path:
     body = list(_introduction(plan, results))
     if len(findings) < len(planned):
         body.append(
-            f"<p><b>Not all is done:</b> {len(findings):,} of {len(planned):,} units. What is shown is whole, with all "
-            "of its runs; the rest is left out until it is.</p>"
+            f"<p><b>Not all is done:</b> {len(findings):,} of {len(planned):,} units (drives, models, searches). What "
+            "is shown is whole, with all of its runs; the rest is left out until it is.</p>"
         )
     for each in found:
         body.append(f"<h2>{escape(each.world.title.capitalize())}</h2>")

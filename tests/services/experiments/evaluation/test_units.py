@@ -103,11 +103,11 @@ def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
     killed = Killed(SITE, (), 2)
     after = After(SITE, (killed,), 0)
     always = Killed(SITE, (after,), 1)
-    results, done = Results(tmp_path, []), list[int]()
+    results, done = Results(tmp_path, []), list[tuple[int, int]]()
     said = "^killed in yard: workers were killed, perhaps for memory; run again to go on"
     with pytest.raises(JobError, match=said), Engine(2) as engine:
-        results.complete([killed, after, always], engine, lambda: done.append(len(results.findings)))
-    assert done == [1, 2]
+        results.complete([killed, after, always], engine, lambda *one: done.append(one))
+    assert done == [(0, 3), (1, 3), (2, 3)]
     kept = Results(tmp_path, [killed, after, always]).findings
     found = [{name: value for name, value in one.items() if name != "cpu_s"} for one in kept.values()]
     assert found == [{"seed": 2}, {"needs": 1, "threads": "1"}]
