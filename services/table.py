@@ -132,16 +132,16 @@ def takers(topic: Topic) -> tuple[str, ...]:
     return tuple(service.name for service in SERVICES.values() if topic in service.takes)
 
 
-def graph(more: Mapping[str, Sequence[str]] = MappingProxyType({})) -> str:
+def graph(there: Mapping[str, Sequence[str]] = MappingProxyType(dict.fromkeys(SERVICES, ()))) -> str:
     """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all.
 
-    ``more`` are further lines of services.
+    Those that are ``there`` are drawn, each with further lines.
     """
-    drawn = [service for service in SERVICES.values() if service.takes or service.gives]
-    texts = {one.name: "<br>".join([f"<b>{one.name}</b>", one.meaning, *more.get(one.name, ())]) for one in drawn}
+    drawn = [one for one in SERVICES.values() if one.name in there and (one.takes or one.gives)]
+    texts = {one.name: "<br>".join([f"<b>{one.name}</b>", one.meaning, *there[one.name]]) for one in drawn}
     lines = ["flowchart LR", *(f'    {name}["{text}"]' for name, text in texts.items())]
-    for giver in SERVICES.values():
-        for taker in SERVICES.values():
+    for giver in drawn:
+        for taker in drawn:
             shared = [topic.name for topic in giver.gives if topic in taker.takes]
             if shared and taker.name == "recorder":
                 lines.append(f"    {giver.name} -.-> recorder")
@@ -189,6 +189,6 @@ def roles() -> dict[str, Role]:
     # Of the episodes that it has run, a person's command must not miss the end.
     named["operator"] = Role("operator", everything, given, (topics.EPISODE,), statuses, served, person=True)
     named["console"] = Role("console", everything, given, (), named["console"].serves, served, person=True)
-    asks = tuple(key for key in served if key.endswith("/status"))
+    asks = tuple(key for key in (*served, *statuses) if key.endswith("/status"))
     named["watcher"] = Role("watcher", everything, (), (), (), asks, person=True)
     return named

@@ -13,10 +13,10 @@ from schemas.topics import TOPICS, Topic, topic_of
 from services.cli import options
 from services.cli.grouping import STYLE, grouped
 from services.cli.listening import CONNECT_S, echo, hz, say
-from services.cli.stack import instances
+from services.cli.stack import answers, instances
 from services.experiments.words import table
 from services.kit.errors import UsageError
-from services.table import givers, graph, takers
+from services.table import SERVICES, givers, graph, takers
 
 app = typer.Typer(help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE)
 
@@ -77,10 +77,10 @@ def info(
 
 def draw_graph(
     *,
-    live: Annotated[bool, Option("--live", help="With the instances of a running stack, and whom they serve.")] = False,
+    live: Annotated[bool, Option("--live", help="Who runs alone, with instances and whom they serve.")] = False,
     reach: options.Reach,
 ) -> None:
-    """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show its instances.
+    """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show who runs.
 
     Example: smal topic graph > graph.mmd
     """
@@ -88,9 +88,10 @@ def draw_graph(
         say(graph())
         return
     with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
+        there = {name: list[str]() for name in SERVICES if answers(bus, name) is not None}
         found = instances(bus)
     lines = {name: [f"{one}: {' '.join(robots)}" for one, robots in by.items()] for name, by in found.items()}
-    say(graph(lines))
+    say(graph(there | lines))
 
 
 for name, command in (("echo", echo), ("hz", hz), ("graph", draw_graph)):

@@ -171,5 +171,6 @@ def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
         assert sorted(robot for robots in served.values() for robot in robots) == sorted(wanted.fleet)
         _, out, _ = smal("topic", "graph", "--live", "--robot", robot, "--router", free_endpoint)
         assert all(f"<br>{instance}: " in out for instance in served)
+        assert re.findall(r"<b>(\w+)</b>", out) == ["features", "recorder"]  # Nobody else is there.
         found = check_port(running.settings)
         assert all(f"{instance} serves {' '.join(robots)}" in found for instance, robots in served.items())
