@@ -15,6 +15,7 @@ from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import recording
 from services.cli.stack import Access, flags, stack_for
+from services.experiments.words import counted
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, ExpertService
 from services.kit.errors import UsageError
 
@@ -57,7 +58,7 @@ def demonstrate(
     }
     with stack_for(stack.settings, services, stack.robot, own) as access:
         recorded = _record(requests, access, out, None if name is None else chosen, name)
-    typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
+    typer.echo(f"recorded {counted(recorded, 'drive')} in {out}; next: smal learn {out} --out MODEL")
 
 
 def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
@@ -83,7 +84,7 @@ def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> Non
     from services.cli.episodes.report import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
 
     draw_routes(world, records).savefig(picture, dpi=110)
-    tqdm.write(f"picture of {len(records)} drives: {picture}")
+    tqdm.write(f"picture of {counted(len(records), 'drive')}: {picture}")
 
 
 def _complain(record: EpisodeRecord) -> None:

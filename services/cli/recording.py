@@ -12,7 +12,7 @@ from typer import Argument, Option
 from services.cli import outputs
 from services.cli.grouping import STYLE
 from services.cli.options import Json
-from services.experiments.words import number, remark, table
+from services.experiments.words import counted, number, remark, table
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
 from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
@@ -85,7 +85,7 @@ def mend(
         typer.echo(f"{recordings[0]}: nothing is to be repaired")
         return
     count = sum(one.messages for episode in after.episodes for one in episode.topics.values())
-    typer.echo(f"{made}: sealed, {count} messages")
+    typer.echo(f"{made}: sealed, {counted(count, 'message')}")
     for line in (line for one in before for line in one.damage):
         typer.echo(f"  it was: {line}")
     for line in after.findings:
@@ -139,7 +139,7 @@ def _lines(contents: Contents) -> Iterator[str]:
     if contents.views:
         yield f"  views      {contents.views} messages, {contents.views_size / 1e6:.2f} MB, for Foxglove and Rerun"
     if contents.others:
-        yield f"  others     {contents.others} messages on topics that are not ours"
+        yield f"  others     {counted(contents.others, 'message')} on topics that are not ours"
     if not contents.episodes:
         yield "  no episode"
 

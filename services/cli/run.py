@@ -16,6 +16,7 @@ from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
 from services.cli.stack import flags, stack_for
+from services.experiments.words import counted
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of, most_ticks
@@ -119,7 +120,7 @@ def run(
 
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found, (low, high) = round(summary["success_rate"] * len(records)), summary["wilson_95"]
-    typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
+    typer.echo(f"found the victim in {found} of {counted(len(records), 'run')} (95 % interval {low:.2f} to {high:.2f})")
     others = Counter(in_words(record.outcome, record.right) for record in records if record.outcome != "found")
     if others:
         typer.echo("; ".join(f"{outcome}: {count}" for outcome, count in others.most_common()))

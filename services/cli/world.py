@@ -16,7 +16,7 @@ from typer import Argument, Option
 from services.cli import options, outputs
 from services.cli.grouping import STYLE, grouped
 from services.experiments.progress import bar_of
-from services.experiments.words import table
+from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, load_world
@@ -160,7 +160,7 @@ def render(
         bar = bar_of(zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture")
         for number, ((metres, _), picture) in enumerate(bar):
             imsave(out / f"view-{number:02d}-{metres:.0f}m.png", picture)
-    typer.echo(f"wrote the map and {views} views in {out}")
+    typer.echo(f"wrote the map and {counted(views, 'view')} in {out}")
 
 
 def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:

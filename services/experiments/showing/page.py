@@ -57,7 +57,7 @@ def _missing(drives: TaughtDrives | None) -> Iterator[str]:
         )
     elif drives.missing:
         items = "".join(f"<li>{escape(line)}</li>" for line in drives.missing)
-        count = f"{len(drives.missing)} of {len(drives.missing) + len(drives.found)} drives"
+        count = f"{len(drives.missing)} of {counted(len(drives.missing) + len(drives.found), 'drive')}"
         yield f'<div class="note" role="note"><b>Missing:</b> {count}.<ul>{items}</ul></div>'
 
 

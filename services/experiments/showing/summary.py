@@ -86,8 +86,9 @@ def _of_map(model: Model) -> dict[str, str]:
     where = f", {height:.2f} m above the ground" if taught.odometry else ""
     return {
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
-        "map": f"{len(taught.keyframes)} keyframes of {len(taught.goals)} drives, {taught.basis.shape[1]} components a "
-        f"view, {taught.views.nbytes / 1e6:.1f} MB, {len(taught.stitched)} joints; a frame each {taught.tick_s:g} s",
+        "map": f"{len(taught.keyframes)} keyframes of {counted(len(taught.goals), 'drive')}, {taught.basis.shape[1]} "
+        f"components a view, {taught.views.nbytes / 1e6:.1f} MB, {counted(len(taught.stitched), 'joint')}; "
+        f"a frame each {taught.tick_s:g} s",
         "further looks": f"{len(taught.looks)}, learned from runs",
         "odometry": "yes, in metres" if taught.odometry else "none: goes by what atoms usually do",
         "camera": f"{across:.0f} degrees wide{where}",
@@ -98,8 +99,8 @@ def _of_map(model: Model) -> dict[str, str]:
 def _of_paper(model: PaperModel) -> dict[str, str]:
     numbers, (shared, forks) = numbers_of(model), shared_and_forks(model)
     return {
-        "states": f"{model.states} of {model.sequence_length} frames, {shared} shared by drives, "
-        f"{forks} forks, {numbers['goals']} goal states",
+        "states": f"{model.states} of {counted(model.sequence_length, 'frame')}, {shared} shared by drives, "
+        f"{counted(forks, 'fork')}, {counted(numbers['goals'], 'goal state')}",
         "actions": f"{len(model.actions)} of {model.actions.shape[1]} atoms",
         "reward": f"in {numbers['reward_states']} of {model.states} states, "
         f"the largest {float(model.reward.max(initial=0.0)):.3g}; discount {model.gamma:g}",
