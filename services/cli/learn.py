@@ -3,7 +3,6 @@
 import time
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +15,7 @@ from services.cli.adding import add_runs, save
 from services.experiments.engine import Engine
 from services.experiments.progress import Bars
 from services.experiments.showing.summary import numbers_of
-from services.experiments.words import remark
+from services.experiments.words import counted, remark
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, features_of_recordings, find_recordings
@@ -89,7 +88,7 @@ def learn(
     save(model, out)
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
     chosen = {"modalities": features.modalities}
-    recorded = f"{teaching.recordings} ({teaching.episodes} episodes used)"
+    recorded = f"{teaching.recordings} ({counted(teaching.episodes, 'episode')} used)"
     rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found
     _say(rows, out, began_s, json_file, used | chosen | found)
 
@@ -137,7 +136,7 @@ def _read(files: list[Path], features: FeatureSettings, shortest: int, include_r
         raise JobError(teaching.remarks[0])
     remark(teaching.remarks)
     if not teaching.demonstrations:
-        raise JobError(f"nothing to learn from in {len(files)} recordings, for the reasons above")
+        raise JobError(f"nothing to learn from in {counted(len(files), 'recording')}, for the reasons above")
     return teaching
 
 
@@ -147,7 +146,7 @@ def _learn(
     drives = teaching.demonstrations
     try:
         if scheme == "filter":
-            mapped = learn_map(drives, settings.features, progress=partial(bars, "views"), parallel=engine.map)
+            mapped = learn_map(drives, settings.features, progress=bars, parallel=engine.map)
             taught = mapped.mapped
             # Where detectors are asked for, which of the things that they find is sought.
             words = {goal: mapped.words[goal].label if goal in mapped.words else "nothing" for goal in {*taught.goals}}

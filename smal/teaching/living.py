@@ -9,7 +9,7 @@ The new map is taken only if runs that it has not learned from are no less proba
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -28,7 +28,7 @@ from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
-from smal.teaching.mapping import Progress, virtual_poses
+from smal.teaching.mapping import virtual_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
 
 
 def lived(
-    model: Model, runs: Sequence[Demonstration], progress: Progress = lambda _done, _total: None
+    model: Model, runs: Sequence[Demonstration], progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> tuple[Model, Verdict]:
     """Learn from every second run (`whole_runs`), compare by the others, and return the model that is better.
 

@@ -4,9 +4,9 @@ Read `learn` from top to bottom.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +51,15 @@ from smal.teaching.demonstration import (
 from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
 
-Progress = Callable[[int, int], None]
+T = TypeVar("T")
+Progress = Callable[[str, int, int], None]
 
 
 def learn(
     demonstrations: Sequence[Demonstration],
     features: FeatureSettings | None = None,
     tick_s: float = 0.1,
-    progress: Progress = lambda _done, _total: None,
+    progress: Progress = lambda _stage, _done, _total: None,
     parallel: Parallel = in_parallel,
 ) -> Model:
     """Make a map of those drives of one robot that reached the goal and have images.
@@ -66,8 +67,9 @@ def learn(
     If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit long, and an atom of
     turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
 
-    `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with
-    keyframes done and their number. What takes long of each image is done by `parallel`, by threads if not given.
+    `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with the
+    stage ("frames", "views" of keyframes), done and total. What takes long of each image is done by `parallel`, by
+    threads if not given.
     ValueError where there is no such drive, or none that goes anywhere, or features do not fit, or need depth.
     """
     features = FeatureSettings() if features is None else features
@@ -80,7 +82,8 @@ def learn(
     if not whole:
         raise ValueError("no drive reached the goal and has images")
     taught = [drive for _, drive in whole]
-    centering = Centering.fit((row[None] for one in taught for row in every(one.features, parallel)), features)
+    rows = (row[None] for one in taught for row in every(one.features, parallel))
+    centering = Centering.fit(_told(progress, "frames", rows, sum(len(one.atoms) for one in taught)), features)
     frames = _frames(taught, centering, tick_s)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
@@ -294,6 +297,13 @@ def _in_components(
     return packed(rows_of(of) @ basis)
 
 
+def _told(progress: Progress, stage: str, made: Iterable[T], total: int, done: int = 0) -> Iterator[T]:
+    """Yield what is made, and tell how much of it is there."""
+    for number, one in enumerate(made, done + 1):
+        progress(stage, number, total)
+        yield one
+
+
 def _make_views(
     frames: TaughtFrames,
     keyframes: NDArray[np.int32],
@@ -305,15 +315,16 @@ def _make_views(
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     each = len(virtual_poses(0.0))
     sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
-    made = dict(zip(sample, parallel(views_of, tasks_of(frames.images, sample)), strict=True))
+    first = parallel(views_of, tasks_of(frames.images, sample))
+    made = dict(zip(sample, _told(progress, "views", first, keyframes.size), strict=True))
     basis = _components(np.concatenate(list(made.values())))
     others = [frame for frame in keyframes.tolist() if frame not in made]
-    further = iter(parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others)))
+    further = parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others))
+    further = _told(progress, "views", further, keyframes.size, len(made))
     views = np.empty((keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
     for key, frame in enumerate(keyframes.tolist()):
         row = _in_components(basis, made.pop, frame) if frame in made else next(further)
         views[key] = row.reshape(views.shape[1:])
-        progress(key + 1, keyframes.size)
     return views, basis
 
 

@@ -44,7 +44,7 @@ def ask(laps: Sequence[tuple[Demonstration, Lap]], advance: Callable[[str, int, 
     """Teach on the first lap, ask on all others, and judge; JobError when nothing can be learned from it."""
     (taught, _), *asked = laps
     found = {}
-    for name, method in _methods(taught, partial(advance, "learning")).items():
+    for name, method in _methods(taught, advance).items():
         answers = []
         for done, (drive, _) in enumerate(asked, 1):
             answers.append(method(drive))
@@ -78,14 +78,14 @@ def _apart(frames: NDArray[Any], others: NDArray[Any] | float, lap: int) -> NDAr
     return np.where(np.isnan(share), 1.0, np.minimum(share, 1.0 - share))
 
 
-def _methods(taught: Demonstration, progress: Callable[[int, int], None]) -> dict[str, _Method]:
+def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) -> dict[str, _Method]:
     """Return the methods by name; those that go by wheels only where the lap has odometry."""
     found: dict[str, _Method] = {f"nearest {count}": partial(_nearest, taught, count) for count in (1, 5)}
     try:
-        blind = learn([replace(taught, odometry=None)], JUDGED, progress=progress)
+        blind = learn([replace(taught, odometry=None)], JUDGED, progress=advance)
         found = {"SMAL without odometry": partial(_smal, blind)} | found
         if taught.odometry is not None:
-            model = learn([taught], JUDGED, progress=progress)
+            model = learn([taught], JUDGED, progress=advance)
             repeat = TeachAndRepeat([taught], math.radians(float(model.mapped.scene[0])), told=True)
             found = {"SMAL": partial(_smal, model)} | found | {"teach and repeat": partial(_repeating, repeat)}
     except ValueError as error:

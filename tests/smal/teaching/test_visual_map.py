@@ -178,7 +178,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     drives = [drive(way=((4.0, 60.0),), rate_hz=40.0), drive((2.5, 4.5, 0.0), ((1.0, 0.0),), rate_hz=40.0)]
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
-    done: list[tuple[int, int]] = []
+    done: list[tuple[str, int, int]] = []
     with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         found = mapping.learn(
             [
@@ -201,7 +201,8 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
         assert {int(key) - start for key in found.keyframes[found.drives[found.keyframes] == number]} <= set(
             reader.reads
         )
-    assert done == [(number + 1, len(found.keyframes)) for number in range(len(found.keyframes))]
+    stages = {"frames": frames, "views": len(found.keyframes)}
+    assert done == [(stage, number, total) for stage, total in stages.items() for number in range(1, total + 1)]
 
 
 @pytest.mark.parametrize("odometry", [True, False])
