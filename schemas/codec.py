@@ -73,12 +73,16 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
 
 
 def describe(error: ValidationError) -> str:
-    """Say in one line what is wrong with the first bad field, and how many others there are."""
-    first, *others = error.errors(include_url=False, include_context=False, include_input=False)
+    """Say in one line what is wrong with the first bad field, what it may be, and how many others there are."""
+    first, *others = error.errors(include_url=False, include_context=False)
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""
     # Which of Python's errors a rule of ours raises means nothing to who reads this.
-    what = first["msg"].removeprefix("Value error, ")
+    what, given = first["msg"].removeprefix("Value error, "), first["input"]
+    subject, should, allowed = what.partition(" should ")
+    if subject in ("Input", "String") and should and isinstance(given, str | int | float):
+        what = f"{(given[:40] if isinstance(given, str) else given)!r} must {allowed.partition(', unable to parse')[0]}"
+    what = what.replace("less than or equal to", "at most").replace("greater than or equal to", "at least")
     return f"{printable(where)}: {printable(what)}{more}"
 
 

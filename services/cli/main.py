@@ -99,6 +99,9 @@ def main() -> None:
 def _told(error: BaseException) -> tuple[str, int]:
     """Return what is told of an error in one line, and the exit status; raise one again that no user can cause."""
     match error:
+        case typer.BadParameter(__cause__=Exception() as why):  # Typer asks pydantic, and repeats what that says.
+            error.message, error.__cause__ = _told(why)[0].removeprefix("message: "), None
+            return _told(error)
         case typer.TyperException():
             return error.format_message(), error.exit_code
         case UsageError():

@@ -322,7 +322,7 @@ def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
 @pytest.mark.parametrize(
     ("flags", "status", "line"),
     [
-        (("--robot", "Bad Robot"), 2, "sample: robot: String should match pattern"),
+        (("--robot", "Bad Robot"), 2, "sample: robot: 'Bad Robot' must match pattern"),
         (("--router", "nonsense"), 1, "router address 'nonsense': expected tcp/<host>:<port>"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_bad_map_is_refused(content: str, complaint: str, tmp_path: Path, monk
     ("change", "complaint"),
     [
         (lambda c: c["victim"].update(x=0, y=40), r"the victim at \(0.0, 40.0\) m stands in an obstacle"),
-        (lambda c: c["victim"].update(x=NAN), "victim.x: Input should be a finite number"),
+        (lambda c: c["victim"].update(x=NAN), "victim.x: nan must be a finite number"),
         (lambda c: c.update(format="smal.terrain/2"), "tag 'smal.terrain/2' found using 'format' does not match"),
         (lambda c: c.update(buildings=[]), "the map has no buildings"),
         (lambda c: c["buildings"][1].update(outline=[[0, 0], [9, 9], [9, 0], [0, 9], [0, 0]]),
