@@ -37,6 +37,8 @@ class Bars:
             self._stage, self._bar = stage, bar_of(**how, initial=done, total=total, smoothing=0)
         self._bar.total = total
         self._bar.update(done - self._bar.n)
+        if done == total:
+            self._bar.refresh()  # What follows may take long, and tqdm draws ten times a second at most.
 
     def close(self) -> None:
         """End the last bar."""
