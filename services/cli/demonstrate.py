@@ -64,7 +64,7 @@ def demonstrate(
 def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
     expert = ExpertService()
     records: list[EpisodeRecord] = []
-    with closing(EpisodeClient("demonstrate", access.settings)) as client:
+    with closing(EpisodeClient("expert", access.settings)) as client:
         client.watch_poses(expert.see)
         client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         client.node.bus.wait_connected(5.0)
