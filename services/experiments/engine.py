@@ -224,7 +224,10 @@ def _undisturbed(start: Callable[[], "LocalCluster"]) -> "LocalCluster":
 
     Ctrl-C in a terminal reaches the workers as well, which are deaf to it from their first moment: they inherit that.
     """
-    ensure_running()  # Whoever starts this helper of Python's hears Ctrl-C again.
+    # Whoever starts this helper of Python's hears Ctrl-C again; it outlives the workers where a terminal is closed.
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    ensure_running()
+    signal.pthread_sigmask(signal.SIG_SETMASK, heard)
     started: Future_[LocalCluster] = Future_()
 
     def work() -> None:

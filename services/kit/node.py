@@ -106,7 +106,6 @@ class Node:
         self._inbox = Inbox(most_bytes=MOST_BYTES // robots)  # What one robot sends is never at the cost of another.
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
-        self.every(KEPT_S, give_back)  # What is kept over an outage is let go of after so long.
         self._apart: list[threading.Thread] = []
         self._closed = threading.Event()
         self._stop = threading.Event()
@@ -121,6 +120,7 @@ class Node:
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http = None
+        self.apart(KEPT_S, give_back)  # What is kept over an outage is let go of then; it is no work to tell of.
         if settings.http is not None:
             self._http = serve_http(settings.http, lambda: ailment(self.status()), self.metrics.registry)
         self.bus.serve(

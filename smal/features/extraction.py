@@ -1,9 +1,10 @@
 """From the images of a frame to a raw feature vector."""
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from smal.features.settings import FeatureSettings
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
+_here = threading.local()  # In each thread of `in_parallel`: the event that nobody waits for its answers any more.
 
 
 class Parallel(Protocol):
@@ -30,15 +32,30 @@ class Parallel(Protocol):
 
 
 def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-    """Yield what a function makes of each item, in order; threads are a few items ahead."""
-    waiting = deque[Future[Answer]]()
+    """Yield what a function makes of each item, in order; threads are a few items ahead, until nobody asks for more."""
+    waiting, over = deque[Future[Answer]](), threading.Event()
+
+    def answer(item: Item) -> Answer:
+        _here.over = over
+        still_wanted()
+        return function(item)
+
     with ThreadPoolExecutor(_WORKERS) as pool:
-        for item in items:
-            waiting.append(pool.submit(function, item))
-            if len(waiting) > 2 * _WORKERS:
+        try:
+            for item in items:
+                waiting.append(pool.submit(answer, item))
+                if len(waiting) > 2 * _WORKERS:
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+        finally:
+            over.set()
+
+
+def still_wanted() -> None:
+    """End what works for seconds in a thread of `in_parallel` when nobody waits for it any more, as after Ctrl-C."""
+    if hasattr(_here, "over") and _here.over.is_set():
+        raise CancelledError
 
 
 def extract(

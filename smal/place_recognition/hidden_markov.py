@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from smal.features.extraction import still_wanted
+
 Array = NDArray[np.float32]
 Seen = NDArray[Any]
 
@@ -110,6 +112,7 @@ def smoothed(chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]) -> Itera
 
     def forward(belief: Array, rows: Array) -> list[Array]:
         """Return the beliefs at some queries, of the one before the first of them is seen."""
+        still_wanted()
         found = [chain.seen(belief, rows[0])]
         for row in rows[1:]:
             found.append(chain.seen(chain.ahead(found[-1]), row))

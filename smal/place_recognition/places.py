@@ -40,8 +40,8 @@ _SILENT, _NEVER = _LEVELS.size, _LEVELS.size + 1
 _Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
 _STANDING: Final = 0.4  # A step shorter than this share of one in moving is one of standing still.
 _STRETCH, _STRETCHES = 500, 4  # It learns from stretches of so many queries, at most as many of them.
-#: So many queries are answered at a time, by them and by a stretch more on either side. Of what was seen a stretch ago
-#: the chain knows less than a hundredth: it may have left the references since (`hidden_markov`).
+#: So many queries are answered at a time, by them and by a stretch more on either side. What was seen a stretch ago
+#: matters only where two long ways among the references look alike, and all that tells them apart lies further away.
 _PART: Final = _STRETCH * _STRETCHES
 _BLOCK: Final = 256  # Queries whose cosines are computed at a time.
 
@@ -134,7 +134,8 @@ def match_places(
 
     References up to `tolerance` frames away are right as well; if it is None, those that look alike. Each query is
     answered by those up to `lag` after it, or by all of its part: `parallel` works on parts of 2,000 queries, each with
-    500 more on either side, so that no more is held at once. For loops the queries are the references, matched with
+    500 more on either side, so that no more is held at once. Two ways that look alike for longer are not told apart by
+    what lies beyond: each is then half as probable. For loops the queries are the references, matched with
     those that are too far back to look alike only because they are near. The score is the probability of being right
     within the tolerance. Features that do not fit each other or are not finite raise ValueError.
     """

@@ -1,12 +1,18 @@
 """Where queries are among references: one way that is driven again, otherwise."""
 
+import itertools
+import threading
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from smal.features.extraction import in_parallel
 from smal.place_recognition import places as module
+from smal.place_recognition.hidden_markov import Chain, smoothed
 from smal.place_recognition.places import match_places
 from tests.smal.place_recognition.traverses import Walk, unit
 
@@ -93,6 +99,25 @@ def test_parts_answer_as_the_whole_does_whoever_works_on_them(monkeypatch: pytes
     assert 0.5 < whole.score.mean() < 0.98  # Not so clear that nothing before and after would count.
     np.testing.assert_array_equal(by_parts.reference, whole.reference)
     np.testing.assert_allclose(by_parts.score, whole.score, atol=1e-4)
+
+
+def test_what_nobody_waits_for_any_more_ends() -> None:
+    begun, looks = threading.Event(), itertools.count()
+
+    def ratios(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        begun.set()
+        next(looks)
+        time.sleep(0.02)
+        return seen
+
+    def work(seen: NDArray[np.float32] | None) -> int:
+        return 0 if seen is None else len(list(smoothed(Chain(1), seen, ratios)))
+
+    answers = in_parallel(work, [None, np.ones((10_000, 1), np.float32)])
+    next(answers)
+    begun.wait()
+    answers.close()  # type: ignore[attr-defined]  # it is a generator
+    assert next(looks) < 100, "looks at each of a hundred blocks, of which it would look at each twice"
 
 
 def test_answers_do_not_know_what_comes_later_than_the_lag() -> None:
