@@ -129,6 +129,19 @@ def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
     assert simulator.ended == ["e"]
 
 
+@pytest.mark.parametrize("things", [(((1e6, 0.0),),), (((0.0, 0.0),) * 101,), ((),) * 101])
+def test_things_that_no_report_could_show_are_an_error(
+    things: tuple[tuple[tuple[float, float], ...], ...], settings: ServiceSettings, run_node: RunNode,
+    client: EpisodeClient,
+) -> None:  # fmt: skip
+    robot = Node("robot", settings)
+    said = ResetReply(episode="e", world="campus", speed_m_s=2.0).model_copy(update={"things": things})
+    robot.serve("reset", ResetRequest, lambda _request: said)
+    run_node(robot)
+    with pytest.raises(JobError, match="robot reset: malformed reply: things"):
+        client.run(REQUEST)
+
+
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])
 @pytest.mark.parametrize("wrong", CHAIN)
 def test_results_of_another_model_are_an_error(
