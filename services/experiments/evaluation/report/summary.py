@@ -59,7 +59,7 @@ class Success:
     was from the nearest thing or person; ``turns_per_m`` how often it began to turn, over metres driven; ``jerk_m_s3``
     the root mean square jerk of all searches; ``time_over_taught`` how long those that found took, over the mean taught
     drive, None where they began elsewhere or none found. Interventions are searches that a person would have had to
-    end, a kilometre driven. ``wrong_share`` is of frames: sure, and elsewhere; ``right_soon`` in how many searches, of
+    end or to correct (all but those that found, and that rightly said "not here"), a kilometre driven. ``wrong_share`` is of frames: sure, and elsewhere; ``right_soon`` in how many searches, of
     how many, it was right `SOON_S` after it was carried away.
     """
 
@@ -79,7 +79,8 @@ class Success:
         self.jerk_m_s3 = float(np.sqrt(np.average(self._of("jerk_m_s3") ** 2, weights=ticks + 1)))
         told = found.any() and not trial.kidnap_tick and trial.start == "start"
         self.time_over_taught = float((ticks / self._of("taught_ticks"))[found].mean()) if told else None
-        self.interventions_per_km = 1e3 * (self.runs - self.found) / driven.sum() if driven.sum() > 1.0 else None
+        failed = sum(one["outcome"] != "found" and one["right"] is not True for one in searches)
+        self.interventions_per_km = 1e3 * failed / driven.sum() if driven.sum() > 1.0 else None
         tells = "wrong_share" in searches[0]
         self.wrong_share = float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None
         times = [one["right_after_s"] for one in searches if "right_after_s" in one]
