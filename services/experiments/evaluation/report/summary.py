@@ -59,8 +59,9 @@ class Success:
     was from the nearest thing or person; ``turns_per_m`` how often it began to turn, over metres driven; ``jerk_m_s3``
     the root mean square jerk of all searches; ``time_over_taught`` how long those that found took, over the mean taught
     drive, None where they began elsewhere or none found. Interventions are searches that a person would have had to
-    end or to correct (all but those that found, and that rightly said "not here"), a kilometre driven. ``wrong_share`` is of frames: sure, and elsewhere; ``right_soon`` in how many searches, of
-    how many, it was right `SOON_S` after it was carried away.
+    end or to correct (all but those that found, or rightly said "not here"), a kilometre driven. ``wrong_share`` is of
+    frames: sure, and elsewhere; ``right_soon`` in how many searches, of how many, it was right `SOON_S` after it was
+    carried away.
     """
 
     def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:

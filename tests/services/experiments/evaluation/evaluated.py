@@ -59,7 +59,7 @@ def search(trial: Trial, seed: int) -> Finding:
     blind = trial.degradation == "occluded" and trial.controller == "teach-and-repeat"
     slow = trial.controller == "paper" and trial.length == 20
     found = {
-        "outcome": "collision" if blind else "timeout" if slow else "found", "ticks": 150 + seed,
+        "outcome": "collision" if blind else "timeout" if slow else "found", "right": None, "ticks": 150 + seed,
         "shortest_m": 80.0, "driven_m": 100.0, "aside_rms_m": 0.5, "aside_max_m": 1.5,
         "clearance_p5_m": 0.3 + 0.1 * (seed % 2), "turns": 20, "jerk_m_s3": 2.0, "taught_ticks": 120.0,
     }  # fmt: skip
