@@ -10,7 +10,6 @@ import typer
 from typer import Option
 
 from services.cli import options, outputs
-from services.cli.interrupts import interrupted_by_signals
 from services.experiments.evaluation.plan import PLANS, TAUGHT, in_world, with_each
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import units
@@ -69,18 +68,17 @@ def evaluate(
     plan = with_each(replace(plan, base=base or plan.base), lambda trial: replace(trial, **changed))
     planned = units(plan)
     results = Results(out, planned)
-    with interrupted_by_signals():
-        if not report_only:
-            with at_work.engine() as engine, closing(Bars("unit")) as bars:
-                try:
-                    results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
-                except KeyboardInterrupt:
-                    bars.close()
-                    remark(["stopping; the same command goes on from here"])
-                    raise
-        from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
+    if not report_only:
+        with at_work.engine() as engine, closing(Bars("unit")) as bars:
+            try:
+                results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
+            except KeyboardInterrupt:
+                bars.close()
+                remark(["stopping; the same command goes on from here"])
+                raise
+    from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
-        page = write_page(plan, results)
+    page = write_page(plan, results)
     typer.echo(f"results: {page}")
 
 

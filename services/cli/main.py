@@ -9,6 +9,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 from services.cli.grouping import STYLE, grouped
+from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError, describe_os_error
 from services.kit.version import program_version
 
@@ -86,7 +87,8 @@ def smal(
 def main() -> None:
     """Run the command line and exit."""
     try:
-        status = app(prog_name="smal", standalone_mode=False)
+        with interrupted_by_signals():
+            status = app(prog_name="smal", standalone_mode=False)
         if status == _EXIT_INTERRUPTED:
             raise KeyboardInterrupt
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - what nobody expects is raised again

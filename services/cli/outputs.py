@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError
 from smal.files.container import replacing
 
@@ -49,7 +48,7 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
     new = not folder.exists()
     make_folder(folder, option)
     try:
-        with interrupted_by_signals(), tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as made:
+        with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as made:
             yield Path(made)
     except BaseException:
         if new:

@@ -13,7 +13,6 @@ from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import JPEG, Topic
 from services.cli import options
-from services.cli.interrupts import interrupted_by_signals
 from services.experiments.progress import bar_of
 from services.kit.errors import UsageError
 from services.kit.node import Node
@@ -49,7 +48,7 @@ def replay(
     tracks = tracks_of(recording)
     # Until this is over no robot of this id starts either: they ask as we do.
     check_alone(reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`")
-    with interrupted_by_signals(), Node(ROBOT, reach.settings) as node:
+    with Node(ROBOT, reach.settings) as node:
         node.spin(timeout_s=0.0)  # From now on it answers as ready.
         if JPEG.name in wanted:
             _await_listeners(node)

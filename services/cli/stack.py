@@ -16,7 +16,6 @@ from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
 from services.cli.child import tied
-from services.cli.interrupts import interrupted_by_signals
 from services.kit.bus import Bus, BusError, RpcError, addresses
 from services.kit.errors import JobError
 from services.kit.settings import ServiceSettings, fleet
@@ -294,10 +293,9 @@ def stack_for(
     logs: Path | None = None,
 ) -> Iterator[Access]:
     """Use a running stack, or start one for as long as the context lasts; only this machine reaches that."""
-    with interrupted_by_signals():
-        if running is not None:
-            yield Access(running, lambda: None, None)
-            return
-        logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
-        with Stack(StackPlan(services, robot, free_endpoint(), service_flags, logs=logs)) as stack:
-            yield Access(stack.settings, stack.check, logs)
+    if running is not None:
+        yield Access(running, lambda: None, None)
+        return
+    logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
+    with Stack(StackPlan(services, robot, free_endpoint(), service_flags, logs=logs)) as stack:
+        yield Access(stack.settings, stack.check, logs)

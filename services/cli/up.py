@@ -11,7 +11,6 @@ from typing import Annotated, Final, Literal
 from typer import Option
 
 from services.cli import certificates, options, outputs
-from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.stack import Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
@@ -126,7 +125,7 @@ def up(
         heard = flags(http=f"127.0.0.1:{ports[name]}") if name in ports else ()
         given[name] = own.get(service, of_robot.get(service, ())) + heard
     plan = replace(plan, flags=given)
-    with interrupted_by_signals(), Stack(plan) as stack:
+    with Stack(plan) as stack:
         where = "without a robot" if robot_body == "none" else f"in {base or world}"
         named = ("robot " if robots == 1 else "robots ") + ", ".join(plan.fleet)
         log.info("ready: %s %s on %s, %s; Ctrl-C stops", named, where, plan.endpoint, who)
