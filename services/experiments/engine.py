@@ -1,5 +1,6 @@
 """The engine of work that one process is too small for: Dask, on this machine or at a scheduler that somebody runs."""
 
+import concurrent.futures
 import hashlib
 import logging
 import os
@@ -9,7 +10,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future as Future_
 from contextlib import suppress
 from functools import cache, partial
 from importlib.metadata import version
@@ -228,7 +228,7 @@ def _undisturbed(start: Callable[[], "LocalCluster"]) -> "LocalCluster":
     heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     ensure_running()
     signal.pthread_sigmask(signal.SIG_SETMASK, heard)
-    started: Future_[LocalCluster] = Future_()
+    started: concurrent.futures.Future[LocalCluster] = concurrent.futures.Future()
 
     def work() -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
