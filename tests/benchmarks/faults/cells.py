@@ -190,11 +190,15 @@ def _accepts(endpoint: str) -> bool:
 def fill_disk(rig: Rig, seconds: float) -> Window:
     """Let the recorder's files grow no more; root is not needed for that."""
     pid = rig.pid("recorder")
-    size = max((path.stat().st_size for path in rig.plan.recordings.glob(f"*{PARTIAL_SUFFIX}")), default=0)
+
+    def size() -> int:
+        return max((path.stat().st_size for path in rig.plan.recordings.glob(f"*{PARTIAL_SUFFIX}")), default=0)
+
+    rig.until(lambda: size() > _ROOM, 5.0)  # The first second of messages: what comes before it is lost by a kill, too.
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     with _timed() as times:
         # Python ignores SIGXFSZ, so a write fails as it does on a full disk, but with EFBIG.
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (size + _ROOM, before[1]))
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (size() + _ROOM, before[1]))
         try:
             rig.hold(seconds)
         finally:

@@ -234,6 +234,8 @@ class Rig:
             self.notes.append(f"the end of {episode} was not seen")
             self._episode = None
         self._call("recorder", "flush", Nothing())
+        if episode is not None:  # After an outage its end may be on the way.
+            self.until((self.plan.recordings / f"{episode}.mcap").exists, 5.0)
         self._look()
 
     def _call(self, service: str, verb: str, request: EndRequest | Nothing) -> None:
