@@ -25,12 +25,11 @@ from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.snapshot import Snapshot
-from schemas.topics import KEPT_S, Topic, key_of
+from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Bus, Refused
 from services.kit.errors import JobError
 from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import MOST_BYTES, Inbox, Item
-from services.kit.memory import give_back
 from services.kit.settings import FleetSettings, ServiceSettings
 from services.kit.throttle import Throttle
 from services.table import role_of
@@ -120,7 +119,6 @@ class Node:
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http = None
-        self.apart(KEPT_S, give_back)  # What is kept over an outage is let go of then; it is no work to tell of.
         if settings.http is not None:
             self._http = serve_http(settings.http, lambda: ailment(self.status()), self.metrics.registry)
         self.bus.serve(

@@ -18,7 +18,7 @@ import zenoh
 from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
-from services.kit.memory import share_heaps
+from services.kit.memory import keep_small
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
 from services.table import roles
 
@@ -241,7 +241,7 @@ def check_credentials(endpoint: str, credentials: Credentials) -> None:
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
     """Open a session; the first one of a process decides, by the environment, how many threads take in what comes."""
-    share_heaps()
+    keep_small()
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
