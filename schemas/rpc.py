@@ -51,7 +51,7 @@ WorldName = Annotated[str, Field(pattern=r"^\w[\w ().-]{0,63}$"), AfterValidator
 MAX_TICKS: Final = 1_000_000  # Most frames of an episode: a day and more.
 
 _Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[_Metres, _Metres]  # Where something is in the world, as a robot's pose is told.
+_Point = tuple[_Metres, _Metres]  # Where something is in the world, as a robot's pose is told.
 
 
 class Nothing(Strict):
@@ -133,12 +133,12 @@ class ResetReply(Strict):
     speed_m_s: Annotated[float, Field(gt=0)]  # The robot's nominal speed.
     car: bool = False  # Whether it cannot turn on the spot.
     #: Way points from the start to the victim, metres, for the scripted expert; none where the way is not known.
-    route: tuple[Point, ...] = ()
+    route: tuple[tuple[float, float], ...] = ()
     found_m: Annotated[float, Field(gt=0)] | None = None  # How near the victim counts as found, if it is seen.
     #: Where the victim lies, metres; none where that is not known, or nowhere.
-    victim: Point | None = None
+    victim: tuple[float, float] | None = None
     #: Outlines of what stands on and beside the way anew, metres, where that is known.
-    things: Annotated[tuple[Annotated[tuple[Point, ...], Field(max_length=100)], ...], Field(max_length=100)] = ()
+    things: Annotated[tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)] = ()
 
 
 class LookReply(Strict):
