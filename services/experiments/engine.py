@@ -78,7 +78,8 @@ class Engine:
                 # What it does nobody waits for, and Dask would: whole tasks, and seconds where a machine is busy.
                 nanny.auto_restart = False
                 if nanny.pid is not None:
-                    os.kill(nanny.pid, signal.SIGKILL)
+                    with suppress(ProcessLookupError):  # It was killed already.
+                        os.kill(nanny.pid, signal.SIGKILL)
             self._client.close()
             if cluster is not None:
                 cluster.close()
