@@ -77,7 +77,7 @@ def info(
 
 def draw_graph(
     *,
-    live: Annotated[bool, Option("--live", help="Who runs alone, with instances and whom they serve.")] = False,
+    live: Annotated[bool, Option("--live", help="Only who runs, with instances and whom they serve.")] = False,
     reach: options.Reach,
 ) -> None:
     """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show who runs.

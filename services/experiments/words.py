@@ -1,12 +1,44 @@
 """Words, and tables of them, that pages and commands share."""
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Protocol
 
 
 def counted(count: int, what: str) -> str:
     """Return "1 drive" or "2 drives"."""
     return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+class _Run(Protocol):
+    """A run, or what is asked for: what of it may be other than it was taught."""
+
+    @property
+    def start(self) -> str: ...
+    @property
+    def kidnap_tick(self) -> int | None: ...
+    @property
+    def victim(self) -> str: ...
+    @property
+    def obstacles(self) -> int: ...
+    @property
+    def people(self) -> int: ...
+    @property
+    def blocked(self) -> bool: ...
+
+
+def condition(run: _Run, more: Mapping[str, object] = MappingProxyType({})) -> str:
+    """Return what is special about a run, in a few words; ``more`` are others, each with whether it holds."""
+    said = dict(more) | {
+        "from anywhere": run.start == "anywhere",
+        "kidnapped": run.kidnap_tick,
+        f"victim {run.victim}": run.victim != "there",
+        counted(run.obstacles, "obstacle"): run.obstacles,
+        f"{run.people} people": run.people,
+        "blocked": run.blocked,
+    }
+    return ", ".join(name for name, holds in said.items() if holds) or "as taught"
 
 
 def listed(names: Sequence[str]) -> str:

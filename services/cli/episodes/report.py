@@ -9,11 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from schemas.episode import in_words
-from schemas.rpc import ResetRequest
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
 from services.experiments.drawing import legend, look_at
-from services.experiments.words import counted
+from services.experiments.words import condition, counted
 from services.robot.clock import TICK_S
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
@@ -49,7 +48,7 @@ def write_report(
         "victim found": f"{sum(record.outcome == 'found' for record in records)} of {len(records)}",
         "95 % interval": f"{low:.0%} to {high:.0%}",
         "scheme": model.scheme,
-        "conditions": _conditions(records[0].request),
+        "conditions": condition(records[0].request),
         "decision, median": latency["p50"],
         "decision, 95 %": latency["p95"],
     }
@@ -64,19 +63,6 @@ def write_report(
     ]
     title = f"SMAL: {world or records[0].world}, {counted(len(records), 'run')}"
     return html.write_page(folder, title, parts, 60)
-
-
-def _conditions(request: ResetRequest) -> str:
-    """Say what was other than it was taught."""
-    said = {
-        f"victim {request.victim}": request.victim != "there",
-        counted(request.obstacles, "obstacle"): request.obstacles,
-        f"{request.people} walking": request.people,
-        "way closed": request.blocked,
-        "begun anywhere": request.start == "anywhere",
-        f"carried away at frame {request.kidnap_tick}": request.kidnap_tick,
-    }
-    return ", ".join(name for name, so in said.items() if so) or "as taught"
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:

@@ -8,6 +8,7 @@ from typing import Final
 
 from schemas.episode import Victim
 from schemas.rpc import Start
+from services.experiments.words import condition
 from services.simulator.opening import BaseKind
 from smal.paper.learning import LearningSettings
 
@@ -102,17 +103,8 @@ class Trial:
     @property
     def condition(self) -> str:
         """What is special about it, in a few words."""
-        said = {
-            self.variation: self.variation != "day",
-            self.degradation: self.degradation != "clean",
-            "from anywhere": self.start == "anywhere",
-            "kidnapped": self.kidnap_tick > 0,
-            f"victim {self.victim}": self.victim != "there",
-            f"{self.obstacles} obstacles": self.obstacles > 0,
-            f"{self.people} people": self.people > 0,
-            "blocked": self.blocked,
-        }
-        return ", ".join(name for name, holds in said.items() if holds) or "as taught"
+        own = {self.variation: self.variation != "day", self.degradation: self.degradation != "clean"}
+        return condition(self, own)
 
 
 @dataclass(frozen=True)
