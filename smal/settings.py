@@ -123,6 +123,9 @@ class Settings:
     look_deg: float = 450.0
     look_speed: float = 0.5  # Share of its speed at which a car does so, in as sharp a bend as it can.
     guess_s: float = 2.0
+    #: Time of driving after which a robot stands if no view has spoken for its place: so it stands within a second of
+    #: driving after its camera has failed, with what its decision and its brakes take.
+    blind_s: float = 0.5
     #: What going over to another drive must save: how two drives stand to each other is less certain than either.
     go_over_s: float = 2.0
     #: Probability with which it says that it has arrived, and the time of driving within which it is then of the goal:
@@ -172,7 +175,7 @@ class Settings:
     tilt_deg: float = 5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
     least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
     gap_rows: int = 5  # Rows of a column that may show no ground before it ends: specks without texture.
-    least_valid: float = 0.1  # Share of the lower half of a picture that must have depth for it to say anything.
+    least_shown: float = 0.5  # Share of columns that must show the ground, or a thing before it.
     #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
     #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
     hit: int = 2
@@ -190,7 +193,6 @@ class Settings:
     deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
-    unseen: float = 2.5  # Nearer, what is unknown ahead does not count: a camera does not see beside its own robot.
     margin: float = 0.25  # What stays between the robot and what it stops before.
     slowest: float = 0.05  # Slower than this share of its speed a robot stands.
     may_go_aside: float = 6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.

@@ -1,7 +1,7 @@
 """What keeps a robot from running into things, whoever drives it: how fast its depth camera lets it go.
 
 It goes as fast as it can still stand before the first thing on its way, or before what is not known to be free. A depth
-camera that is silent, shows nothing, or was too old, makes nothing free. Turning on the spot touches nothing new.
+camera that is silent, shows no ground, or is too late, makes nothing free. Turning on the spot touches nothing new.
 """
 
 import math
@@ -16,6 +16,7 @@ from schemas.base import Velocity
 from services.robot.body import Body, Kinematics, View
 from services.robot.clock import TICK_S
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
+from smal.obstacles.moment import Moment
 
 MAX_LOOK_S: Final = 0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
 _STEPS: Final = 20  # Shares of the speed are told in so many steps: of each that changes somebody is told.
@@ -26,41 +27,69 @@ def guard_of(body: Body[View]) -> "Guard | None":
     return None if body.mount is None else Guard(body.mount, body.kinematics, body.braking_s)
 
 
+class _Known:
+    """What one look has shown: it stays as it is, and keeps how far every velocity may go."""
+
+    def __init__(self, around: Surroundings | None, taken_s: float) -> None:
+        self._around = around
+        self.taken_s = taken_s  # When the depth image was taken.
+        self._free_m = dict[Velocity, float]()
+        self.granted = 0.0  # Largest share of the speed that was granted since.
+
+    def free_m(self, velocity: Velocity, kinematics: Kinematics) -> float:
+        """Return how far the way along the arc of a velocity was free when the image was taken."""
+        if self._around is None:
+            return 0.0
+        if velocity not in self._free_m:
+            linear, angular = velocity
+            bend = angular * kinematics.turn_rate_rad_s / (linear * kinematics.speed_m_s)
+            self._free_m[velocity] = self._around.free_m(linear > 0.0, bend)
+        return self._free_m[velocity]
+
+
 class Guard:
-    """Bounds the speed of a round robot; ``look`` is called by one thread, ``share`` by any."""
+    """Bounds the speed of a round robot; ``look`` is called by one thread, ``share`` by any, and never waits for it."""
 
     def __init__(self, mount: Mount, kinematics: Kinematics, braking_s: float) -> None:
         self._mount, self._kinematics, self._braking_s = mount, kinematics, braking_s
-        self._around = Surroundings(mount.radius_m)
-        self._lock = threading.Lock()  # Held to look and to grant: no share is granted between two looks unnoticed.
-        self._seen_s = -math.inf  # When it last saw something,
-        self._free_m = dict[Velocity, float]()  # and how far it was free then along what was asked for since.
-        #: The largest share that was granted since the last look, and since the one before.
-        self._granted = self._granted_before = 0.0
+        self._around = Surroundings(mount.radius_m)  # Of the thread that looks.
+        self._moment = Moment(mount)
+        self._lock = threading.Lock()  # Held for the few lines that grant a share, or put a look in place of another.
+        self._known = self._before = _Known(None, -math.inf)  # By the last look, and by the one before.
 
     def look(self, depth_m: NDArray[np.float32] | None, pose: Sequence[float], captured_s: float) -> None:
-        """Take what the depth camera measured, and where the wheels say that the robot was."""
+        """Take a depth image, and the pose by the wheels at its stamp.
+
+        An image may be older than its stamp: it counts as of the moment and the pose at which it was taken.
+        """
+        if depth_m is None:
+            return
+        taken_s, there = self._moment.of(depth_m, pose, captured_s)
+        if captured_s - taken_s > MAX_LOOK_S or not self._around.look(there, depth_m, self._mount):
+            return
+        known = _Known(self._around.snapshot(), taken_s)
         with self._lock:
-            if self._around.look(pose, depth_m, self._mount):
-                self._granted_before, self._granted, self._seen_s = self._granted, 0.0, captured_s
-                self._free_m.clear()
+            self._before, self._known = self._known, known
+
+    def sees(self, now_s: float) -> bool:
+        """Return whether the depth camera has shown the ground lately."""
+        return now_s - self._known.taken_s <= MAX_LOOK_S
 
     def share(self, velocity: Velocity, now_s: float) -> float:
         """Return the largest share of its speed, 0 to 1, at which it may go on along the arc of a velocity."""
-        linear, angular = velocity
-        if linear == 0.0:
+        if velocity.linear == 0.0:
             return 1.0
-        speed_m_s = self._kinematics.speed_m_s
+        known, speed_m_s = self._known, self._kinematics.speed_m_s
+        free_m = known.free_m(velocity, self._kinematics)
         with self._lock:
-            age_s = now_s - self._seen_s
+            age_s = now_s - known.taken_s
             if age_s > MAX_LOOK_S:
                 return 0.0
-            if velocity not in self._free_m:
-                bend = angular * self._kinematics.turn_rate_rad_s / (linear * speed_m_s)
-                self._free_m[velocity] = self._around.free_m(linear > 0.0, bend)
             # What it may have gone since.
-            free_m = self._free_m[velocity] - age_s * speed_m_s * max(self._granted, self._granted_before)
+            free_m -= age_s * speed_m_s * max(known.granted, self._before.granted)
             # It goes on so for a tick before it can be told otherwise.
             share = math.floor(most_speed(free_m, speed_m_s, self._braking_s, TICK_S) * _STEPS) / _STEPS
-            self._granted = max(self._granted, share)
+            # A look that came meanwhile was taken before this share was granted.
+            for one in (known, self._known):
+                one.granted = max(one.granted, share)
             return share

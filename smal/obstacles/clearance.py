@@ -7,10 +7,11 @@ What stands where it was free has come there: it moves, until it has stood for a
 Nothing is free because nothing was seen: a look without depth leaves everything as it was, and unknown is not free.
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +42,21 @@ class Scan(NamedTuple):
     falls: float  # How much the lowest rays fall a metre: what is nearer may lie below them.
 
 
+def above_ground(up_m: Floats, ahead_m: Floats) -> NDArray[np.bool_]:
+    """Return which points are no ground, by their height over its plane and their distance along the axis, metres."""
+    return up_m > SETTINGS.ground_m + SETTINGS.ground_slope * ahead_m
+
+
 def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
-    """Return what a depth image (h, w) says, 0 where it has none; None where that is too little to say anything."""
+    """Return what a depth image (h, w) shows, metres, 0 where it has none; None where it shows no ground.
+
+    In every column the mount says which distance the ground has in the lowest rows. A column shows that ground, or a
+    thing before it. If most columns show neither, the camera does not see, does not sit as the mount says, or looks
+    over an edge.
+    """
     every = max(1, math.ceil(depth_m.shape[1] / SETTINGS.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
     valid = np.isfinite(ahead) & (ahead > 0.0)
-    if valid[len(valid) // 2 :].mean() < SETTINGS.least_valid:
-        return None
     below, across = (
         (np.arange(count) * every + every // 2 + 0.5 - size / 2) / (mount.focal * depth_m.shape[1])
         for count, size in zip(ahead.shape, depth_m.shape, strict=True)
@@ -56,15 +65,22 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     left, up = -ahead * across, mount.height_m - ahead * below[:, None]
     pitch, roll = _tilt(ahead, -across, up, valid)
     up -= pitch * ahead + roll * left
-    high = SETTINGS.ground_m + SETTINGS.ground_slope * ahead
-    ground = valid & (np.abs(up) <= high)
+    ground = valid & ~above_ground(np.abs(up), ahead)
     # What hangs a little higher than the robot may hang lower beside what is seen of it.
-    thing = valid & (up > high) & (up < mount.top_m + mount.radius_m)
+    thing = valid & above_ground(up, ahead) & (up < mount.top_m + mount.radius_m)
     hit_m = np.partition(np.where(thing, ahead, np.inf), SETTINGS.least_pixels - 1, axis=0)[SETTINGS.least_pixels - 1]
     top_m = np.where(thing & (ahead < hit_m + 2.0 * mount.radius_m), up, 0.0).max(axis=0)
     # From below on as long as the ground goes on: what shows nothing may stand there.
     goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= SETTINGS.gap_rows
     free_m = np.minimum(np.where(ground & goes_on, ahead, 0.0).max(axis=0), hit_m)
+    # What stands nearer than the ground in the lowest rows hides all of it: up to there the rays met nothing. It has a
+    # face, which does not recede from row to row as ground does, at whatever height that lies.
+    upper, recedes = -1 - SETTINGS.gap_rows, below[-1] / below[-1 - SETTINGS.gap_rows]
+    hides = hit_m * (float(below[upper]) + pitch) <= mount.height_m
+    hides &= valid[-1] & valid[upper] & (ahead[upper] < ahead[-1] * (1.0 + recedes) / 2.0)
+    free_m = np.where(hides, hit_m, free_m)
+    if np.mean(free_m > 0.0) < SETTINGS.least_shown:
+        return None
     return Scan(-across, free_m, hit_m, top_m, float(below[-1]) + pitch)
 
 
@@ -106,8 +122,15 @@ class Surroundings:
         self._freed = np.zeros(self._x_m.shape, dtype=np.bool_)  # Whether it was seen, twice, to be free.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
+        self._mount: Mount | None = None  # Of the last look.
         self.heading = 0.0
         self.seen: Scan | None = None  # What the last look says.
+
+    def snapshot(self) -> Self:
+        """Return a copy that stays as it is, for another thread."""
+        made = copy.copy(self)
+        made.__dict__ |= {name: one.copy() for name, one in self.__dict__.items() if isinstance(one, np.ndarray)}
+        return made
 
     def move(self, pose: Sequence[float]) -> None:
         """Go to where the wheels say that the robot is: x, y and heading in radians."""
@@ -130,6 +153,7 @@ class Surroundings:
         self.seen = seen = None if depth_m is None else scan(depth_m, mount)
         if seen is None:
             return False
+        self._mount = mount
         ahead, left = self.seen_from(mount.ahead_m)
         across = left / np.maximum(ahead, self.cell_m)
         column = np.rint((seen.across[0] - across) / (seen.across[0] - seen.across[1]))
@@ -170,8 +194,17 @@ class Surroundings:
         """
         leaves = self._freed & (self._lasts >= 0.0) & (self._lasts < SETTINGS.lasts * SETTINGS.stays)
         self._lasts += np.where(seen, SETTINGS.lasts, np.where(leaves, -1.0, 0.0))
-        far = np.hypot(*self.seen_from(0.0)) > SETTINGS.unseen * self.radius_m
-        self._evidence[(self._lasts < 0.0) & far & self._walks] = 0
+        self._evidence[(self._lasts < 0.0) & ~self._beside_view & self._walks] = 0
+
+    @property
+    def _beside_view(self) -> NDArray[np.bool_]:
+        """Cells that the camera cannot see beside its own robot: nearer than where its view is as wide as the robot."""
+        if self._mount is None:
+            return np.zeros(self._evidence.shape, dtype=np.bool_)
+        ahead, left = self.seen_from(self._mount.ahead_m)
+        near = np.hypot(*self.seen_from(0.0)) < self._mount.ahead_m + 2.0 * self._mount.focal * self.radius_m
+        # Half a cell may lie outside.
+        return near & (2.0 * self._mount.focal * (np.abs(left) + self.cell_m / 2.0) > ahead)
 
     @property
     def _walks(self) -> NDArray[np.bool_]:
@@ -301,7 +334,7 @@ class Surroundings:
             half = 2.0 * circle_m * np.arcsin(np.minimum(half / (2.0 * circle_m), 1.0))
         touches = self.occupied & (np.abs(aside) < wide_m - 1e-6) & (along > 0.0)
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m)
-        unseen &= along > (SETTINGS.unseen if ahead else 1.0) * self.radius_m
+        unseen &= (along > 0.0) & ~self._beside_view if ahead else along > self.radius_m
         touches_m, unseen_m = (along - half)[touches], along[unseen] - self.radius_m
         free_m = np.concatenate([touches_m, unseen_m, moves_m]).min(initial=self.reach_m)
         return max(0.0, float(free_m) - SETTINGS.margin * self.radius_m)

@@ -1,13 +1,15 @@
 """The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
 
 import math
+import threading
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from schemas.base import KEYS, STANDING, Atom, Velocity
 from services.robot.body import Kinematics
-from services.robot.gate import INSISTED, CommandGate
+from services.robot.gate import INSISTED, Applied, CommandGate
 from services.robot.guard import MAX_LOOK_S, Guard
 from smal.movement import Atom as Key
 from tests.services.robot.gating import command
@@ -16,15 +18,23 @@ from tests.smal.depth_world import MOUNT, SPEED_M_S, Box, depth, moved, touches
 WALL: Box = (8.0, -6.0, 8.4, 6.0, 2.0)
 
 
+Pose = tuple[float, float, float]
+
+
 def guard(braking_s: float = 0.22) -> Guard:
     return Guard(MOUNT, Kinematics(SPEED_M_S, math.pi / 4), braking_s)
+
+
+def noisy(boxes: list[Box], pose: Pose, rng: np.random.Generator) -> np.ndarray:
+    """Measure with the noise of a camera: no two images are the same."""
+    return (depth(boxes, pose) * rng.normal(1.0, 0.005, (60, 80))).astype(np.float32)
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.3, -0.5])
 @pytest.mark.parametrize("high", [0.3, 2.0])
 def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, high: float) -> None:
     wall: Box = (*WALL[:4], high)
-    gate, pose = CommandGate(first_stop=1), (0.0, 0.0, bearing)
+    rng, gate, pose = np.random.default_rng(0), CommandGate(first_stop=1), (0.0, 0.0, bearing)
     gate.guard = guard(braking_s=0.0)
     assert gate.arm(1, "") is None
     gate.begin("e", "teleop")
@@ -32,7 +42,7 @@ def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, hig
     for tick in range(120):
         now_s = tick / 10
         gate.captured(tick, now_s)
-        gate.guard.look(depth([wall], pose), pose, now_s)
+        gate.guard.look(noisy([wall], pose, rng), pose, now_s)
         assert gate.offer(command(tick, source="teleop"), now_s) is None
         applied = gate.applied(now_s)
         reasons.add(applied.reason)
@@ -56,6 +66,75 @@ def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.n
     assert made.share(KEYS["forward"], 1.01 + MAX_LOOK_S) == 0.0
     turns: tuple[Atom, ...] = ("left", "right", "stop")
     assert {made.share(KEYS[atom], 9.0) for atom in turns} == {1.0}
+
+
+#: Each makes what is delivered of the honest images so far.
+LIES: dict[str, Callable[[list[np.ndarray]], np.ndarray]] = {
+    "saturated": lambda honest: np.full_like(honest[-1], 65.0),
+    "far plane": lambda honest: np.full_like(honest[-1], 10.0),
+    "far plane beyond 2.5 m": lambda honest: np.where(honest[-1] < 2.5, honest[-1], np.float32(10.0)),
+    "frozen": lambda honest: honest[0],
+    "0.5 s late": lambda honest: honest[max(len(honest) - 6, 0)],
+    "ten times": lambda honest: 10.0 * honest[-1],
+    "half NaN": lambda honest: np.where(np.indices(honest[-1].shape).sum(axis=0) % 2, np.float32(np.nan), honest[-1]),
+    "upside down": lambda honest: honest[-1][::-1],
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize("since", [0, 8])
+def test_guard_stands_before_a_wall_when_depth_lies(lie: str, since: int) -> None:
+    """A base with mass drives by what the guard grants, a share every 20 ms; a wall stands 8 m ahead, a post beside."""
+    boxes: list[Box] = [WALL, (5.0, -3.0, 5.3, -2.7, 1.5)]
+    rng, made, pose, speed_m_s, honest = np.random.default_rng(1), guard(), (0.0, 0.0, 0.0), 0.0, list[np.ndarray]()
+    for tick in range(100):
+        measured = noisy(boxes, pose, rng)
+        honest = [*honest, measured] if tick >= since else [measured]
+        made.look(LIES[lie](honest) if tick >= since else measured, pose, tick / 10)
+        for step in range(5):
+            asked_m_s = made.share(KEYS["forward"], tick / 10 + 0.02 * step) * SPEED_M_S
+            speed_m_s += max(-9.0 * 0.02, min(asked_m_s - speed_m_s, 4.0 * 0.02))
+            pose = (pose[0] + speed_m_s * 0.02, 0.0, 0.0)
+        assert not touches(boxes, pose)
+    assert speed_m_s == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("height", [0.6, 1.5])
+def test_guard_sees_nothing_when_its_mount_is_at_another_height(height: float) -> None:
+    """Ground that seems higher than it is would be a wall, and ground that seems lower an abyss: neither is free."""
+    made = Guard(MOUNT._replace(height_m=height), Kinematics(SPEED_M_S, math.pi / 4), 0.22)
+    made.look(depth([], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
+    assert made.share(KEYS["forward"], 0.0) == 0.0
+
+
+def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
+    """A stop must not wait for the guard, which may be looking, or computing how far the way is free."""
+    gate, busy, release = CommandGate(first_stop=1), threading.Event(), threading.Event()
+
+    class Slow(Guard):
+        def share(self, velocity: Velocity, now_s: float) -> float:
+            busy.set()
+            assert release.wait(30.0)
+            return super().share(velocity, now_s)
+
+    gate.guard = Slow(MOUNT, Kinematics(SPEED_M_S, math.pi / 4), 0.22)
+    gate.guard.look(depth([], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
+    assert gate.arm(1, "") is None
+    gate.begin("e", "teleop")
+    gate.captured(0, 0.0)
+    assert gate.offer(command(0, source="teleop"), 0.0) is None
+    found: list[Applied] = []
+    asks = threading.Thread(target=lambda: found.append(gate.applied(0.0)))
+    asks.start()
+    assert busy.wait(30.0)
+    stops = threading.Thread(target=gate.stop)
+    stops.start()
+    stops.join(30.0)
+    stopped = not stops.is_alive()
+    release.set()
+    asks.join(30.0)
+    assert stopped
+    assert found[0].velocity == STANDING
 
 
 def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
@@ -101,4 +180,4 @@ def test_who_drives_in_a_bend_stands_before_what_stands_in_it(side: float, angul
     assert step_m == 0.0
     assert driven_m > 1.0
     made.look(depth([box], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 7.0)
-    assert made.share(Velocity(1.0, -side * angular), 7.0) == 1.0  # away from it
+    assert made.share(Velocity(1.0, -side * angular), 7.0) >= 0.9  # away from it

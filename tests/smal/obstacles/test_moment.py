@@ -1,0 +1,76 @@
+"""A depth image is as old as what it shows, whatever its stamp says."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from smal.obstacles.moment import LONGEST_S, Moment
+from tests.smal.depth_world import MOUNT, Box, depth
+
+Pose = tuple[float, float, float]
+TICK_S = 0.1
+#: A yard with things near and far, none of them in the way.
+YARD: list[Box] = [
+    (9.0, -6.0, 9.4, 6.0, 2.0), (4.0, 1.5, 4.6, 2.5, 1.2), (6.0, -3.0, 7.0, -1.8, 2.5), (3.0, -3.5, 3.4, -2.0, 0.8),
+]  # fmt: skip
+
+
+def straight(tick: int) -> Pose:
+    """Stand for half a second, then speed up to 2 m/s."""
+    moving_s = max(tick - 5, 0) * TICK_S
+    return (2.0 * moving_s**2 if moving_s < 0.5 else 0.5 + 2.0 * (moving_s - 0.5)), 0.0, 0.0
+
+
+def turning(tick: int) -> Pose:
+    return 0.0, 0.0, math.radians(45.0) * max(tick - 5, 0) * TICK_S
+
+
+def delays(way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, seed: int = 0) -> list[float]:
+    """Deliver, tick after tick, the image of another tick; return how old each is said to be."""
+    rng, made, images, found = np.random.default_rng(seed), Moment(MOUNT), {}, []
+    for tick in range(ticks):
+        if shown(tick) not in images:
+            noise = rng.normal(1.0, 0.01, (60, 80))
+            images[shown(tick)] = (depth(YARD, way(shown(tick))) * noise).astype(np.float32)
+        at_s, pose = made.of(images[shown(tick)], way(tick), tick * TICK_S)
+        found.append(tick * TICK_S - at_s)
+        assert pose == pytest.approx(way(round(at_s / TICK_S)))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("way", [straight, turning])
+def test_delay_is_zero_when_images_are_on_time(way: Callable[[int], Pose], seed: int) -> None:
+    assert max(delays(way, lambda tick: tick, 35, seed)) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("way", [straight, turning])
+@pytest.mark.parametrize("frozen_at", [0, 15])
+def test_delay_grows_when_the_camera_is_frozen(way: Callable[[int], Pose], frozen_at: int) -> None:
+    found = delays(way, lambda tick: min(tick, frozen_at), 35)
+    moves_at = max(frozen_at, 6)  # A robot that stands sees the same.
+    assert found[moves_at + 4] > 0.25
+    assert found[-1] > 0.8 * LONGEST_S
+
+
+@pytest.mark.parametrize("way", [straight, turning])
+def test_delay_is_found_when_images_are_late(way: Callable[[int], Pose]) -> None:
+    found = delays(way, lambda tick: max(tick - 5, 0), 35)
+    # It moves 0.6 s before; of a late image it is known from then on.
+    assert min(found[12:]) == pytest.approx(0.5, abs=0.11)
+
+
+def test_delay_stays_when_a_late_robot_stands_again() -> None:
+    def stops(tick: int) -> Pose:
+        return straight(min(tick, 20))
+
+    found = delays(stops, lambda tick: max(tick - 5, 0), 60)
+    assert found[-1] > 0.25
+
+
+def test_delay_ends_when_the_camera_sees_again() -> None:
+    found = delays(straight, lambda tick: 12 if 12 <= tick < 18 else tick, 30)
+    assert max(found[14:18]) > 0.25
+    assert max(found[20:]) == pytest.approx(0.0, abs=1e-9)
