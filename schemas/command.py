@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 from schemas.base import ATOMS, KEYS, MAX_TICK, Atom, Message, SessionId, Source, Velocity
 
 #: Why the robot stands until it is armed: it was started and is not armed yet; an emergency stop; the operator fell
-#: silent; or what drives its wheels failed.
-StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "fault"]
+#: silent; the odometry contradicts the commands; or what drives its wheels failed.
+StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "wheels", "fault"]
 
 
 Share = Annotated[float, Field(ge=-1, le=1)]
@@ -86,11 +86,11 @@ class CommandApplied(_Moving):
     """The nearest of the five keys, for people and for the paper's scheme."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
-    """Why: a fresh command; one that is carried out slower, or not, since something is in the way or nothing tells that
-    it is free; one that is carried out there all the same, slowly, since a person insists; one that turns more sharply
-    than the robot can, and is carried out as sharply as it can; no fresh command from the driver, none from the person
-    who has taken over, or a latched stop."""
+    reason: Literal["command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
+    """Why: a fresh command; a command that is carried out slower, or not, because something is in the way or the ground
+    is not known to be free, or because the depth camera shows no ground, or shows it too late (`no_depth`); a command
+    that is carried out there slowly, because a person insists; a command that turns more sharply than the robot can; no
+    fresh command from the driver, or from the person who has taken over; or a latched stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release has to name; 0 where none is."""
     stop_cause: StopCause | None = None

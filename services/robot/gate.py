@@ -18,6 +18,7 @@ from schemas.command import Command, StopCause
 from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
 from services.robot.guard import Guard
+from services.robot.wheels import Wheels
 
 #: Silence at which a command is no longer obeyed, seconds since it came. The robot must stand 0.5 s after the last
 #: command; the rest is for braking, see `services.robot.loop`.
@@ -42,9 +43,9 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
-#: Whoever arms the robot has to know the last of these that has stopped it.
-_WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
+Reason = Literal["command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
+#: The last of several causes is reported: the operator has to know it to arm the robot.
+_WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "wheels", "fault", "emergency_stop")
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class CommandGate:
         self.max_age_s = max_age_s
         #: What bounds the speed of whoever drives, where the robot sees what it may run into; and how it can move.
         self.guard: Guard | None = None
+        self.wheels: Wheels | None = None  # Compares what is carried out with the odometry.
         self.kinematics = Kinematics(1.0, 1.0)
         self.attended = attended
         self._lock = Lock()
@@ -307,18 +309,36 @@ class CommandGate:
             return latest is not None and latest.command.tick == tick
 
     def applied(self, now_s: float) -> Applied:
-        """Return what the actuator has to do now: the fresh command of whoever drives, or stand."""
+        """Return what the actuator has to do now: the fresh command of whoever drives, or stand.
+
+        The guard is asked without the lock: no stop waits for it, and a stop that came meanwhile counts.
+        """
+        latest = self._obeyed(now_s)
+        if isinstance(latest, Applied):
+            return latest
+        command = latest.command
+        insists = command.insists and command.source == "teleop"
+        may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
+        still = self._obeyed(now_s)
+        if isinstance(still, Applied):
+            return still
+        return Applied(may, command.source, reason, command.tick, now_s - latest.captured_s)
+
+    def _obeyed(self, now_s: float) -> _Accepted | Applied:
+        """Return the command that is obeyed now, or why the robot stands."""
         with self._lock:
             if self.emergency_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
                 return Applied(STANDING, cause, "emergency_stop")
-            source: Source = "teleop" if self._taken_over else self._driver
-            latest = self._latest.get(source)
-            if latest is not None and now_s <= latest.until_s:
-                insists = latest.command.insists and source == "teleop"
-                may, reason = bounded(latest.command.velocity, self.kinematics, self.guard, now_s, insists=insists)
-                return Applied(may, source, reason, latest.command.tick, now_s - latest.captured_s)
-            return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")
+            latest = self._latest.get("teleop" if self._taken_over else self._driver)
+            if latest is None or now_s > latest.until_s:
+                return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")
+            return latest
+
+    def carries_out(self, velocity: Velocity, now_s: float) -> None:
+        """Take what the actuator carries out from now on."""
+        if self.wheels is not None:
+            self.wheels.told(velocity, now_s)
 
 
 def bounded(
@@ -327,8 +347,10 @@ def bounded(
     """Return how a robot moves that is asked to, and why: no more sharply than it can, nor fast into anything."""
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
-    if share < abs(may.linear):
-        reason: Reason = "insisted" if insists and share < INSISTED else "obstacle"
+    if guard is not None and share < abs(may.linear):
+        reason: Reason = "obstacle" if guard.sees(now_s) else "no_depth"
+        if insists and share < INSISTED:
+            reason = "insisted"
         # Slower along the same arc; where it may not go on at all it may turn on the spot, but not as a car.
         slower = min(INSISTED if reason == "insisted" else share, abs(may.linear)) / abs(may.linear)
         return kinematics.bounded(Velocity(slower * may.linear, (slower or 1.0) * may.angular)), reason

@@ -93,6 +93,7 @@ class ActuatorLoop:
             self._body.stand()
         else:
             self._body.drive(applied.velocity)
+        self._gate.carries_out(applied.velocity, now)
         if applied.answered_tick not in (None, self._answered):
             self._answered, self.delay_s = applied.answered_tick, applied.age_s
         what = (applied.velocity, applied.source, applied.reason)

@@ -1,5 +1,6 @@
 """Episode after episode of one robot: requests, commands and readings of the clock in, messages out."""
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from services.kit.cameras import camera_info
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
 from services.kit.node import ServiceError
 from services.robot import radio
-from services.robot.body import Body, View
+from services.robot.body import Body, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Ended, Episode
@@ -26,6 +27,7 @@ from services.robot.loop import check_stopping
 from services.robot.messages import imu_message, odometry_message
 from services.robot.pace import Pace, Paces, RealTime, Running
 from services.robot.task import Task
+from services.robot.wheels import Wheels
 
 #: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
 CLIENT_S: Final = 2.0
@@ -34,6 +36,7 @@ READY_KEPT: Final = 10  # Frames whose readiness is remembered; an older one's c
 _ENDING_EVENTS: Final[dict[Outcome, EventName]] = {
     "collision": "collision", "timeout": "timed_out", "missed": "timed_out"
 }  # fmt: skip
+_log = logging.getLogger("robot")
 V = TypeVar("V", bound=View)
 
 
@@ -100,6 +103,7 @@ class EpisodeRunner(Generic[V]):
                 "not_armed": "the robot is not armed; arm it",
                 "emergency_stop": "an emergency stop is latched; release it",
                 "operator_lost": "the operator was lost; arm the robot",
+                "wheels": "the odometry contradicts the commands; look at the wheels, then arm the robot",
                 "fault": "the robot's body has failed; look at it, then arm it",
             }[self.gate.stop_cause or "not_armed"]
             raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
@@ -133,6 +137,7 @@ class EpisodeRunner(Generic[V]):
         # In another world it may be another robot.
         check_stopping(self.body)
         self.gate.guard, self.gate.kinematics = guard_of(self.body), self.body.kinematics
+        self.gate.wheels = Wheels(self.body.kinematics)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
@@ -243,8 +248,10 @@ class EpisodeRunner(Generic[V]):
         view, tick = run.episode.view, run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        if self.gate.guard is not None and view.odometry is not None:
-            self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
+        if view.odometry is not None:
+            self._compare(view.odometry, captured_s)
+            if self.gate.guard is not None:
+                self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         answers = run.request.driver == "policy" and not self.gate.taken_over
@@ -263,6 +270,14 @@ class EpisodeRunner(Generic[V]):
         if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")
+
+    def _compare(self, odometry: OdometryReading, captured_s: float) -> None:
+        """Stop the robot if its odometry contradicts what its wheels were told."""
+        wheels = self.gate.wheels
+        contradiction = None if wheels is None else wheels.read(odometry[:3], captured_s)
+        if contradiction is not None:
+            self.gate.stop("wheels")
+            _log.error("%s: the robot stands until it is armed again", contradiction)
 
     def _pictures(self, view: V, header: Message) -> Iterator[Message]:
         """Make what the driver needs to answer a frame; last comes the colour image, for which the driver waits."""

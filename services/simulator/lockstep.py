@@ -3,14 +3,16 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from schemas.base import KEYS, Atom, Message, Velocity
+from schemas.base import KEYS, STANDING, Atom, Message, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
+from services.robot.body import Kinematics
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
 from services.robot.pace import Running, Teller
+from services.robot.wheels import Wheels
 from services.simulator.body import SimulatedBody
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
@@ -26,15 +28,26 @@ class LockstepEpisode(Episode[SimulatedView]):
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
-        self._wheels, self._guard = body, guard_of(body)
+        self._simulated, self._guard, self._wheels = body, guard_of(body), Wheels(body.kinematics)
+        self.contradiction: str | None = (
+            None  # Why the robot stands until the end, if its senses contradict each other.
+        )
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """How the robot can move."""
+        return self._simulated.kinematics
 
     def step(self, asked: Atom | Velocity) -> SimulatedView:
         """Carry out a key or a velocity, or what the gate would let through, until the next frame, and return that."""
-        now_s = self.tick * TICK_S
+        now_s, wheels = self.tick * TICK_S, self.view.odometry[:3]
+        self.contradiction = self.contradiction or self._wheels.read(wheels, now_s)
         if self._guard is not None:
-            self._guard.look(self.view.depth, self.view.odometry[:3], now_s)
+            self._guard.look(self.view.depth, wheels, now_s)
         wanted = KEYS[asked] if isinstance(asked, str) else asked
-        self._wheels.advance(bounded(wanted, self._wheels.kinematics, self._guard, now_s)[0], TICK_S)
+        may, _ = bounded(STANDING if self.contradiction else wanted, self.kinematics, self._guard, now_s)
+        self._wheels.told(may, now_s)
+        self._simulated.advance(may, TICK_S)
         return self.next_frame()
 
 
@@ -78,6 +91,7 @@ class Lockstep:
             yield runner.tell(run, applied)
             if runner.gate.stop_cause is not None:
                 return  # it came while that was being said
+            runner.gate.carries_out(applied.velocity, self.gate_s(run.tick))
             self._body.advance(applied.velocity, TICK_S)
             yield from runner.next_frame(run)
             self._sent_s = self._clock()

@@ -38,6 +38,7 @@ _CAUSES: Final[dict[StopCause | None, str]] = {
     "not_armed": "not armed",
     "emergency_stop": "emergency stop",
     "operator_lost": "it had lost you; r resumes",
+    "wheels": "its odometry contradicts the commands; look at the wheels, r resumes",
     "fault": "its body has failed",
 }
 
@@ -197,6 +198,7 @@ def _robot(robot: Report, now_s: float) -> list[str]:
     reasons = {
         "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
         "obstacle": "something is in the way, or not known to be free; let go and hold again: go on slowly",
+        "no_depth": "the depth camera shows no ground, is frozen, or is too late",
         "insisted": "slowly, since you insist",
         "radius": "a car turns while it drives, no more sharply than it can",
         "silence": "nobody drives",

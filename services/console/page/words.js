@@ -13,6 +13,7 @@ export const DOES = {
 const PLANS = {
   follow: "follows the taught way", action: "does the action of its state", goal: "has said what it found",
   dead_end: "knows no way on", look_around: "looks around", guess: "drives by its best guess",
+  blind: "stands: its camera shows nothing that was taught",
   blocked: "waits: something stands in the way, and nothing leads round it",
   stop: "stops: it does not know where it is", search: "has arrived, and looks for what it was sent to find",
 };
@@ -20,7 +21,12 @@ const CAUSES = {
   not_armed: "The robot is not armed: a drive or a run arms it",
   emergency_stop: "EMERGENCY STOP: the robot stands until you press “Arm, resume”",
   operator_lost: "The robot stands: it lost its operator for a moment. Press “Arm, resume”",
+  wheels: "The robot stands: its odometry contradicts the commands. Look at its wheels, then press “Arm, resume”",
   fault: "The robot stands: its body has failed. Look at it, then press “Arm, resume”",
+};
+const CAMERAS = {
+  blank: "The camera shows nothing: its picture has no texture.",
+  frozen: "Camera frozen: its picture stays the same while the wheels move.",
 };
 const DRIVERS = { teleop: "A person drives", policy: "The robot drives by itself", expert: "The expert drives" };
 const SILENT_S = 2;
@@ -62,6 +68,9 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
     const again = robot.source === "teleop" && sits ? ". To go on slowly all the same, let go, and hold the key again" : "";
     return ["warn", `It stands, or goes slower: something is in the way, or nothing tells that it is free${again}`];
   }
+  if (robot.reason === "no_depth") {
+    return ["bad", "The robot stands: its depth camera shows no ground, is frozen, or is too late"];
+  }
   if (robot.reason === "insisted") return ["warn", "Something is in the way: it goes on slowly, since you insist"];
   if (robot.reason === "radius") return ["good", "A car turns while it drives, no more sharply than it can"];
   const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
@@ -86,7 +95,8 @@ export function episodeFacts(robot) {
 export function beliefFacts(belief, age) {
   if (!belief) return "Nothing yet: begin a run.";
   if (age >= 2) return `This is ${seconds(age)} old.`;
-  const { status, keyframe, lost, sure, state, gap } = belief;
+  const { status, keyframe, lost, sure, state, gap, camera } = belief;
+  if (CAMERAS[camera]) return CAMERAS[camera];
   if (status === "unknown") return `Lost${keyframe === undefined ? "" : ` (${percent(lost)})`}: no taught place matches.`;
   if (keyframe !== undefined) return `The robot is ${percent(sure)} sure of this place, and ${percent(lost)} lost.`;
   if (Number.isInteger(state)) return `The paper's scheme: state ${state}, duality gap ${gap.toExponential(0)}.`;
