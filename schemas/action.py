@@ -17,12 +17,13 @@ class Action(Message):
     version: ClassVar[int] = 4
     reads: ClassVar[tuple[int, ...]] = (3,)
 
-    kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "blocked", "stop", "search"]
+    kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "blocked", "stop", "search", "blind"]
     """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
     arrived, and found its goal or that it is not here; search: it has arrived, and turns to see what is sought;
     dead_end: nothing is known to follow, and it stops, as for stop: the state is unknown, of the paper's scheme;
     look_around: turning on the spot, since it is not known where the robot is; guess: driving all the same, since that
-    has not helped; blocked: it stops and waits, since something is in its way and nothing leads round."""
+    has not helped; blocked: it stops and waits, since something is in its way and nothing leads round; blind: it stops,
+    because no view has spoken for its place for too long, or its camera shows nothing."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """The keyframe, or in the paper's scheme the state, where the robot is; none where it is lost."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]

@@ -33,8 +33,8 @@ class State(Message):
     By the filter it is a belief over places; by the paper's scheme the learned state of Eq. 9.
     """
 
-    version: ClassVar[int] = 6
-    reads: ClassVar[tuple[int, ...]] = (4, 5)
+    version: ClassVar[int] = 7
+    reads: ClassVar[tuple[int, ...]] = (4, 5, 6)
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
@@ -50,6 +50,10 @@ class State(Message):
     """Mean cosine between the view and those of the places; of the filter."""
     tracked_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Way that the robot was followed for without a jump; of the filter."""
+    unseen_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    """Way since a view last spoke for the robot's place; of the filter."""
+    camera: Literal["sees", "blank", "frozen"] = "sees"
+    """Whether the picture shows anything: blank has no texture, frozen stays the same while the wheels move."""
     seen: Annotated[float | None, Field(ge=0, le=1)] = None
     """Probability that what is sought is in view; none where nothing is known of it; of the filter."""
     near: Annotated[float, Field(ge=0, le=1e3)] = 0.0
@@ -81,13 +85,14 @@ class State(Message):
         weights: NDArray[np.float64],
         seen: tuple[float, float, float | None] | None = None,
         strange_m: float = math.inf,
+        camera: Literal["sees", "blank", "frozen"] = "sees",
         **of_all: float,
     ) -> Self:
         """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
 
         ``seen`` is the probability that what is sought is in view, how near it is, and how far to the left;
-        ``strange_m`` is how far ahead the ground looks strange; ``of_all`` is what is said of all of it: lost, cosine
-        and tracked_m.
+        ``strange_m`` is how far ahead the ground looks strange; ``of_all`` are the other fields of the filter: lost,
+        cosine, tracked_m and unseen_m.
         """
         places = tuple(
             Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
@@ -99,6 +104,7 @@ class State(Message):
         status = "unknown" if lost > 0.5 else "recognized"
         told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
         told |= {"strange_m": strange_m} if math.isfinite(strange_m) else {}
+        told["camera"] = camera
         return cls.after(observation, status=status, model=model, places=places, lost=lost, **told, **of_all)
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:

@@ -17,19 +17,24 @@ that look alike for longer than l frames are not told apart.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
+from smal.frozen import Frozen
 from smal.likelihood import scale
 from smal.model import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
 from smal.particles import HIDES, Particles, View, systematic
 from smal.settings import SETTINGS
+
+#: Whether the last picture showed anything: a picture without texture shows nothing, nor does one that stays the same
+#: while the wheels move.
+CameraState = Literal["sees", "blank", "frozen"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,8 @@ class Belief:
     tracked: float
     #: Logarithm of how much likelier the last view was, after all before it, than a view of elsewhere.
     evidence: float = 0.0
+    unseen: float = 0.0  # Way since a view last spoke for the robot's place, in the map's unit.
+    camera: CameraState = "sees"
 
     def summary(self, most: int = SETTINGS.places) -> "Belief":
         """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
@@ -60,7 +67,7 @@ class Belief:
         order = np.argsort(-weights, kind="stable")[:most]
         order = order[weights[order] > 0.0]
         kept = weights[order] / weights[order].sum()
-        return Belief(keys[order], mean[order], kept, self.lost, self.cosine, self.tracked, self.evidence)
+        return replace(self, keyframes=keys[order], offsets=mean[order], weights=kept)
 
 
 class _Odds(NamedTuple):
@@ -131,8 +138,10 @@ class Filter:
         self._jumped: Particles | None = None
         at_start, anywhere, lost = SETTINGS.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
-        self._newness = Newness(self._map)
+        self._newness, self._frozen = Newness(self._map), Frozen(self._map)
         self._started = False
+        self._unseen = 0.0
+        self._camera: CameraState = "sees"
         #: The last view that told something, and the step from there.
         self._last, self._since = np.zeros(self._map.basis.shape[1], dtype=np.float32), np.zeros(3)
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
@@ -173,6 +182,7 @@ class Filter:
         step = np.array([movement.ahead, 0.0, movement.turn_rad])
         if self._started:
             self._since, self._newness.step = placed(step, self._since), placed(step, self._newness.step)
+        self._frozen.look(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
             self._jump(seen, movement)
@@ -186,12 +196,14 @@ class Filter:
             self._last, self._since = seen.components, np.zeros(3)
             self._weigh(seen)
             self._note_sure()
+        self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
     def _seen(self, centred: NDArray[np.float32]) -> View:
         """Compare a view with those of the map.
 
-        It shows no place if it looks most like a blank picture, equally like all places, or is the last one to the bit.
+        It shows no place if it looks most like a blank picture, equally like all places, is the last one to the bit, or
+        stays the same while the wheels move.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
@@ -200,8 +212,9 @@ class Filter:
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
         middle, spread = scale(self._map.sample @ components)
-        nothing = not components.any() or spread <= 1e-6 or components @ self._map.blank > cosines.max()
-        if nothing or np.array_equal(components, self._last):
+        blank = not components.any() or spread <= 1e-6 or components @ self._map.blank > cosines.max()
+        self._camera = "blank" if blank else "frozen" if self._frozen.yes else "sees"
+        if self._camera != "sees" or np.array_equal(components, self._last):
             return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
         return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
 
@@ -311,6 +324,13 @@ class Filter:
         if self._odds.tracked * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
+    def _note_seen(self, seen: View, way: float) -> None:
+        """Add up the way since a view last spoke for the followed place; looking away from all views, none can."""
+        looks = float(self._tracked.weights @ self._tracked.looks())
+        self._unseen = max(self._unseen + way * looks, self._frozen.way)
+        if seen.spread > 0.0 and self._tracked.speaks > 1.0:
+            self._unseen = 0.0
+
     def _belief(self, seen: View) -> Belief:
         tracked, jumped, _, lost = self._odds
         others = [] if self._jumped is None else [(self._jumped, jumped)]
@@ -326,4 +346,6 @@ class Filter:
             min(every.cosine(seen), 1.0),
             float(every.tracked[order[least]]),
             self._evidence,
+            self._unseen,
+            self._camera,
         )

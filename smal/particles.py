@@ -40,6 +40,8 @@ class Particles:
         self.pace = np.zeros(len(poses))  # By how many standard deviations the robot is faster than it is said to be.
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
         self.shares = FIRST_SHARES
+        #: How much likelier the last view was here than elsewhere, if all of it was new and nothing hid it.
+        self.speaks = 1.0
 
     def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> float:
         """Predict: move all by a movement with noise, and find their keyframes; return the part that has strayed.
@@ -86,6 +88,8 @@ class Particles:
         # Far aside is like nowhere; where it looks away from all that was taught, the view says nothing.
         log_ratio[1:] = np.maximum(log_ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.log_ratio[1:, :1])
         log_ratio *= self.looks()
+        shown = self.shares[1:] / self.shares[1:].sum()
+        self.speaks = float(shown @ np.exp(log_ratio[1:]) @ self.weights)
         likelihood = self.shares[:, None] * np.exp(seen.newness * log_ratio)
         joint = likelihood * self.weights
         total = float(joint.sum())

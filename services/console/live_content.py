@@ -138,6 +138,7 @@ class LiveContent:
             status=state.status,
             lost=round(state.lost, 3),
             cosine=round(state.cosine, 3),
+            camera=state.camera,
             seen=None if state.seen is None else round(state.seen, 3),
             left=state.seen_left,
             gap=state.duality_gap,

@@ -132,7 +132,9 @@ class _ByFilter:
     def answer(self, state: State, delay_s: float, sight: Sight) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
-        belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
+        belief = Belief(
+            *state.belief(), state.lost, state.cosine, state.tracked_m, unseen=state.unseen_m, camera=state.camera
+        )
         seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
         strange = math.inf if state.strange_m is None else state.strange_m

@@ -199,10 +199,8 @@ class _ByFilter:
         told = belief.summary()
         strange = self._localizer.strange(observation.small(), told) if self._watches else math.inf
         places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
-        tracked_m = told.tracked
-        return State.of_belief(
-            observation, self._identity, *places, seen, strange, lost=lost, cosine=cosine, tracked_m=tracked_m
-        )
+        of_all = {"lost": lost, "cosine": cosine, "tracked_m": told.tracked, "unseen_m": told.unseen}
+        return State.of_belief(observation, self._identity, *places, seen, strange, told.camera, **of_all)
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""

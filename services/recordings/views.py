@@ -176,7 +176,7 @@ class Views:
     @of.register
     def _action(self, action: Action) -> Iterator[View]:
         kind = action.kind.replace("_", " ")
-        warns = action.kind in ("dead_end", "look_around", "guess", "blocked")
+        warns = action.kind in ("dead_end", "look_around", "guess", "blocked", "blind")
         yield from self._changed(action, "policy", kind, warns=warns)
 
     @of.register

@@ -24,7 +24,7 @@ from smal.planning.cost_to_go import chosen_goal, cost_to_go
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 
-Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search"]
+Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search", "blind"]
 Said = Literal["found", "not_here"]
 
 
@@ -35,7 +35,8 @@ class Decision:
     Of its kinds "follow" is along the taught way; "look_around": turn, since places disagree; "guess": drive all the
     same, since looking has not helped; "dead_end": stop, since no taught way leads on to the goal; "blocked": stop,
     since something stands in the way and nothing leads round it; "search": arrived, and turn to see what is sought, or
-    go up to it; "goal": stop, having said that it is found, or not here.
+    go up to it; "goal": stop, having said that it is found, or not here; "blind": stop, since no view has spoken for
+    the robot's place for too long.
     """
 
     kind: Kind
@@ -137,7 +138,7 @@ class Planner:
         if self.said is None:
             self._say(belief, elapsed_s, seen, sure, around)
 
-        kind = self._kind(clear and (looked or not ended), looked, has_way or lost)
+        kind = self._unless_blind(self._kind(clear and (looked or not ended), looked, has_way or lost), looked, belief)
         if kind == "search":
             error_rad = self._toward_rad or 0.0
             directions = np.full(say.shape, error_rad)
@@ -194,6 +195,17 @@ class Planner:
             return "guess"
         self.said = "not_here" if self._tried else None
         return "dead_end"
+
+    def _unless_blind(self, kind: Kind, looked: bool, belief: Belief) -> Kind:
+        """Return what to do instead if no view has spoken for the robot's place for too long.
+
+        It looks around first, if its camera shows anything. So it never drives far without a view that it knows.
+        """
+        sees = belief.camera == "sees"
+        moves = kind in ("follow", "guess") or (not sees and kind in ("look_around", "search"))
+        if not moves or belief.unseen <= SETTINGS.blind_s * self._map.speed:
+            return kind
+        return "look_around" if sees and not looked else "blind"
 
     def _say(
         self, belief: Belief, elapsed_s: float, seen: Glimpse | None, sure: bool, around: Surroundings | None
@@ -280,7 +292,7 @@ class Planner:
         """Choose the atom of a decision, and count the way, the turn or the time of what goes on."""
         if kind != "follow":
             self._driven = 0.0
-        if kind in ("goal", "dead_end", "blocked"):
+        if kind in ("goal", "dead_end", "blocked", "blind"):
             self._turning = None
             return Atom.STOP
         if kind == "search" and self._toward_rad is None:

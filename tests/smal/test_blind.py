@@ -1,0 +1,83 @@
+"""A robot whose camera shows nothing of the taught way notices within half a second of driving, and stands."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from smal.features import extract
+from smal.filter import Belief, CameraState, Filter
+from smal.movement import STILL, Movement
+from smal.planning import Planner
+from smal.settings import SETTINGS
+from tests.smal.synthetic_world import COLOR, Room, drive, usual_map
+
+ROOM = Room()
+FAILS_AT = 20  # Frame from which on the camera fails.
+Picture = np.ndarray
+RNG = np.random.default_rng(0)
+
+
+def grainy(picture: Picture) -> Picture:
+    return np.clip(picture + RNG.normal(0.0, 2.0, picture.shape), 0, 255).astype(np.uint8)
+
+
+#: Each makes a picture of the honest one, and of the last one before the camera failed.
+FAILURES: dict[str, tuple[CameraState | None, Callable[[Picture, Picture], Picture]]] = {
+    "black": (None, lambda now, _: np.zeros_like(now)),
+    "grey": ("blank", lambda now, _: np.full_like(now, 128)),
+    "frozen": ("frozen", lambda _, last: last),
+    "frozen with noise": ("frozen", lambda _, last: grainy(last)),
+    "noise": (None, lambda now, _: RNG.integers(0, 256, now.shape, dtype=np.uint8)),
+}
+
+
+def seen_of(fails: Callable[[Picture, Picture], Picture] | None, way_m: float = 2.2) -> list[Belief]:
+    """Follow the taught way, with a camera that fails on it."""
+    one, found, last, beliefs = drive(way=((way_m, 0.0),)), Filter(*usual_map()), None, []
+    for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
+        picture = ROOM.look(pose)
+        if fails is not None and number >= FAILS_AT and last is not None:
+            picture = fails(picture, last)
+        else:
+            last = picture
+        beliefs.append(found.observe(extract(picture, COLOR), movement))
+    return beliefs
+
+
+def test_unseen_stays_near_zero_when_the_camera_works() -> None:
+    assert max(belief.unseen for belief in seen_of(None)) < 0.1
+    assert {belief.camera for belief in seen_of(None)} == {"sees"}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_unseen_grows_with_the_way_when_the_camera_fails(failure: str) -> None:
+    state, fails = FAILURES[failure]
+    one, beliefs = drive(way=((2.2, 0.0),)), seen_of(fails)
+    way = np.cumsum([0.0, *(movement.ahead for movement in one.movements())])
+    blind = SETTINGS.blind_s * usual_map()[0].speed
+    stands = next(number for number, belief in enumerate(beliefs) if belief.unseen > blind)
+    assert way[stands] - way[FAILS_AT] < 2.0 * blind
+    if state is not None:
+        assert beliefs[stands].camera == state
+    decided = Planner(usual_map()[0]).decide(beliefs[stands])
+    assert decided.motion[0] == 0.0
+    assert decided.kind == ("look_around" if beliefs[stands].camera == "sees" else "blind")
+
+
+def test_unseen_ends_when_the_camera_sees_again() -> None:
+    one, found = drive(way=((2.2, 0.0),)), Filter(*usual_map())
+    for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
+        picture = ROOM.look(pose) if not 20 <= number < 26 else np.zeros_like(ROOM.look(pose))
+        belief = found.observe(extract(picture, COLOR), movement)
+    assert belief.unseen < 0.1
+
+
+def test_camera_is_not_frozen_when_the_robot_stands() -> None:
+    one, found = drive(way=((1.5, 0.0),)), Filter(*usual_map())
+    picture = extract(ROOM.look(one.poses[0]), COLOR)
+    beliefs = [found.observe(picture, STILL) for _ in range(50)]
+    assert {belief.camera for belief in beliefs} == {"sees"}
+    turned = [found.observe(picture, Movement(0.0, math.radians(10.0))) for _ in range(6)]
+    assert turned[-1].camera == "frozen"
