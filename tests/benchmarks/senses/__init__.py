@@ -1,0 +1,1 @@
+"""What a robot does when its depth camera, its camera or its wheels lie."""
