@@ -90,7 +90,7 @@ def make(request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack) -> Ca
 
 
 def test_age_is_at_least_the_delay_when_a_link_is_late(make: Callable[[bool], Place], stack: ExitStack) -> None:
-    """The link is late from the first picture on. The least delay counted as none before, so pictures were 0.0 s old."""
+    """The link is late from the first picture on; the least delay counted as none, so pictures were 0.0 s old."""
     place = make(False)
     place.start_robot()
     assert place.robot is not None
