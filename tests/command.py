@@ -4,9 +4,11 @@ import os
 import subprocess
 import sys
 
+from tests.services.waiting import DEADLINE_S
+
 
 def run_smal(
-    *arguments: object, timeout_s: float = 500, typed: str | None = None, **environment: str
+    *arguments: object, timeout_s: float = DEADLINE_S, typed: str | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Run ``smal`` with arguments, and what is typed; return what it printed."""
     return subprocess.run(

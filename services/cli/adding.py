@@ -38,10 +38,14 @@ def keep(path: Path) -> Path:
 
 
 def back(path: Path) -> Path:
-    """Put the newest earlier version in the place of a model; return which that was."""
+    """Put the newest earlier version in the place of a model, and return its path; UsageError if it is no model."""
     before = versions(path)
     if not before:
         raise UsageError(f"{path}: no earlier version lies beside it")
+    # A version that is truncated, or a link to somewhere else, must not replace a model that works.
+    if before[-1].is_symlink():
+        raise UsageError(f"{before[-1]}: invalid version: a symbolic link; delete it to go back further")
+    options.loaded(before[-1], hint="; delete it to go back further")
     before[-1].replace(path)
     return before[-1]
 

@@ -24,7 +24,7 @@ from services.table import roles
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
-ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
+ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/@]+):(\d{1,5})"
 ATTEMPT_MS: Final = 800  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
@@ -226,7 +226,8 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
         form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
-        raise BusError(f"router address {endpoint[:100]!r}: expected {form}")
+        shown = re.sub(r"[^/\s]+@", "***@", endpoint)  # A log must not show a password.
+        raise BusError(f"router address {shown[:100]!r}: expected {form}")
     return match[1].strip("[]"), int(match[2])
 
 

@@ -1,6 +1,7 @@
 """A ROS 2 base as a body: velocities out, frames in. Knows nothing of Zenoh."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
@@ -197,8 +198,8 @@ class Ros2Body:
         offset_s = clock.offset_s
         return {
             "lacks": self._lacks(),
-            "camera_age_s": None if frame is None else round(now - frame.captured_s, 3),
-            "camera_delay_s": round(clock.delay_s, 3),
+            "camera_age_s": None if frame is None or clock.delay_s == math.inf else round(now - frame.captured_s, 3),
+            "camera_delay_s": None if clock.delay_s == math.inf else round(clock.delay_s, 3),
             "robot_clock_ahead_s": None if offset_s is None else round(now - offset_s - time.time(), 3),
             "camera_clock_leaps": clock.leaps,
             "odometry_leaps": self._senses.track.leaps,

@@ -84,6 +84,7 @@ class Senses:
         self._clock = clock
         self._lock = Lock()
         self._heard_s: dict[str, float] = {}
+        self._asked_s = -math.inf  # When the newest echo that has come back was sent.
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
         self.camera: Camera | None = None
@@ -122,9 +123,17 @@ class Senses:
 
     # -- what comes -----------------------------------------------------------------------------------------------
 
+    def echoed(self, asked_s: float) -> None:
+        """Note that the robot's router has returned what was sent at this time, by our clock.
+
+        The link hands over in order: a message that comes later left the router later.
+        """
+        self._asked_s = asked_s
+
     def take(self, topic: str, payload: bytes) -> None:
         """Take the bytes of a message; whatever they are, nothing is raised."""
         arrived_s = self._clock()
+        link_s = arrived_s - self._asked_s
         heard = self.inputs[topic]
         try:
             most = _MOST_BYTES.get(heard.type_name, _MOST_OTHER_BYTES)
@@ -135,7 +144,7 @@ class Senses:
                 made_s: float | None = arrived_s
                 if heard.clock is not None:
                     stamp = message.header.stamp
-                    made_s = heard.clock.made_s(stamp.sec + stamp.nanosec / 1e9, arrived_s)
+                    made_s = heard.clock.made_s(stamp.sec + stamp.nanosec / 1e9, arrived_s, link_s)
                 if made_s is None:
                     raise MessageError("its stamp is not newer than that of the one before")
                 heard.take(message, made_s)
@@ -226,6 +235,8 @@ class Senses:
 
     def learning(self) -> str | None:
         """Say whose clock is not known yet, of the camera and those who must be heard; None where all are."""
+        if self._asked_s == -math.inf:
+            return "the age of messages is unknown: the robot's router returns no echo (is smal/echo/** denied?)"
         for topic, heard in self.inputs.items():
             must = heard.clock is self.camera_clock or heard.silence_s is not None
             if must and heard.clock is not None and not heard.clock.known:

@@ -2,10 +2,11 @@
 
 import json
 import logging
+import secrets
 import time
 from collections.abc import Callable
 from itertools import count
-from threading import Lock
+from threading import Event, Lock, Thread
 from typing import Any, Final
 
 import zenoh
@@ -14,6 +15,7 @@ import zenoh.ext
 from schemas.codec import printable
 from services.kit.node import Detail, ServiceError
 from services.kit.ros_message import LARGEST_BYTES
+from services.robot.clock import now_s
 from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages
@@ -22,6 +24,9 @@ from services.ros2.wire import Bridge, Endpoint, Kind, Qos, RmwZenoh, gid_of, re
 
 #: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
 PATIENCE_MS: Final = 5000
+#: How often the round trip is measured, seconds: a message counts as older by at most so much, and by the round trip.
+ECHO_S: Final = 0.03
+_ECHOES: Final = 1000  # Echoes that may be under way: half a minute of them.
 #: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
 #: changes, the last word is wanted that was said before we came.
 _SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
@@ -70,6 +75,7 @@ class Ros2Session:
         self._type: str | None = None if self._auto else str(config.velocity.type)
         try:
             self._session = zenoh.open(_settings(config))
+            self._echo = Echo(config, self._session, senses.echoed)
         except zenoh.ZError:
             raise ServiceError(
                 f"{config.name}: no Zenoh router at {config.router}; on the robot start rmw_zenohd "
@@ -86,7 +92,7 @@ class Ros2Session:
                 self._ask(topic)
             else:
                 key = self._dialect.key(topic, heard.type_name)
-                self._declared.append(self._session.declare_subscriber(key, self._listener(topic)))
+                self._declared.append(self._session.declare_subscriber(key, _in_turn(self._listener(topic))))
             self._announce("MS", topic, heard.type_name, _CHANGES if topic in changes else _SENSOR)
         self._declared.append(
             self._session.liveliness().declare_subscriber(self._dialect.tokens, _called(self._on_token), history=True)
@@ -234,7 +240,56 @@ class Ros2Session:
         """Leave."""
         with self._lock:
             self._closed = True
+        self._echo.close()
         self._session.close()
+
+
+class Echo:
+    """Measures the round trip to the robot's router, which returns what a second session sends.
+
+    Both dialects have this router. Echoes are of the priority of pictures and go the same way: they wait where pictures
+    wait. A router does not return what the same session sent, hence the second one.
+    """
+
+    def __init__(self, config: Ros2Config, session: zenoh.Session, take: Callable[[float], None]) -> None:
+        self._take = take
+        self._sent: dict[bytes, float] = {}
+        self._ended = Event()
+        self._session = zenoh.open(_settings(config))
+        key = f"smal/echo/{self._session.info.zid()}"
+        self._subscriber = session.declare_subscriber(key, _in_turn(_called(self._on_echo)))
+        drop = zenoh.CongestionControl.DROP
+        self._publisher = self._session.declare_publisher(key, congestion_control=drop, express=True)
+        self._thread = Thread(target=self._send, name="echo", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the measurement."""
+        self._ended.set()
+        self._thread.join()
+        self._session.close()
+
+    def _send(self) -> None:
+        while not self._ended.wait(ECHO_S):
+            if len(self._sent) >= _ECHOES:
+                self._sent.clear()
+            # By chance, so that only what was sent can come back.
+            word = secrets.token_bytes(8)
+            self._sent[word] = now_s()
+            self._publisher.put(word)
+
+    def _on_echo(self, sample: zenoh.Sample) -> None:
+        asked_s = self._sent.pop(sample.payload.to_bytes(), None)
+        if asked_s is not None:
+            self._take(asked_s)
+
+
+def _in_turn(handler: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
+    """Handle samples of all keys on the thread of the link, in the order of their arrival.
+
+    On threads of their own a picture waits while a later echo overtakes it.
+    """
+    return zenoh.handlers.Callback(handler, indirect=False)
 
 
 def _called(handler: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:

@@ -80,10 +80,13 @@ class Rig:
         self.clock = Clock()
         self.air = Air()
         self.senses = Senses(self.config, self.clock)
+        self.echoes = True  # Whether the robot's router returns echoes at once.
         self.body = Ros2Body(self.config, self.senses, self.air, self.clock)
 
     def says(self, topic: str, at_s: float | None = None, **fields: Any) -> None:
         """Have a topic send a message, stamped now unless it is told when."""
+        if self.echoes:
+            self.senses.echoed(self.clock.now_s)
         kind = self.senses.inputs[topic].type_name
         stamped = {} if kind == messages.BOOL else {"header": header(self.clock.now_s if at_s is None else at_s)}
         self.senses.take(topic, ROS.write(kind, stamped | fields))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
-from services.ros2.clock import DRIFT, LEARN_S, StampedClock
+from services.ros2.clock import DRIFT, LEAP_S, LEARN_S, StampedClock
 from tests.ros2.rig import AHEAD_S, BEGIN, Rig
 
 FRAME_S = 0.1  # From frame to frame.
@@ -24,26 +24,68 @@ def fresh(rig: Rig) -> bool:
     return rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
 
 
-@given(st.floats(-1e6, 1e6), st.lists(st.floats(0.001, 0.2), min_size=2, max_size=50))
-def test_a_frame_is_never_older_than_the_truth_nor_newer_than_its_arrival(ahead: float, delays: list[float]) -> None:
-    clock, least = StampedClock(), math.inf
-    for number, delay in enumerate(delays):
+@given(
+    st.floats(-1e6, 1e6),
+    st.lists(st.tuples(st.floats(0.001, 0.2), st.floats(0.0, 0.2)), min_size=2, max_size=50),
+)
+def test_age_is_at_least_the_delay_and_at_most_the_round_trip(ahead: float, trips: list[tuple[float, float]]) -> None:
+    """The first of a pair is the delay of the link to here; the second is the way of an echo there, and its wait."""
+    clock = StampedClock()
+    least = math.inf
+    leaps = 0
+    for number, (delay, there) in enumerate(trips):
         made = 1000.0 + number * 0.3
-        told = clock.made_s(made + ahead, made + delay)
-        least = min(least, delay)
+        told = clock.made_s(made + ahead, made + delay, delay + there)
+        # After a leap, as which a link that became fast counts, the bounds are of later messages.
+        least = there if clock.leaps > leaps else min(least, there)
+        leaps = clock.leaps
+        drift = DRIFT * 0.3 * (number + 1)
         assert told is not None
-        assert made - 1e-6 <= told <= made + least + DRIFT * 0.3 * (number + 1) + 1e-6
-        assert told <= made + delay + 1e-6
+        assert made - least - drift - 1e-6 <= told <= made + 1e-6
 
 
 def test_a_link_that_became_slow_makes_frames_old() -> None:
     clock = StampedClock()
-    assert clock.made_s(0.0, 0.01) == pytest.approx(0.01)
+    assert clock.made_s(0.0, 0.01, 0.02) == pytest.approx(-0.01)
     for number in range(1, 600):  # for a minute
-        told = clock.made_s(number / 10, number / 10 + 0.3)
-    assert told == pytest.approx(number / 10 + 0.01, abs=0.02)
-    assert clock.delay_s == pytest.approx(0.29, abs=0.02)
+        told = clock.made_s(number / 10, number / 10 + 0.3, 0.6)
+    assert told == pytest.approx(number / 10 - 0.01, abs=0.02)
+    assert clock.delay_s == pytest.approx(0.31, abs=0.02)
     assert clock.known
+    assert clock.leaps == 0
+
+
+@pytest.mark.parametrize("by_s", [0.0, -0.2, -1.3, -3600.0])
+@pytest.mark.parametrize("late_from", [0, 30])
+def test_age_is_the_delay_when_a_clock_is_set_back(by_s: float, late_from: int) -> None:
+    """The age was 0.0 after the step, and from the start on a link that is late from the start."""
+    clock = StampedClock()
+    for number in range(100):
+        made = number * FRAME_S
+        delay = 0.5 if number >= late_from else 0.005
+        told = clock.made_s(made + (by_s if number >= 50 else 0.0), made + delay, 2 * delay)
+        if told is not None:
+            assert made + delay - told >= delay - LEAP_S
+    assert told is not None
+    assert made + delay - told <= 2 * delay + LEAP_S
+
+
+def test_clock_is_unknown_when_no_echo_comes_back() -> None:
+    clock = StampedClock()
+    for number in range(100):
+        clock.made_s(number * FRAME_S, number * FRAME_S + 0.5, math.inf)
+    assert not clock.known
+    assert clock.delay_s == math.inf
+
+
+def test_robot_stands_when_no_echo_comes_back(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.echoes = False
+    rig.known()
+    assert not rig.may_go("forward")
+    assert rig.body.detail()["camera_age_s"] is None
+    with pytest.raises(ServiceError, match=r"^base: the age of messages is unknown: the robot.s router"):
+        rig.body.begin(BEGIN)
 
 
 # The link hangs for a while, and what was sent meanwhile comes when it is over; the clock is set at some frame.
@@ -61,7 +103,7 @@ def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_t
         first += hung
     for number in range(first + 60):
         made_s, arrived_s = number * FRAME_S, freed.get(number, number) * FRAME_S + 0.005
-        told = clock.made_s(made_s + (by_s if number >= set_at else 0.0), arrived_s)
+        told = clock.made_s(made_s + (by_s if number >= set_at else 0.0), arrived_s, arrived_s - made_s)
         if told is not None and clock.known:
             assert told <= made_s + 0.005 + MAX_AGE_S + DRIFT * made_s + 1e-6
             assert told <= arrived_s + 1e-6

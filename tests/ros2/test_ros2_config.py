@@ -89,7 +89,7 @@ def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, 
     ],
 )
 def test_smal_up_says_what_is_wrong_before_anything_starts(flags: tuple[str, ...], line: str) -> None:
-    done = run_smal("up", *flags, timeout_s=60)
+    done = run_smal("up", *flags)
     assert done.returncode == 2
     assert line in done.stderr
     assert done.stderr.strip().count("\n") == 0

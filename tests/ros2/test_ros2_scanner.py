@@ -40,9 +40,10 @@ def test_a_scanner_that_sees_nothing_is_no_free_way(rig: Rig, value: float) -> N
 
 
 WRONG: list[dict[str, float]] = [
-    *({"angle_increment": step} for step in (0.0, NAN, INF, 1.0, 1e-30, -STEP)),
+    *({"angle_increment": step} for step in (0.0, NAN, INF, -INF, 1.0, 1e-30, -STEP, STEP / 2, 2 * STEP)),
     {"angle_min": NAN}, {"angle_min": 1e9, "angle_max": 1e9}, {"angle_max": NAN}, {"angle_max": 3.0},
     *({"range_min": metres} for metres in (1e9, NAN, -1.0, STOP_M)), {"range_max": 0.3}, {"range_max": NAN},
+    {"range_max": 0.0}, {"range_max": -1.0}, {"range_min": 5.0, "range_max": 1.0}, {"range_min": 0.3, "range_max": 0.1},
 ]  # fmt: skip
 
 
@@ -53,6 +54,23 @@ def test_what_cannot_be_a_scan_is_refused_and_no_free_way(rig: Rig, fields: dict
     assert rig.senses.refused[SCAN] == refused + 1
     assert not rig.may_go("forward")
     assert f"{SCAN}: " in str(rig.body.detail()["lacks"])
+
+
+@pytest.mark.parametrize("beams", [0, 1, 180, 300, 420, 720])
+def test_scan_is_refused_when_its_count_contradicts_its_angles(rig: Rig, beams: int) -> None:
+    refused = rig.senses.refused[SCAN]
+    whole = {"angle_min": 0.0, "angle_max": math.tau, "angle_increment": STEP}
+    assert after(rig, [5.0] * beams, **whole).ways() == "left right"
+    assert rig.senses.refused[SCAN] == refused + 1
+
+
+@pytest.mark.parametrize("value", [-INF, NAN, 0.0, -1.0, 1e-30, 0.01, 12.1], ids=str)
+@pytest.mark.parametrize(("middle", "others"), [(0, "backward left right"), (180, "forward left right")])
+def test_only_the_way_is_closed_when_its_beams_are_invalid(rig: Rig, value: float, middle: int, others: str) -> None:
+    """All other gates are open: the invalid beams alone close the way."""
+    ranges = np.full(360, 5.0, np.float32)
+    ranges[np.arange(middle - 10, middle + 11) % 360] = value
+    assert after(rig, ranges).ways() == others
 
 
 @pytest.mark.parametrize("beams", [0, 1, 2, 8])

@@ -1,6 +1,8 @@
 """The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
 
 import math
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
@@ -9,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
@@ -16,9 +19,10 @@ from services.cli.stack import free_endpoint
 from services.kit.node import ServiceError
 from services.kit.ros_message import LARGEST_BYTES
 from services.ros2.config import read_config
-from services.ros2.messages import BOOL
+from services.ros2.messages import BOOL, COMPRESSED_IMAGE
 from services.ros2.senses import Senses
 from services.ros2.session import Ros2Session
+from tests.benchmarks.faults.proxy import link
 from tests.ros2.fake_turtlebot import Ros, opened
 from tests.services.waiting import eventually
 
@@ -83,6 +87,32 @@ def stack() -> Iterator[ExitStack]:
 def make(request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack) -> Callable[[bool], Place]:
     """Return what makes a place, whose button's last word is kept or not."""
     return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
+
+
+def test_age_is_at_least_the_delay_when_a_link_is_late(make: Callable[[bool], Place], stack: ExitStack) -> None:
+    """The link is late from the first picture on; the least delay counted as none, so pictures were 0.0 s old."""
+    place = make(False)
+    place.start_robot()
+    assert place.robot is not None
+    show = place.robot.publisher("camera/image_raw/compressed", COMPRESSED_IMAGE)
+    router = place.endpoint
+    place.endpoint, proxy = stack.enter_context(link(router))
+    senses = place.listen(stack)
+    os.kill(proxy, signal.SIGUSR1)
+    time.sleep(2.0)  # the delay grows by half a second a second
+    shown = 0
+    while shown < 5:
+        frame = senses.frame
+        stamp_ns = time.time_ns()
+        stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
+        show(header={"stamp": stamp}, format="jpeg", data=np.zeros(8, np.uint8))
+        eventually(lambda: senses.frame is not frame)  # noqa: B023
+        delay_s = (time.time_ns() - stamp_ns) / 1e9
+        if not math.isfinite(senses.camera_clock.delay_s):
+            continue  # no echo has come back yet
+        shown += 1
+        assert 0.9 * delay_s <= senses.camera_clock.delay_s
+        assert delay_s > 0.5
 
 
 def unheard(senses: Senses) -> bool:

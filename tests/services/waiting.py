@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import pytest
 import zenoh
@@ -16,6 +16,8 @@ from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
 
 T = TypeVar("T")
+#: Deadline of what starts processes, seconds; ten times what that takes with 20 busy processes on two cores.
+DEADLINE_S: Final = 500.0
 Lost = Callable[[float], float]  # See `stalls`.
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from smal.features import MODALITIES, Centering, FeatureSettings, extract, select
 from smal.features.modalities import MODALITY_NAMES
+from tests.services.waiting import DEADLINE_S
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
@@ -35,7 +36,7 @@ def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> N
 def test_sizes_are_known_without_opencv() -> None:
     """The container of recognition has none."""
     code = "import sys; sys.modules['cv2'] = None; from smal.features import FeatureSettings; FeatureSettings().size"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=DEADLINE_S)
 
 
 @pytest.mark.parametrize("grey", [0, 128])

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.services.waiting import DEADLINE_S
+
 pytestmark = pytest.mark.system
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("smal", "schemas", "services")
@@ -20,7 +22,7 @@ def _run(*arguments: object, folder: Path, **environment: str) -> str:
     usual = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [sys.executable, "-P", "-c", *map(str, arguments)]
     done = subprocess.run(
-        command, cwd=folder, env=usual | environment, capture_output=True, text=True, timeout=500, check=False
+        command, cwd=folder, env=usual | environment, capture_output=True, text=True, timeout=DEADLINE_S, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -74,6 +74,22 @@ def test_ten_versions_are_kept(tmp_path: Path) -> None:
     assert [one.read_text() for one in versions(file)] == [str(number) for number in range(3, 13)]
 
 
+@pytest.mark.parametrize("version", ["truncated", "folder", "link"])
+def test_model_stays_when_its_earlier_version_is_invalid(tmp_path: Path, mistake: Mistake, version: str) -> None:
+    file = corridor.save_model(tmp_path / "way.smal")
+    earlier = tmp_path / "way.smal.1"
+    before = file.read_bytes()
+    if version == "truncated":
+        earlier.write_bytes(before[:100])
+    elif version == "folder":
+        earlier.mkdir()
+    else:
+        earlier.symlink_to(file)
+    assert "delete it to go back further" in mistake(2, "model", "back", file)
+    assert file.read_bytes() == before
+    assert not file.is_symlink()
+
+
 def test_what_cannot_learn_more_is_named(runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake) -> None:
     assert "it is the model that learns more" in mistake(2, "learn", runs, "--add", "--out", tmp_path / "none.smal")
     file = corridor.save_model(tmp_path / "way.smal")

@@ -13,7 +13,7 @@ from services.experiments.evaluation import plan as plans
 from services.experiments.evaluation.plan import Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.units import units
 from tests.services.cli.conftest import ROOT, Smal
-from tests.services.waiting import eventually
+from tests.services.waiting import DEADLINE_S, eventually
 
 # The command with the tiny plan, in the first argument's world, in place of the quick one.
 TINY_COMMAND = """
@@ -51,9 +51,9 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
         [sys.executable, "-c", TINY_COMMAND, str(near), "evaluate", "--out", str(out), "--quick", "--workers", "1"],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    eventually(lambda: len(done_in(out)) > 1 or command.poll() is not None, timeout_s=600.0)
+    eventually(lambda: len(done_in(out)) > 1 or command.poll() is not None, timeout_s=DEADLINE_S)
     command.send_signal(signal.SIGINT)
-    _, said = command.communicate(timeout=120.0)
+    _, said = command.communicate(timeout=DEADLINE_S)
     assert command.returncode == 130, said
     assert "Traceback" not in said
     before = done_in(out)

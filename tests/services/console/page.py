@@ -16,13 +16,13 @@ from websockets.sync.client import ClientConnection, connect
 
 from schemas.base import KEYS
 from services.console.server import WebServer
-from tests.services.waiting import eventually
+from tests.services.waiting import DEADLINE_S, eventually
 
 
 def connected(page: Page) -> socket.socket:
     """Connect to a page's server."""
     host, port = page.address.split(":")
-    return socket.create_connection((host, int(port)), timeout=30.0)
+    return socket.create_connection((host, int(port)), timeout=DEADLINE_S)
 
 
 class Page:
@@ -52,14 +52,14 @@ class Page:
 
     def get(self, path: str, **headers: str) -> tuple[int, bytes]:
         """Ask for something by HTTP."""
-        connection = HTTPConnection(self.address, timeout=30.0)
+        connection = HTTPConnection(self.address, timeout=DEADLINE_S)
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         return answer.status, answer.read()
 
     def post(self, path: str, body: bytes, **headers: str) -> tuple[int, str]:
         """Send something by HTTP as the page does."""
-        connection = HTTPConnection(self.address, timeout=60.0)
+        connection = HTTPConnection(self.address, timeout=DEADLINE_S)
         own = {"Origin": f"http://{self.address}", "Smal-Seat": self.word}
         connection.request("POST", path, body, own | headers)
         answer = connection.getresponse()

@@ -21,7 +21,7 @@ from services.kit.bus import BusError
 from services.kit.node import ServiceError
 from tests.services.console.conftest import Nobody
 from tests.services.console.page import Page, connected
-from tests.services.waiting import Lost, eventually
+from tests.services.waiting import DEADLINE_S, Lost, eventually
 
 TOKEN = "correct horse battery"  # noqa: S105 - of a test
 
@@ -76,7 +76,7 @@ def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
 
 @pytest.mark.parametrize("path", ["/", "/none"])
 def test_every_answer_forbids_foreign_code(page: Page, path: str) -> None:
-    connection = HTTPConnection(page.address, timeout=30.0)
+    connection = HTTPConnection(page.address, timeout=DEADLINE_S)
     connection.request("GET", path)
     headers = {name.lower(): value for name, value in connection.getresponse().getheaders()}
     policy = headers["content-security-policy"]
@@ -116,7 +116,7 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
         address = server.address.removeprefix("https://").replace("127.0.0.1", "localhost")
 
         def get(path: str, **headers: str) -> tuple[int, str | None]:
-            connection = HTTPSConnection(address, timeout=30.0, context=trusted)
+            connection = HTTPSConnection(address, timeout=DEADLINE_S, context=trusted)
             connection.request("GET", path, headers=headers)
             answer = connection.getresponse()
             return answer.status, answer.getheader("set-cookie")

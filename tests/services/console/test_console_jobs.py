@@ -17,7 +17,7 @@ from smal.model import Model
 from tests import corridor
 from tests.services.cli.test_adding import run
 from tests.services.recordings.test_recorder_files import record
-from tests.services.waiting import eventually
+from tests.services.waiting import DEADLINE_S, eventually
 
 JobsOf = Callable[[str], tuple[Jobs, list[dict[str, object]]]]
 SCRIPT = """
@@ -45,9 +45,9 @@ def learning(out: Path) -> Job:
     return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
 
 
-def ended(shown: list[dict[str, object]], timeout_s: float = 30.0) -> dict[str, object]:
+def ended(shown: list[dict[str, object]]) -> dict[str, object]:
     """Wait until a job has ended; return what is shown of it."""
-    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {}, timeout_s)
+    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {}, DEADLINE_S)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_model_learns_more_from_runs_and_says_what_came_of_it(tmp_path: Path) 
     runs = tuple(one.name for one in library.recordings())
     ask = Add(do="add", beat=0, model="models/way.smal", recordings=runs)
     ConsoleService._learn(console, ask)  # type: ignore[arg-type]  # what it needs of a console
-    end = ended(shown, 300.0)  # it gives way to all that a busy machine does
+    end = ended(shown)  # it gives way to all that a busy machine does
     assert (end["outcome"], end["done"]) == ("done", "way has looked at these runs."), end
     assert "more looks now" in str(end["remarks"])
     assert len(Model.load(model).mapped.looks) > 0

@@ -11,7 +11,7 @@ import pytest
 
 from tests.services.console.conftest import Nobody
 from tests.services.console.page import Page, connected
-from tests.services.waiting import eventually
+from tests.services.waiting import DEADLINE_S, eventually
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +47,7 @@ def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> Non
         assert (answer, why in said, said.count("\n")) == (status, True, 1), said
         assert (nobody.maps, kept()) == ([], 0)
     # Nor is one without any origin.
-    connection = HTTPConnection(seated.address, timeout=30.0)
+    connection = HTTPConnection(seated.address, timeout=DEADLINE_S)
     connection.request("POST", "/map?name=town", b"<osm/>", {"Smal-Seat": seated.word})
     assert connection.getresponse().status == 403
     assert nobody.maps == []

@@ -356,12 +356,14 @@ def test_a_busy_port(router_endpoint: str) -> None:
 @pytest.mark.parametrize("cls", [Router, lambda endpoint: Bus("rescuebot", endpoint)], ids=["router", "client"])
 @pytest.mark.parametrize(
     "endpoint",
-    ["", "nonsense", "tcp/host", "tcp/host:port", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7447", "127.0.0.1:7447"],
-)
+    ["", "nonsense", "tcp/host", "tcp/host:port", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7447", "127.0.0.1:7447",
+     "tcp/user:hunter2@127.0.0.1:7447", "http://user:hunter2@host:80/x"],
+)  # fmt: skip
 def test_a_malformed_address(cls: Callable[[str], object], endpoint: str) -> None:
     with pytest.raises(BusError, match="expected tcp/<host>:<port>") as refused:
         cls(endpoint)
     assert "\n" not in str(refused.value)
+    assert "hunter2" not in str(refused.value), "a log must not show a password"
 
 
 def test_a_host_that_does_not_exist(free_endpoint: str) -> None:

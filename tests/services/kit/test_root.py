@@ -20,7 +20,7 @@ from smal.files import container
 from tests.services.chain import LENGTH, save_model
 from tests.services.conftest import RunNode
 from tests.services.recordings.recorded_messages import applied, episode, event
-from tests.services.waiting import eventually, introduce, ready
+from tests.services.waiting import DEADLINE_S, eventually, introduce, ready
 
 #: No name at all: the request itself is malformed.
 MALFORMED = ("/etc/passwd", "..", "../other.smal", "a/../../other.smal", ".", "./a", ".ssh/id", "a//b", "a/", "a\\b",
@@ -56,7 +56,7 @@ def refusal(call: Callable[[], object]) -> str:
 def load(bus: Bus, service: str, name: str) -> LoadReply:
     # As anybody may send it, whatever our own classes say.
     request = LoadRequest.model_construct(model=name, scheme=None, stride=None, goal=None)
-    return bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+    return bus.call(service, "load", request, LoadReply, timeout_s=DEADLINE_S)
 
 
 def forbid(path: Path) -> None:
@@ -154,7 +154,7 @@ def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, root: Pa
 
 
 def start(bus: Bus, name: str) -> None:
-    bus.call("recorder", "start", RecordRequest.model_construct(folder=name), Nothing, timeout_s=60.0)
+    bus.call("recorder", "start", RecordRequest.model_construct(folder=name), Nothing, timeout_s=DEADLINE_S)
 
 
 def files(folder: Path) -> list[str]:

@@ -28,6 +28,7 @@ from services.recordings.replay import tracks_of
 from services.recordings.stream import RecordingError
 from smal.features import FeatureSettings
 from tests.services.recordings.recorded_messages import episode, event
+from tests.services.waiting import DEADLINE_S
 
 MIB = 2**20
 CHUNK_HEAD = struct.Struct("<BQQQQIIQ")  # Head of a chunk that is not packed.
@@ -93,7 +94,7 @@ def reading(*paths: Path) -> tuple[int, list[str]]:
     """Return by how much reading files as `smal learn` does raises the peak of memory, and what it remarks."""
     done = subprocess.run(
         [sys.executable, "-c", _READ, str(ALLOWED), *map(str, paths)],
-        capture_output=True, text=True, timeout=120, check=True,
+        capture_output=True, text=True, timeout=DEADLINE_S, check=True,
     )  # fmt: skip
     peak, *remarks = done.stdout.splitlines()
     return int(peak), remarks

@@ -8,7 +8,7 @@ import termios
 import threading
 from pathlib import Path
 
-from tests.services.waiting import eventually
+from tests.services.waiting import DEADLINE_S, eventually
 
 ROOT = Path(__file__).parents[3]
 
@@ -39,13 +39,17 @@ class Console:
     def wait_for(self, pattern: str) -> None:
         eventually(lambda: re.search(pattern, self.output))
 
+    def exit_status(self) -> int:
+        """Wait for the end of the process, and return its status."""
+        return self.process.wait(DEADLINE_S)
+
     def press_until(self, keys: bytes, pattern: str, unless: str) -> None:
         """Press again as often as the program refuses, as a person does on a machine that is too slow to answer."""
         presses = 0
 
         def done() -> bool:
             nonlocal presses
-            if len(re.findall(unless, self.output)) == presses:
+            if len(re.findall(unless, self.output)) >= presses:
                 presses += 1
                 self.type(keys)
             return re.search(pattern, self.output) is not None

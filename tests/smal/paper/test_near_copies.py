@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from smal import Solution, solve
+from smal import solve
 from smal.paper import working_set
 from smal.paper.newton import minimize
 from tests.smal.paper.matching import Problem
 from tests.smal.worlds import matching_problem, unit
 
 NOISES = (0.0, 1e-7, 1e-5)
+TOLERANCE = 1e-3
+#: The solver finds residuals from inner products, which are accurate to about 1e-15 of a query frame's square. So each
+#: residual is off by up to the root of that, whatever order a BLAS sums in; the factor 2 covers the sums of its terms.
+RESIDUAL_ERROR = 2.0 * 1e-15**0.5
 
 
 def near_copy(seed: int, lambda_: float, noise: float) -> tuple[Problem, int]:
@@ -34,19 +38,17 @@ def extended(problem: Problem, active: np.ndarray, weights: np.ndarray) -> np.lo
 
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="this machine has no extended precision")
 @pytest.mark.parametrize("lambda_", [1e-6, 1e-4, 1e-3])
-def test_gaps_are_true_where_rounding_is_as_large_as_the_objective(lambda_: float) -> None:
-    solutions: list[Solution] = []
-    for seed, noise in ((seed, noise) for seed in range(1) for noise in NOISES):
-        problem, start = near_copy(seed, lambda_, noise)
+def test_gap_is_true_and_small_when_rounding_is_large(lambda_: float) -> None:
+    """A gap of 1 is always true, so the gap must also be as small as the accuracy of residuals permits."""
+    for noise in NOISES:
+        problem, start = near_copy(0, lambda_, noise)
         copied = np.arange(start, start + problem.length)
         best = extended(problem, copied, np.eye(problem.length))
-        solution = solve(problem.X, problem.Y, *problem.parameters, tolerance=1e-3)
+        solution = solve(problem.X, problem.Y, *problem.parameters, tolerance=TOLERANCE)
         value = extended(problem, solution.active, solution.active_weights)
-        assert value <= solution.objective * (1.0 + 1e-15), (seed, noise)
-        assert 1.0 - min(best, value) / value <= solution.duality_gap, (seed, noise)
-        solutions.append(solution)
-    # A gap of 1 would always be true.
-    assert any(solution.converged for solution in solutions)
+        assert value <= solution.objective * (1.0 + 1e-15), noise
+        assert 1.0 - min(best, value) / value <= solution.duality_gap, noise
+        assert solution.duality_gap <= TOLERANCE + problem.length * RESIDUAL_ERROR / float(value), noise
 
 
 def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(monkeypatch: pytest.MonkeyPatch) -> None:
