@@ -42,7 +42,7 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
+Reason = Literal["command", "obstacle", "insisted", "radius", "silence", "taken_over", "deaf", "emergency_stop"]
 #: Whoever arms the robot has to know the last of these that has stopped it.
 _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
 
@@ -306,12 +306,18 @@ class CommandGate:
             latest = self._latest.get(self._driver)
             return latest is not None and latest.command.tick == tick
 
-    def applied(self, now_s: float) -> Applied:
-        """Return what the actuator has to do now: the fresh command of whoever drives, or stand."""
+    def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
+        """Return what the actuator has to do now: the fresh command of whoever drives, or stand.
+
+        While a stop might not reach the robot (``deaf``) it stands. Then it goes on by itself: the loss of an operator
+        is latched as such, and an operator repeats a stop until the robot reports that it stands for it.
+        """
         with self._lock:
             if self.emergency_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
                 return Applied(STANDING, cause, "emergency_stop")
+            if deaf:
+                return Applied(STANDING, None, "deaf")
             source: Source = "teleop" if self._taken_over else self._driver
             latest = self._latest.get(source)
             if latest is not None and now_s <= latest.until_s:
