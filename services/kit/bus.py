@@ -128,9 +128,9 @@ class Bus:
 
     # -- the lanes --------------------------------------------------------------------------------------------------
 
-    def watch_lanes(self, period_s: float, *lanes: Lane) -> None:
-        """Have some lanes send each other signs of life this often, seconds."""
-        self._echo.watch(period_s, lanes)
+    def echo_every(self, period_s: float) -> None:
+        """Have the lanes send each other signs of life this often, seconds."""
+        self._echo.every(period_s)
 
     def echo_age_s(self, *lanes: Lane) -> float:
         """Return how long ago the newest signs of life were sent that prove that all of some lanes work, seconds."""

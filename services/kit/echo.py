@@ -9,7 +9,7 @@ it, and it has recently received from any other lane.
 import secrets
 import threading
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from itertools import permutations
 from typing import Any, Final
@@ -21,7 +21,7 @@ from services.kit.connection import Connection, Declared
 from services.kit.history import in_order
 from services.kit.zenoh_session import ECHO_QUALITY, LEASE_MS, zenoh_quality
 
-PERIOD_S: Final = 0.5  # Time between two signs of life from one lane to another, at most.
+PERIOD_S: Final = 0.5  # Time between two signs of life from one lane to another, unless a process needs more.
 #: Age of a lane's last echo at which the process is unhealthy, seconds: as old as a silent link that Zenoh closes.
 SILENT_S: Final = LEASE_MS / 1000.0
 #: How long a lane stays silent, from `SILENT_S` on, before its process must end, seconds. When a router returns, Zenoh
@@ -44,26 +44,27 @@ class Echo:
     """
 
     def __init__(self, role: str, connections: Mapping[Lane, Connection]) -> None:
+        self._period_s = PERIOD_S
         self._connections = connections
         begun_s = time.monotonic()  # Every lane counts as proved when its session has just been opened.
         #: When the newest sign of life was sent that has arrived.
         self._sent_s = dict.fromkeys(_WAYS, begun_s)
         self._vain_s = dict.fromkeys(LANES, 0.0)
-        self._period_s, self._watched = PERIOD_S, _WAYS
         self._declared: list[tuple[Connection, Declared[Any]]] = []
         process = secrets.token_hex(16)
         keys = {way: echo_key(role, process, *way) for way in _WAYS}
         for way, key in keys.items():
             self._subscribe(way, key)
-        self._publishers = {way: self._publish(way, key) for way, key in keys.items()}
-        self._ended = threading.Event()
+        self._publishers = [self._publish(way, key) for way, key in keys.items()]
+        self._ended = False
+        self._news = threading.Event()
         self._thread = threading.Thread(target=self._run, name="echo", daemon=True)
         self._thread.start()
 
-    def watch(self, period_s: float, lanes: Collection[Lane]) -> None:
-        """Have some lanes send each other signs of life more often."""
-        self._watched = tuple(way for way in _WAYS if set(way) <= set(lanes))
+    def every(self, period_s: float) -> None:
+        """Have the lanes send each other signs of life this often, from now on."""
         self._period_s = period_s
+        self._news.set()
 
     def age_s(self, lane: Lane) -> float:
         """Return how long ago the newest sign of life was sent that proves that a lane carries both ways, seconds."""
@@ -81,7 +82,8 @@ class Echo:
 
     def close(self) -> None:
         """Stop, and take back what was declared."""
-        self._ended.set()
+        self._ended = True
+        self._news.set()
         self._thread.join()
         for connection, declared in self._declared:
             connection.let_go(declared)
@@ -107,19 +109,17 @@ class Echo:
         self._declared.append((connection, declared))
 
     def _run(self) -> None:
-        due_s = time.monotonic()
-        while not self._ended.wait(self._period_s):
-            due = time.monotonic() >= due_s
-            for way in _WAYS if due else self._watched:
+        while not self._ended:
+            for publisher in self._publishers:
                 with suppress(zenoh.ZError):  # its session has just been replaced
-                    self._publishers[way].entity.put(time.monotonic_ns().to_bytes(_BYTES, "big"))
-            if due:
-                due_s = time.monotonic() + PERIOD_S
-                self._count()
+                    publisher.entity.put(time.monotonic_ns().to_bytes(_BYTES, "big"))
+            self._count()
+            self._news.wait(self._period_s)
+            self._news.clear()
 
     def _count(self) -> None:
         """Count how long lanes have had no echo though there is a router; a frozen process counts no time."""
         silent = [lane for lane in LANES if self.age_s(lane) > SILENT_S]
         there = len(silent) < len(LANES) or any(map(self._has_router, LANES))
         for lane in LANES:
-            self._vain_s[lane] = self._vain_s[lane] + PERIOD_S if there and lane in silent else 0.0
+            self._vain_s[lane] = self._vain_s[lane] + self._period_s if there and lane in silent else 0.0

@@ -82,7 +82,7 @@ class RobotService:
         self._timed: tuple[str, int | None] | None = None
         self.left = False  # Whether another robot of this id is there, to which it is left.
         runner.wake = node.soon(self.poll)
-        node.bus.watch_lanes(PULSE_S, *MOVING)
+        node.bus.echo_every(PULSE_S)
         runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ECHO_S
         for source, topic in COMMANDS.items():
             # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.

@@ -108,7 +108,7 @@ def freeze(rig: Rig, service: str, seconds: float) -> Window:
 
 def link_down(rig: Rig, service: str, seconds: float) -> Window:
     """Let the link of a service forward nothing for some time."""
-    return _frozen(rig, rig.links[service], seconds)
+    return _frozen(rig, rig.links[service].pid, seconds)
 
 
 def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
@@ -125,8 +125,8 @@ def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
 def abandon(rig: Rig, slow: bool) -> Window:
     """Kill an operator who looks on, behind a link that is as it should be or has grown slow; then arm the robot."""
     with (
-        link(rig.bus.endpoint) as (address, link_pid),
-        child("the operator", look_on, rig.bus.robot, address) as operator,
+        link(rig.bus.endpoint) as way,
+        child("the operator", look_on, rig.bus.robot, way.address) as operator,
     ):
 
         def noticed() -> bool:
@@ -137,7 +137,7 @@ def abandon(rig: Rig, slow: bool) -> Window:
             raise JobError("the robot does not hear of its operator")
         rig.hold(_LOOKS_ON_S)
         if slow:
-            os.kill(link_pid, signal.SIGUSR1)
+            os.kill(way.pid, signal.SIGUSR1)
             rig.hold(LATE_S / GROWTH)
         begin_s = time.monotonic()
         os.kill(operator.pid, signal.SIGKILL)
