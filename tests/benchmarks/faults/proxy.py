@@ -8,6 +8,7 @@ harm a single lane of the process behind it, for good, and then refuses all new 
 import asyncio
 import contextlib
 import math
+import re
 import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Final, Literal
 
-from schemas.topics import LANES, Lane
+from schemas.topics import LANES, Lane, echo_key
 from services.kit.bus import host_and_port
 from tests.benchmarks.child import Child, child
 
@@ -71,6 +72,8 @@ def forward(endpoint: str, batches: bool, owner: Connection) -> None:
     asyncio.run(_forward(endpoint, _batch if batches else _piece, owner))
 
 
+#: Key of a sign of life: the lanes that it leaves and reaches its process by.
+_ECHO: Final = re.compile(echo_key("[a-z]+", "[0-9a-f]+", "([a-z]+)", "([a-z]+)").encode())
 _Read = Callable[[asyncio.StreamReader], Awaitable[bytes]]
 
 
@@ -82,7 +85,13 @@ class _Passing:
     to_router: asyncio.StreamWriter
     read: _Read
     late_s: Callable[[], float]
+    lanes: set[str] = field(default_factory=lambda: set(LANES))  # Which lane it is, as far as that is known.
     swallows: set[asyncio.StreamWriter] = field(default_factory=set)
+
+    def learn(self, data: bytes) -> None:
+        """Learn which lane this is: every sign of life that the client declares is from it, or to it."""
+        for ends in _ECHO.findall(data) if len(self.lanes) > 1 else ():
+            self.lanes &= {end.decode() for end in ends}
 
     def harm(self, harm: Harm) -> None:
         if harm == "cut":
@@ -100,7 +109,7 @@ async def _forward(endpoint: str, read: _Read, owner: Connection) -> None:
     host, port = host_and_port(endpoint)
     slow_from_s = math.inf
     refuses = False
-    passing: list[_Passing] = []  # In the order in which a process opens its lanes.
+    passing: list[_Passing] = []
 
     def late_s() -> float:
         return min(LATE_S, GROWTH * max(0.0, time.monotonic() - slow_from_s))
@@ -137,7 +146,8 @@ async def _forward(endpoint: str, read: _Read, owner: Connection) -> None:
                 one.close()
         else:
             harm, lane = order
-            passing[LANES.index(lane)].harm(harm)
+            for one in [one for one in passing if one.lanes == {lane}]:
+                one.harm(harm)
         owner.send("done")
 
     server = await asyncio.start_server(connect, "127.0.0.1", 0)
@@ -171,6 +181,8 @@ async def _pass_on(source: asyncio.StreamReader, target: asyncio.StreamWriter, p
         data = b"begun"
         while data:
             data = await passing.read(source)
+            if target is passing.to_router:
+                passing.learn(data)
             await under_way.put((time.monotonic() + passing.late_s(), data))
 
     async def keep_alive() -> None:
