@@ -13,7 +13,7 @@ import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Final, Literal
 
@@ -69,7 +69,11 @@ def link(endpoint: str, *, batches: bool = False) -> Iterator[Link]:
 
 def forward(endpoint: str, batches: bool, owner: Connection) -> None:
     """Forward connections until the owner of the pipe closes it, or dies."""
-    asyncio.run(_forward(endpoint, _batch if batches else _piece, owner))
+
+    async def run() -> None:
+        await _Forwarder(endpoint, _batch if batches else _piece, owner).run()
+
+    asyncio.run(run())
 
 
 #: Key of a sign of life: the lanes that it leaves and reaches its process by.
@@ -77,21 +81,19 @@ _ECHO: Final = re.compile(echo_key("[a-z]+", "[0-9a-f]+", "([a-z]+)", "([a-z]+)"
 _Read = Callable[[asyncio.StreamReader], Awaitable[bytes]]
 
 
-@dataclass(eq=False)
 class _Passing:
-    """One connection: its ends, how it is read, how late it is, and in which directions it carries nothing."""
+    """One connection: its ends, which lanes it may be, and in which directions it carries nothing."""
 
-    to_client: asyncio.StreamWriter
-    to_router: asyncio.StreamWriter
-    read: _Read
-    late_s: Callable[[], float]
-    lanes: set[str] = field(default_factory=lambda: set(LANES))  # Which lane it is, as far as that is known.
-    swallows: set[asyncio.StreamWriter] = field(default_factory=set)
+    def __init__(self, to_client: asyncio.StreamWriter, to_router: asyncio.StreamWriter) -> None:
+        self.to_client, self.to_router = to_client, to_router
+        self.lanes = set[str](LANES)
+        self.swallows: set[asyncio.StreamWriter] = set()
 
-    def learn(self, data: bytes) -> None:
-        """Learn which lane this is: every sign of life that the client declares is from it, or to it."""
-        for ends in _ECHO.findall(data) if len(self.lanes) > 1 else ():
-            self.lanes &= {end.decode() for end in ends}
+    def note(self, target: asyncio.StreamWriter, data: bytes) -> None:
+        """Learn which lane this is: every sign of life that the client declares leaves or reaches it by that."""
+        if target is self.to_router and len(self.lanes) > 1:
+            for ends in _ECHO.findall(data):
+                self.lanes &= {end.decode() for end in ends}
 
     def harm(self, harm: Harm) -> None:
         if harm == "cut":
@@ -104,57 +106,95 @@ class _Passing:
             with contextlib.suppress(OSError):
                 end.close()
 
+    async def keep_alive(self, target: asyncio.StreamWriter) -> None:
+        """Keep a connection open that carries nothing."""
+        while True:
+            await asyncio.sleep(_KEEP_ALIVE_S)
+            if target in self.swallows:
+                target.write(_KEEP_ALIVE)
 
-async def _forward(endpoint: str, read: _Read, owner: Connection) -> None:
-    host, port = host_and_port(endpoint)
-    slow_from_s = math.inf
-    refuses = False
-    passing: list[_Passing] = []
 
-    def late_s() -> float:
-        return min(LATE_S, GROWTH * max(0.0, time.monotonic() - slow_from_s))
+class _Forwarder:
+    """All connections of a link, and what its owner has done to them."""
 
-    def grow_slow() -> None:
-        nonlocal slow_from_s
-        slow_from_s = time.monotonic()
+    def __init__(self, endpoint: str, read: _Read, owner: Connection) -> None:
+        self._router = host_and_port(endpoint)
+        self._read = read
+        self._owner = owner
+        self._slow_from_s = math.inf
+        self._refuses = False
+        self._passing: list[_Passing] = []
+        self._ended = asyncio.Event()
 
-    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, grow_slow)
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        loop.add_signal_handler(signal.SIGUSR1, self._grow_slow)
+        server = await asyncio.start_server(self._connect, "127.0.0.1", 0)
+        self._owner.send(server.sockets[0].getsockname()[1])
+        loop.add_reader(self._owner.fileno(), self._obey)
+        await self._ended.wait()
 
-    async def connect(client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
+    def _late_s(self) -> float:
+        return min(LATE_S, GROWTH * max(0.0, time.monotonic() - self._slow_from_s))
+
+    def _grow_slow(self) -> None:
+        self._slow_from_s = time.monotonic()
+
+    def _obey(self) -> None:
+        """Carry out an order of the owner: harm a lane, or mend what was harmed."""
         try:
-            if refuses:
-                raise ConnectionRefusedError
-            router, to_router = await asyncio.open_connection(host, port)
-        except OSError:
-            to_client.close()
-            return
-        one = _Passing(to_client, to_router, read, late_s)
-        passing.append(one)
-        await asyncio.gather(_pass_on(client, to_router, one), _pass_on(router, to_client, one))
-        passing.remove(one)
-
-    def obey() -> None:
-        nonlocal refuses
-        try:
-            order = owner.recv()
+            order = self._owner.recv()
         except EOFError:
-            ended.set()
+            self._ended.set()
             return
-        refuses = order is not None
+        self._refuses = order is not None
         if order is None:
-            for one in [one for one in passing if one.swallows]:
+            for one in [one for one in self._passing if one.swallows]:
                 one.close()
         else:
             harm, lane = order
-            for one in [one for one in passing if one.lanes == {lane}]:
+            for one in [one for one in self._passing if one.lanes == {lane}]:
                 one.harm(harm)
-        owner.send("done")
+        self._owner.send("done")
 
-    server = await asyncio.start_server(connect, "127.0.0.1", 0)
-    owner.send(server.sockets[0].getsockname()[1])
-    ended = asyncio.Event()
-    asyncio.get_running_loop().add_reader(owner.fileno(), obey)
-    await ended.wait()
+    async def _connect(self, client: asyncio.StreamReader, to_client: asyncio.StreamWriter) -> None:
+        try:
+            if self._refuses:
+                raise ConnectionRefusedError
+            router, to_router = await asyncio.open_connection(*self._router)
+        except OSError:
+            to_client.close()
+            return
+        one = _Passing(to_client, to_router)
+        self._passing.append(one)
+        await asyncio.gather(self._pass_on(client, to_router, one), self._pass_on(router, to_client, one))
+        self._passing.remove(one)
+
+    async def _pass_on(self, source: asyncio.StreamReader, target: asyncio.StreamWriter, passing: _Passing) -> None:
+        """Pass on what comes, and the end of the stream, each when it is due."""
+        under_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(_UNDER_WAY)
+
+        async def take() -> None:
+            data = b"begun"
+            while data:
+                data = await self._read(source)
+                passing.note(target, data)
+                await under_way.put((time.monotonic() + self._late_s(), data))
+
+        working = [asyncio.ensure_future(task) for task in (take(), passing.keep_alive(target))]
+        with contextlib.suppress(OSError):
+            while True:
+                due_s, data = await under_way.get()
+                await asyncio.sleep(max(0.0, due_s - time.monotonic()))
+                if not data:
+                    break
+                if target not in passing.swallows:
+                    target.write(data)
+                    await target.drain()
+        for task in working:
+            task.cancel()
+        with contextlib.suppress(OSError):
+            target.close()
 
 
 async def _piece(source: asyncio.StreamReader) -> bytes:
@@ -171,37 +211,3 @@ async def _batch(source: asyncio.StreamReader) -> bytes:
         return length + await source.readexactly(int.from_bytes(length, "little"))
     except (OSError, asyncio.IncompleteReadError):
         return b""
-
-
-async def _pass_on(source: asyncio.StreamReader, target: asyncio.StreamWriter, passing: _Passing) -> None:
-    """Pass on what comes, and the end of the stream, each when it is due."""
-    under_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(_UNDER_WAY)
-
-    async def take() -> None:
-        data = b"begun"
-        while data:
-            data = await passing.read(source)
-            if target is passing.to_router:
-                passing.learn(data)
-            await under_way.put((time.monotonic() + passing.late_s(), data))
-
-    async def keep_alive() -> None:
-        while True:
-            await asyncio.sleep(_KEEP_ALIVE_S)
-            if target in passing.swallows:
-                target.write(_KEEP_ALIVE)
-
-    working = [asyncio.ensure_future(task) for task in (take(), keep_alive())]
-    with contextlib.suppress(OSError):
-        while True:
-            due_s, data = await under_way.get()
-            await asyncio.sleep(max(0.0, due_s - time.monotonic()))
-            if not data:
-                break
-            if target not in passing.swallows:
-                target.write(data)
-                await target.drain()
-    for task in working:
-        task.cancel()
-    with contextlib.suppress(OSError):
-        target.close()
