@@ -82,8 +82,9 @@ class Bus:
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
     an outage the connection is made again in the background (`connection`), with the next of several routers where one
-    is gone. Every lane proves that it carries both ways (`echo`); ``role`` is the one of the credentials. Raises BusError
-    when an address is malformed, or no router is there within ``patience_s`` that lets us in.
+    is gone. Every lane proves that it carries both ways (`echo`). ``role`` is that of the credentials.
+
+    Raises BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
     def __init__(
