@@ -167,7 +167,8 @@ class _Forwarder:
             return
         one = _Passing(to_client, to_router)
         self._passing.append(one)
-        await asyncio.gather(self._pass_on(client, to_router, one), self._pass_on(router, to_client, one))
+        with contextlib.suppress(asyncio.CancelledError):  # as the link ends
+            await asyncio.gather(self._pass_on(client, to_router, one), self._pass_on(router, to_client, one))
         self._passing.remove(one)
 
     async def _pass_on(self, source: asyncio.StreamReader, target: asyncio.StreamWriter, passing: _Passing) -> None:
