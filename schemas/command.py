@@ -75,8 +75,8 @@ class Command(_Moving):
 class CommandApplied(_Moving):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 6
-    reads: ClassVar[tuple[int, ...]] = (2, 3, 4, 5)
+    version: ClassVar[int] = 7
+    reads: ClassVar[tuple[int, ...]] = (2, 3, 4, 5, 6)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -86,11 +86,14 @@ class CommandApplied(_Moving):
     """The nearest of the five keys, for people and for the paper's scheme."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
+    reason: Literal[
+        "command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "deaf", "emergency_stop"
+    ]
     """Why: a fresh command; a command that is carried out slower, or not, because something is in the way or the ground
     is not known to be free, or because the depth camera shows no ground, or shows it too late (`no_depth`); a command
     that is carried out there slowly, because a person insists; a command that turns more sharply than the robot can; no
-    fresh command from the driver, or from the person who has taken over; or a latched stop."""
+    fresh command from the driver, or from the person who has taken over; no echo by a link on which stops or commands
+    come (`deaf`); or a latched stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release has to name; 0 where none is."""
     stop_cause: StopCause | None = None

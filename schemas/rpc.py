@@ -70,7 +70,8 @@ class Status(Strict):
     service: str  # Name of the service.
     state: Literal["starting", "ready", "stopping"]  # Whether it takes work.
     pid: int  # Process number.
-    connected: bool  # Whether it has a router.
+    connected: bool  # Whether it has a router, which echoes by every lane.
+    silent: tuple[str, ...] = ()  # Lanes without a router, or by which the router does not echo.
     uptime_s: float  # Seconds since it started.
     idle_s: float  # Seconds since it last finished a piece of work.
     busy_s: float  # Seconds that the piece of work at hand has taken so far; 0 while it waits for some.

@@ -37,10 +37,16 @@ class Topic:
     recorded: bool  # Whether the recorder writes it.
     lane: Lane = "ordinary"  # Which of a process's links it travels by.
     reliable: bool = False  # Whether the sender waits rather than drops when the network is full.
+    sent_by: Lane | None = None  # Link by which it leaves its sender; ``lane`` if not given.
 
     def key(self, robot: str) -> str:
         """Return the Zenoh key of this topic for one robot (or ``*`` for every robot)."""
         return f"{ROOT}/{robot}/{self.name}"
+
+    @property
+    def outgoing(self) -> Lane:
+        """Link by which it leaves its sender."""
+        return self.sent_by or self.lane
 
     @property
     def kept(self) -> int:
@@ -83,8 +89,10 @@ COMMANDS: Final = {
 APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, lane="urgent")
 #: At 20 Hz, so that two may be lost; see `services.robot.gate.OPERATOR_S`. Of several only the newest is answered.
 PULSE: Final = Topic("pulse", Pulse, 20, 1, False, lane="urgent")
-#: Of an operator as often, since each pulse is answered.
-HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, lane="urgent")
+#: Of an operator as often, since each pulse is answered. It leaves its sender by the link of emergency stops, so that a
+#: robot misses an operator without a way to stop it. The robot receives it by another link than stops: a flood of
+#: heartbeats must not delay them.
+HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, lane="urgent", sent_by="stop")
 EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 
 TOPICS: Final[dict[str, Topic]] = {
@@ -123,6 +131,11 @@ def key_of(message: Message) -> str:
 def rpc_key(robot: str, service: str, verb: str) -> str:
     """Return the Zenoh key of a service's queryable."""
     return f"{ROOT}/{robot}/rpc/{service}/{verb}"
+
+
+def echo_key(role: str, process: str, sender: str, receiver: str) -> str:
+    """Return the Zenoh key by which a process of a role sends itself signs of life from one lane to another."""
+    return f"{ROOT}/@echo/{role}/{process}/{sender}/{receiver}"
 
 
 def group_key(fleet: str, service: str) -> str:

@@ -8,7 +8,7 @@ role may hear); both must allow it.
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from schemas.topics import ROOT, group_key, rpc_key
+from schemas.topics import ROOT, echo_key, group_key, rpc_key
 from services.table import Role, roles
 
 Rule = dict[str, object]
@@ -25,7 +25,7 @@ _PASSED_ON: Final[Rule] = {
         *("put", "delete", "declare_subscriber", "query", "declare_queryable", "reply"),
         *("liveliness_token", "declare_liveliness_subscriber", "liveliness_query"),
     ],
-    "key_exprs": ["**", "**/@adv/**", "**/@group/**"],
+    "key_exprs": ["**", "**/@adv/**", "**/@group/**", echo_key("*", "*", "*", "*")],
 }
 
 
@@ -82,10 +82,12 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
     #: An instance is seen by those of its own service, and sees them.
     seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()
+    #: A process sends itself signs of life.
+    echo = {echo_key(role.name, "*", "*", "*")}
     asked = calls | replayed | ({ADMINISTRATION} if role.name == "operator" else set())
-    yield "put", gives | kept, takes | replayed
+    yield "put", gives | kept | echo, takes | replayed | echo
     # A sender is told who listens, and a caller who serves: without that neither sends.
-    yield "declare_subscriber", takes | replayed | listens, gives | kept
+    yield "declare_subscriber", takes | replayed | listens | echo, gives | kept | echo
     yield "declare_queryable", serves | kept, asked
     yield "query", asked | _lost(replayed), serves | kept | _lost(kept)
     # What a sender kept is answered on the topic's own key.

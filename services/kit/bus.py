@@ -17,6 +17,7 @@ from schemas.rpc import Failure
 from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.connection import Connection, Declared, Entity
 from services.kit.credentials import Credentials
+from services.kit.echo import DEAF_S, SILENT_S, Echo
 from services.kit.errors import JobError
 from services.kit.history import in_order, subscribe_whole
 from services.kit.replay import Budget
@@ -29,6 +30,7 @@ from services.kit.zenoh_session import (
     host_and_port,
     open_client,
     quality,
+    zenoh_quality,
     zenohd_configuration,
 )
 from services.table import SERVICES
@@ -80,7 +82,9 @@ class Bus:
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
     an outage the connection is made again in the background (`connection`), with the next of several routers where one
-    is gone. Raises BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
+    is gone. Every lane proves that it carries both ways (`echo`). ``role`` is that of the credentials.
+
+    Raises BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
     def __init__(
@@ -90,6 +94,7 @@ class Bus:
         patience_s: float = PATIENCE_S,
         credentials: Credentials = None,
         *,
+        role: str = "operator",
         of: "Bus | None" = None,
     ) -> None:
         if of is None:
@@ -101,6 +106,7 @@ class Bus:
         self._lanes: dict[Lane, Connection] = (
             of._lanes if of else {lane: Connection(open_session, patience_s) for lane in LANES}
         )
+        self._echo: Echo = of._echo if of else Echo(role, self._lanes)
         #: By topic, with when something was last sent, monotonic seconds.
         self._publishers: dict[str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]] = {}
         self._matching: dict[str, Declared[zenoh.Publisher]] = {}
@@ -122,9 +128,32 @@ class Bus:
         self._declared.append((self._lanes[lane], declared))
         return declared
 
+    # -- the lanes --------------------------------------------------------------------------------------------------
+
+    def echo_every(self, period_s: float) -> None:
+        """Have the lanes send each other signs of life this often, seconds."""
+        self._echo.every(period_s)
+
+    def echo_age_s(self, *lanes: Lane) -> float:
+        """Return how long ago the newest signs of life were sent that prove that all of some lanes work, seconds."""
+        return max(map(self._echo.age_s, lanes))
+
+    def silent(self) -> tuple[Lane, ...]:
+        """Return the lanes that carry nothing: without a router, or without a recent echo from it."""
+        return self._echo.silent()
+
+    def check(self) -> None:
+        """Raise BusError when a lane stays silent although the router is there: only a new process mends that."""
+        deaf = self._echo.deaf()
+        if deaf:
+            raise BusError(
+                f"lane {', '.join(deaf)}: no echo for {SILENT_S + DEAF_S:g} s, though {self.endpoint} is connected; "
+                "this process ends and must be started again"
+            )
+
     def connected(self) -> bool:
-        """Whether every session has a router."""
-        return all(session.info.routers_zid() for session in self.sessions.values())
+        """Whether every lane has a router, which echoes."""
+        return not self.silent()
 
     def wait_connected(self, timeout_s: float) -> None:
         """Wait for the router; BusError where there is none within ``timeout_s``."""
@@ -145,7 +174,7 @@ class Bus:
         topic = TOPICS[message.topic_name]
         publisher, _ = self._publishers.get(topic.name) or (None, 0.0)
         if publisher is None:
-            publisher = self._lanes[topic.lane].declare(partial(self.declare_publisher, topic), sends=True)
+            publisher = self._lanes[topic.outgoing].declare(partial(self.declare_publisher, topic), sends=True)
         self._publishers[topic.name] = publisher, time.monotonic()
         publisher.entity.put(payload := encode(message), attachment=checksum(payload))
 
@@ -154,7 +183,7 @@ class Bus:
         for name, (publisher, sent_s) in [*self._publishers.items()]:
             if time.monotonic() - sent_s > KEPT_S:
                 del self._publishers[name]
-                self._lanes[TOPICS[name].lane].let_go(publisher)
+                self._lanes[TOPICS[name].outgoing].let_go(publisher)
 
     def has_listeners(self, topic: Topic) -> bool:
         """Whether anybody subscribes to a topic, as far as the router has told yet; for what is costly to make."""
@@ -162,7 +191,7 @@ class Bus:
         if topic.name not in self._matching:
             key = topic.key(self.robot)
             self._matching[topic.name] = self._declare(
-                topic.lane, lambda session: session.declare_publisher(key), sends=True
+                topic.outgoing, lambda session: session.declare_publisher(key), sends=True
             )
         # Zenoh's types say bool; it is an object, and as such always true.
         status: object = self._matching[topic.name].entity.matching_status
@@ -172,13 +201,8 @@ class Bus:
         self, topic: Topic, session: zenoh.Session | None = None
     ) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
         """Declare the publisher that a topic asks for, in the session of now."""
-        session, key, how = session or self.sessions[topic.lane], topic.key(self.robot), quality(topic)
-        options: dict[str, Any] = {
-            "encoding": zenoh.Encoding(encoding_of(topic.message)),
-            "congestion_control": getattr(zenoh.CongestionControl, how.congestion_control.upper()),
-            "priority": getattr(zenoh.Priority, how.priority.upper()),
-            "express": how.express,
-        }
+        session, key = session or self.sessions[topic.outgoing], topic.key(self.robot)
+        options = {"encoding": zenoh.Encoding(encoding_of(topic.message)), **zenoh_quality(quality(topic))}
         if not topic.recorded:
             return session.declare_publisher(key, **options)
         block = zenoh.CongestionControl.BLOCK
@@ -362,11 +386,12 @@ class Bus:
     def close(self) -> None:
         """Take back every declaration and leave the router."""
         for name in self._publishers:
-            self._declared.append((self._lanes[TOPICS[name].lane], self._publishers[name][0]))
+            self._declared.append((self._lanes[TOPICS[name].outgoing], self._publishers[name][0]))
         while self._declared:
             connection, declared = self._declared.pop()
             connection.let_go(declared)
         if self._of is None:
+            self._echo.close()
             for connection in self._lanes.values():
                 connection.close()
         # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.

@@ -30,7 +30,7 @@ from prometheus_client import CollectorRegistry
 from schemas.codec import DecodeError, decode
 from schemas.snapshot import Snapshot
 from schemas.topics import KEPT_S, SNAPSHOTS, group_key, key_of
-from services.kit.health import Together, ailment, serve_http
+from services.kit.health import Together, ailment, serve_http, silence
 from services.kit.node import LOOK_S, SNAPSHOT_S, Node
 from services.kit.settings import FleetSettings, fleet
 from services.kit.zenoh_session import LEASE_MS
@@ -110,7 +110,7 @@ class _Served:
 class Group(Generic[S]):
     """One instance of a service: it runs a node for each robot that is its own, by ``serve``, until it is stopped.
 
-    Raises BusError where there is no router, and whatever JobError a node ends by.
+    Raises BusError where there is no router or a lane stays deaf, and whatever JobError a node ends by.
     """
 
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
@@ -140,6 +140,7 @@ class Group(Generic[S]):
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
                 looked_s = time.monotonic()
                 while not self._stopped and self._failure is None:
+                    self._bus.check()
                     # Who was frozen for so long is taken for dead, though it has not heard of it yet.
                     frozen = time.monotonic() - looked_s > LEASE_MS / 1000.0
                     looked_s = time.monotonic()
@@ -256,8 +257,8 @@ class Group(Generic[S]):
 
     def _ailment(self) -> str | None:
         """Return what ails it, or the first of its nodes that is not healthy; a spare one has none."""
-        if not self._bus.connected():
-            return "no connection to the router"
+        if silent := self._bus.silent():
+            return silence(silent)
         if not self._here or any(served.node is None for served in [*self._served.values()]):
             return "starting"
         found = ((node.robot, ailment(node.status())) for node in self._nodes())

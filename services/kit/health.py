@@ -2,7 +2,7 @@
 
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Final, Literal
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
@@ -12,6 +12,7 @@ from prometheus_client.exposition import ThreadingWSGIServer
 from prometheus_client.registry import Collector
 
 from schemas.rpc import Status
+from schemas.topics import LANES
 from services.kit.errors import JobError
 
 if TYPE_CHECKING:
@@ -46,12 +47,18 @@ def ailment(status: Status) -> str | None:
     if status.state != "ready":
         return status.state
     if not status.connected:
-        return "no connection to the router"
+        return silence(status.silent)
     if status.busy_s > STUCK_S:
         return f"the work at hand has taken {status.busy_s:.1f} s so far"
     if status.oldest_s > STUCK_S:
         return f"a message has waited for {status.oldest_s:.1f} s"
     return None
+
+
+def silence(lanes: Collection[str]) -> str:
+    """Return what is wrong with a bus that is not connected, in one line, by its silent lanes."""
+    some = 0 < len(lanes) < len(LANES)
+    return f"no echo from the router by lane {', '.join(lanes)}" if some else "no connection to the router"
 
 
 class Metrics(Collector):

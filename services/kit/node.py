@@ -265,10 +265,14 @@ class Node:
             self._published[message.topic_name] += 1
 
     def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
-        """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False)."""
+        """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False).
+
+        Raises BusError when a lane of the bus stays deaf.
+        """
         self._state = "ready"
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while not self._stop.is_set():
+            self.bus.check()
             if until():
                 return True
             now = time.monotonic()
@@ -341,11 +345,13 @@ class Node:
     def status(self) -> Status:
         """Return how this node is; safe to call from any thread."""
         now = time.monotonic()
+        silent = self.bus.silent()
         return Status(
             service=self.name,
             state=self._state,
             pid=os.getpid(),
-            connected=self.bus.connected(),
+            connected=not silent,
+            silent=silent,
             uptime_s=round(now - self._started_s, 3),
             idle_s=round(now - self._worked_s, 3),
             busy_s=round(now - began_s, 3) if (began_s := self._began_s) is not None else 0.0,

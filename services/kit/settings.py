@@ -58,7 +58,7 @@ class ServiceSettings(BaseSettings):
 
     def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
         """Connect to the router as one of the roles; BusError when there is none, or it does not let us in."""
-        return Bus(self.robot, self.router, patience_s, self.credentials(role))
+        return Bus(self.robot, self.router, patience_s, self.credentials(role), role=role)
 
 
 class FleetSettings(ServiceSettings):

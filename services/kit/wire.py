@@ -8,6 +8,7 @@
 - Handlers run on the bus's own threads, one for what is urgent, one for all else and one for the calls of each key, and
   hold up what follows there until they return. A publisher never waits for one, but for its own
   bus's. What a handler raises is logged.
+- A handler that holds up its lane makes it deaf: after 12 s its process ends (`echo`).
 - Calls that come faster than they are answered, or than a tenth of a processor answers them, wait; of
   too many the oldest are dropped.
 - A handler must not call on its own bus: the answer comes on the thread that waits for it.

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
+from schemas.topics import LANES, ROOT, TOPICS, Topic, echo_key, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
 from services.kit.memory import keep_small
@@ -61,6 +61,9 @@ class Quality(NamedTuple):
 
 
 _ORDINARY: Final = Quality("data_high", "drop", express=False)
+#: Of the signs of life of `services.kit.echo`: they overtake all that waits. They are not express, so that several fit
+#: into one batch and none waits for room on a link that is full.
+ECHO_QUALITY: Final = Quality("real_time", "drop", express=False)
 
 
 def quality(topic: Topic) -> Quality:
@@ -74,6 +77,15 @@ def quality(topic: Topic) -> Quality:
     return Quality("real_time" if topic.lane == "stop" else "interactive_high", "drop", express=True)
 
 
+def zenoh_quality(how: Quality) -> dict[str, Any]:
+    """Return the options of a Zenoh publisher for a quality."""
+    return {
+        "congestion_control": getattr(zenoh.CongestionControl, how.congestion_control.upper()),
+        "priority": getattr(zenoh.Priority, how.priority.upper()),
+        "express": how.express,
+    }
+
+
 def _door() -> list[dict[str, object]]:
     """Return how messages travel from the router on, whatever their senders want: the last rule that fits counts.
 
@@ -84,6 +96,7 @@ def _door() -> list[dict[str, object]]:
         # The answers have the priority of the question, and what is replayed must keep its own.
         (["query"], _everything("**"), {"congestion_control": "drop"}),
         (["put", "delete"], _everything("**"), _ORDINARY._asdict()),
+        (["put", "delete"], [echo_key("*", "*", "*", "*")], ECHO_QUALITY._asdict()),
     ]
     for how in sorted({quality(topic) for topic in TOPICS.values()} - {_ORDINARY}):
         names = [topic.name for topic in TOPICS.values() if quality(topic) == how]

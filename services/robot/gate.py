@@ -43,7 +43,9 @@ Refusal = Literal[
     "stale",
     "out of order",
 ]
-Reason = Literal["command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "emergency_stop"]
+Reason = Literal[
+    "command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "deaf", "emergency_stop"
+]
 #: The last of several causes is reported: the operator has to know it to arm the robot.
 _WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "wheels", "fault", "emergency_stop")
 
@@ -308,28 +310,32 @@ class CommandGate:
             latest = self._latest.get(self._driver)
             return latest is not None and latest.command.tick == tick
 
-    def applied(self, now_s: float) -> Applied:
+    def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
         """Return what the actuator has to do now: the fresh command of whoever drives, or stand.
 
+        While a stop might not reach the robot (``deaf``) it stands. Then it goes on by itself: the loss of an operator
+        is latched as such, and an operator repeats a stop until the robot reports that it stands for it.
         The guard is asked without the lock: no stop waits for it, and a stop that came meanwhile counts.
         """
-        latest = self._obeyed(now_s)
+        latest = self._obeyed(now_s, deaf=deaf)
         if isinstance(latest, Applied):
             return latest
         command = latest.command
         insists = command.insists and command.source == "teleop"
         may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
-        still = self._obeyed(now_s)
+        still = self._obeyed(now_s, deaf=deaf)
         if isinstance(still, Applied):
             return still
         return Applied(may, command.source, reason, command.tick, now_s - latest.captured_s)
 
-    def _obeyed(self, now_s: float) -> _Accepted | Applied:
+    def _obeyed(self, now_s: float, *, deaf: bool) -> _Accepted | Applied:
         """Return the command that is obeyed now, or why the robot stands."""
         with self._lock:
             if self.emergency_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
                 return Applied(STANDING, cause, "emergency_stop")
+            if deaf:
+                return Applied(STANDING, None, "deaf")
             latest = self._latest.get("teleop" if self._taken_over else self._driver)
             if latest is None or now_s > latest.until_s:
                 return Applied(STANDING, None, "taken_over" if self._taken_over else "silence")

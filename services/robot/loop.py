@@ -13,6 +13,8 @@ from services.robot.clock import now_s
 from services.robot.gate import OPERATOR_S, SILENCE_S, Applied, CommandGate
 
 PERIOD_S: Final = 0.02  # Time from one look at the gate to the next.
+#: Age of the newest echo at which a lane counts as deaf, seconds; five of the robot's signs of life on each lane.
+ECHO_S: Final = 0.25
 STAND_WITHIN_S: Final = 0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
 _log = logging.getLogger("robot")
 
@@ -22,6 +24,7 @@ def stopping_times_s(body: Stops) -> dict[str, float]:
     return {
         "the driver": SILENCE_S + PERIOD_S + body.braking_s,
         "the operator": OPERATOR_S + PERIOD_S + body.braking_s,
+        "a link": ECHO_S + PERIOD_S + body.braking_s,
         "this process": body.watchdog_s + body.braking_s,
     }
 
@@ -41,6 +44,7 @@ class ActuatorLoop:
 
     Where the body fails, a stop is latched: a robot that does not do what it is told is moved by nobody until somebody
     has looked at it and arms it again. ``tell`` hears what is carried out whenever that changes; it must not wait.
+    While the robot is ``deaf`` to stops or commands it stands.
     """
 
     def __init__(
@@ -49,8 +53,10 @@ class ActuatorLoop:
         body: Body[View],
         tell: Callable[[Applied], None],
         clock: Callable[[], float] = now_s,
+        deaf: Callable[[], bool] = lambda: False,
     ) -> None:
         self._gate = gate
+        self._deaf = deaf
         self._body = body
         self._tell = tell
         self._clock = clock
@@ -88,7 +94,7 @@ class ActuatorLoop:
     def _carry_out(self) -> None:
         now = self._clock()
         self._gate.watch(now)
-        applied = self._gate.applied(now)
+        applied = self._gate.applied(now, deaf=self._deaf())
         if applied.velocity == STANDING:
             self._body.stand()
         else:

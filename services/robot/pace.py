@@ -103,7 +103,10 @@ Paces = Mapping[Mode, Callable[[], Pace[V]]]  # How time passes, by mode; each e
 
 
 class RealTime(Generic[V]):
-    """The clock runs: a frame every ``frame_s``, while a loop drives; ``wake`` has somebody call ``poll`` soon."""
+    """The clock runs: a frame every ``frame_s``, while a loop drives; ``wake`` has somebody call ``poll`` soon.
+
+    While the robot is ``deaf`` to stops or commands the loop lets it stand.
+    """
 
     def __init__(
         self,
@@ -112,12 +115,14 @@ class RealTime(Generic[V]):
         clock: Callable[[], float],
         wake: Callable[[], None],
         frame_s: float = TICK_S,
+        deaf: Callable[[], bool] = lambda: False,
     ) -> None:
+        self._deaf = deaf
         self._frame_s = frame_s
         self._clock = clock
         self._wake = wake
         self._changes: deque[Applied] = deque(maxlen=CHANGES_KEPT)
-        self.loop = ActuatorLoop(gate, body, self._note, clock)
+        self.loop = ActuatorLoop(gate, body, self._note, clock, deaf)
         self._due_s = 0.0
         self.late = 0
 
@@ -159,7 +164,7 @@ class RealTime(Generic[V]):
         self._due_s = max(self._due_s + self._frame_s, now)
         yield from runner.next_frame(run)
         if run is runner.running:
-            yield runner.tell(run, runner.gate.applied(self._clock()))
+            yield runner.tell(run, runner.gate.applied(self._clock(), deaf=self._deaf()))
 
     def end(self) -> None:
         """Stop the loop, which leaves the robot standing."""

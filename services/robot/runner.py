@@ -62,6 +62,7 @@ class EpisodeRunner(Generic[V]):
         self.body = body
         self.gate = gate
         self.wake: Callable[[], None] = lambda: None  # Called when ``poll`` has something to do; must return at once.
+        self.deaf: Callable[[], bool] = lambda: False  # Whether stops or commands might not reach the robot.
         self.frame_s = TICK_S  # Time from frame to frame in real time, at least.
         self.task = task
         self.radio = False  # Whether who drives is reached by radio; see `services.robot.radio`.
@@ -69,7 +70,7 @@ class EpisodeRunner(Generic[V]):
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
-            "realtime": lambda: RealTime(gate, body, clock, self.wake, self.frame_s),
+            "realtime": lambda: RealTime(gate, body, clock, self.wake, self.frame_s, self.deaf),
             **(paces or {}),
         }
         self._clock = clock

@@ -23,7 +23,7 @@ from schemas.rpc import (
     ResumeRequest,
     Status,
 )
-from schemas.topics import COMMANDS, HEARTBEAT, PULSE
+from schemas.topics import COMMANDS, HEARTBEAT, PULSE, Lane
 from services.kit.bus import RpcError
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size, shrunk
 from services.kit.node import Detail, Node, ServiceError
@@ -32,7 +32,7 @@ from services.robot import radio
 from services.robot.body import Body, View
 from services.robot.clock import PULSE_S
 from services.robot.gate import MAX_AGE_S, CommandGate
-from services.robot.loop import PERIOD_S, check_stopping
+from services.robot.loop import ECHO_S, PERIOD_S, check_stopping
 from services.robot.pace import Paces
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
@@ -40,6 +40,7 @@ from services.robot.task import OperatorsTask, Task
 ROBOT: Final = "robot"  # Name on the bus, whatever body it has.
 PEEK_COLUMNS: Final = 640  # Of what is seen between episodes: so small that a reply takes it, whatever camera it is.
 ANSWER_S: Final = 1.0  # How long another robot of this id may take to say so.
+MOVING: Final[tuple[Lane, ...]] = ("urgent", "stop")  # Lanes without which nobody can move the robot, or stop it.
 V = TypeVar("V", bound=View)
 
 
@@ -81,6 +82,8 @@ class RobotService:
         self._timed: tuple[str, int | None] | None = None
         self.left = False  # Whether another robot of this id is there, to which it is left.
         runner.wake = node.soon(self.poll)
+        node.bus.echo_every(PULSE_S)
+        runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ECHO_S
         for source, topic in COMMANDS.items():
             # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.
             node.at_once(topic, self.take, self.stop if source == "emergency_stop" else lambda: None)

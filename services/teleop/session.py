@@ -203,6 +203,7 @@ def _robot(robot: Report, now_s: float) -> list[str]:
         "radius": "a car turns while it drives, no more sharply than it can",
         "silence": "nobody drives",
         "taken_over": "you have taken over; r resumes",
+        "deaf": "its link to the router carries nothing; it stands until that works",
         "emergency_stop": _CAUSES[robot.cause],
     }
     doing = f"{robot.atom or '-'} ({reasons.get(robot.reason or '', '-')})"

@@ -96,13 +96,13 @@ def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         robot = replace(robot, humble=True, encoding="yuv422", twist="TwistStamped")
     with ExitStack() as stacked:
         place = stacked.enter_context(robot_for(robot))
-        address, link_pid = stacked.enter_context(link(place.endpoint))
+        way = stacked.enter_context(link(place.endpoint))
         config = place.config()
-        config.write_text(config.read_text().replace(place.endpoint, address))
+        config.write_text(config.read_text().replace(place.endpoint, way.address))
         endpoint = free_endpoint()
         stacked.callback(Router(endpoint).close)
         bus = stacked.enter_context(closing(Bus("fake", endpoint)))
-        one = Driven(place, bus, endpoint, link_pid, request.param)
+        one = Driven(place, bus, endpoint, way.pid, request.param)
         bus.subscribe(topics.ODOMETRY, one.answer)
         one.start()
         try:

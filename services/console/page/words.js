@@ -64,6 +64,9 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
     const why = sits ? "hold a key to drive" : free;
     return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it hears no command"}`];
   }
+  if (robot.reason === "deaf") {
+    return ["bad", "The robot stands: its link to the router carries nothing; it goes on when that works"];
+  }
   if (robot.reason === "obstacle") {
     const again = robot.source === "teleop" && sits ? ". To go on slowly all the same, let go, and hold the key again" : "";
     return ["warn", `It stands, or goes slower: something is in the way, or nothing tells that it is free${again}`];

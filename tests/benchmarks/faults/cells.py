@@ -9,18 +9,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Final, Literal
 
-from schemas.topics import KEPT_S
+from schemas.topics import KEPT_S, Lane
 from services.cli.up import GROUPED
 from services.kit.bus import addresses, host_and_port
+from services.kit.echo import DEAF_S, SILENT_S
 from services.kit.errors import JobError
 from services.recordings.sink import PARTIAL_SUFFIX
 from services.table import stack_services
 from tests.benchmarks.child import child
 from tests.benchmarks.faults.judge import Window
-from tests.benchmarks.faults.peers import consume_slowly, look_on
-from tests.benchmarks.faults.proxy import GROWTH, LATE_S, link
+from tests.benchmarks.faults.peers import consume_slowly, drive_by_hand, look_on
+from tests.benchmarks.faults.proxy import GROWTH, LATE_S, Harm, link
 from tests.benchmarks.faults.rig import LINKED, Rig
 
 _RESTART_S: Final = 40.0
@@ -29,6 +30,7 @@ _ROOM: Final = 100_000  # What is left on the full disk, bytes: less than a seco
 _LOOKS_ON_S: Final = 1.0
 #: From the death of a service to the next frame that the loop answers, and from the return of one that was away.
 _RESTARTED_S, _RECOVERED_S = 15.0, 1.0
+_OUT_S: Final = 3.0  # How long one lane is out, where the process must not end.
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
 _AT_THE_OTHER_S: Final = 2.5  # Two seconds to the other router, and half a one to the next command.
@@ -108,7 +110,7 @@ def freeze(rig: Rig, service: str, seconds: float) -> Window:
 
 def link_down(rig: Rig, service: str, seconds: float) -> Window:
     """Let the link of a service forward nothing for some time."""
-    return _frozen(rig, rig.links[service], seconds)
+    return _frozen(rig, rig.links[service].pid, seconds)
 
 
 def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
@@ -125,8 +127,8 @@ def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
 def abandon(rig: Rig, slow: bool) -> Window:
     """Kill an operator who looks on, behind a link that is as it should be or has grown slow; then arm the robot."""
     with (
-        link(rig.bus.endpoint) as (address, link_pid),
-        child("the operator", look_on, rig.bus.robot, address) as operator,
+        link(rig.bus.endpoint) as way,
+        child("the operator", look_on, rig.bus.robot, way.address) as operator,
     ):
 
         def noticed() -> bool:
@@ -137,11 +139,61 @@ def abandon(rig: Rig, slow: bool) -> Window:
             raise JobError("the robot does not hear of its operator")
         rig.hold(_LOOKS_ON_S)
         if slow:
-            os.kill(link_pid, signal.SIGUSR1)
+            os.kill(way.pid, signal.SIGUSR1)
             rig.hold(LATE_S / GROWTH)
         begin_s = time.monotonic()
         os.kill(operator.pid, signal.SIGKILL)
         rig.hold(LATE_S + _LOOKS_ON_S)
+    rig.resume()
+    return Window(begin_s, time.monotonic())
+
+
+def lose_lane(rig: Rig, harm: Harm, lane: Lane, seconds: float = _OUT_S) -> Window:
+    """Harm one lane of the robot for some time."""
+    way = rig.links["robot"]
+    rig.until(rig.moves, _MOVES_S)
+    with _timed() as times:
+        way.harm(harm, lane)
+        rig.hold(seconds)
+        way.mend()
+    return Window(*times)
+
+
+def lose_lane_for_good(rig: Rig, harm: Harm, lane: Lane) -> Window:
+    """Harm one lane of the robot until its process has ended."""
+    way, pid = rig.links["robot"], rig.pid("robot")
+    rig.until(rig.moves, _MOVES_S)
+    with _timed() as times:
+        way.harm(harm, lane)
+        ended = rig.until(lambda: rig.stack.pid("robot") != pid, SILENT_S + 2.0 * DEAF_S)
+        way.mend()
+    if not ended:
+        raise JobError("the robot's process has not ended")
+    return Window(*times)
+
+
+def lose_lane_by_hand(rig: Rig, whose: Literal["robot", "operator"], harm: Harm, lane: Lane) -> Window:
+    """Harm one lane of the robot, or of the operator who drives it by hand; then have the policy go on."""
+    with (
+        link(rig.bus.endpoint, batches=True) as own,
+        child("the operator", drive_by_hand, rig.bus.robot, own.address),
+    ):
+
+        def by_hand() -> bool:
+            status = rig.status("robot")
+            detail = {} if status is None else status.detail
+            return detail.get("taken_over") is True and detail.get("operator") is True and rig.moves()
+
+        if not rig.until(by_hand, _RESTART_S):
+            raise JobError("the operator does not drive the robot")
+        rig.hold(_LOOKS_ON_S)
+        rig.until(rig.moves, _MOVES_S)
+        way = own if whose == "operator" else rig.links["robot"]
+        begin_s = time.monotonic()
+        way.harm(harm, lane)
+        rig.hold(_OUT_S)
+        way.mend()
+    rig.hold(_LOOKS_ON_S)
     rig.resume()
     return Window(begin_s, time.monotonic())
 
@@ -218,6 +270,21 @@ def slow_consumer(rig: Rig, seconds: float) -> Window:
     return Window(*times)
 
 
+def _lanes() -> Iterator[Cell]:
+    # The link of a lane takes up to half a second to be made again.
+    again = Limits(recovery_s=2.0 * _RECOVERED_S)
+    lanes: tuple[tuple[Harm, Lane], ...] = (("cut", "stop"), ("cut", "urgent"), ("deafen", "stop"))
+    for how, lane in lanes:
+        yield Cell(f"{how} {lane} lane of robot", partial(lose_lane, harm=how, lane=lane), again, stands=True)
+        for whose in ("robot", "operator") if how == "cut" else ():
+            harm = partial(lose_lane_by_hand, whose=whose, harm=how, lane=lane)
+            cell = Cell(f"{how} {lane} lane of {whose}, by hand", harm, again, drives_on=True)
+            yield replace(cell, stands=whose == "robot", abandoned=whose == "operator")
+    for_good = partial(lose_lane_for_good, harm="deafen", lane="stop")
+    restarted = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
+    yield Cell("stop lane of robot stays deaf", for_good, restarted, "robot", stands=True)
+
+
 def _matrix() -> Iterator[Cell]:
     undisturbed = Limits(pause_s=_UNDISTURBED_S)
     # On a machine that is busy with other things this is not met either.
@@ -259,6 +326,7 @@ def _matrix() -> Iterator[Cell]:
     for service in LINKED:
         harm = partial(link_down, service=service, seconds=_OUTAGE_S)
         yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")
+    yield from _lanes()
     # Longer than anything is kept: what is lost must stand in the recording.
     longer = partial(link_down, service="recorder", seconds=KEPT_S + 15.0)
     yield Cell(f"link of recorder down {KEPT_S + 15.0:.0f} s", longer, Limits(lost_ticks=None))

@@ -85,7 +85,7 @@ def asked(entries: Iterable[Entry]) -> dict[str, list[float]]:
     """
     captured: defaultdict[str, list[float]] = defaultdict(list)
     for one in entries:
-        if one.topic == COMMANDS["policy"].name:
+        if one.topic in (COMMANDS["policy"].name, COMMANDS["teleop"].name):
             captured[one.told["atom"]].append(one.captured_s)
     return {atom: sorted(times) for atom, times in captured.items()}
 

@@ -38,9 +38,9 @@ class NotingGate(CommandGate):
             self._latched = command.sequence
         return refusal
 
-    def applied(self, now_s: float) -> Applied:
+    def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
         """Tell the actuator what to do, and note that it stands for a stop."""
-        told = super().applied(now_s)
+        told = super().applied(now_s, deaf=deaf)
         if told.source == "emergency_stop" and self._latched is not None:
             self._note(self._latched, "stood_s")
             self._latched, self._stood_s = None, now_s

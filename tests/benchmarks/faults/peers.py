@@ -1,11 +1,13 @@
-"""Clients beside the stack: an operator who looks on, and one who listens to everything and takes nothing."""
+"""Clients beside the stack: an operator who looks on, or drives; and a client that takes nothing."""
 
 import contextlib
+import math
 import os
 import threading
 import time
 from multiprocessing.connection import Connection
 
+from schemas.base import KEYS
 from schemas.topics import LANES, ROOT
 from services.kit.bus import Bus
 from services.kit.node import Node
@@ -18,6 +20,22 @@ def look_on(robot: str, endpoint: str, owner: Connection) -> None:
     with Node("teleop", ServiceSettings(robot=robot, router=endpoint)) as node:
         operator = Operator(node, node.log.info)
         node.every(POLL_S, operator.poll)
+        threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
+        owner.send("ready")
+        node.spin()
+
+
+def drive_by_hand(robot: str, endpoint: str, owner: Connection) -> None:
+    """Take over from the policy, as an operator who holds a key, until killed."""
+    with Node("teleop", ServiceSettings(robot=robot, router=endpoint)) as node:
+        operator = Operator(node, node.log.info)
+
+        def drive() -> None:
+            operator.poll()
+            if operator.commands.held is None:  # Turning on the spot touches nothing.
+                operator.hold(KEYS["left"], math.inf)
+
+        node.every(POLL_S, drive)
         threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
         owner.send("ready")
         node.spin()

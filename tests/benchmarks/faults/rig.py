@@ -31,7 +31,7 @@ from services.kit.node import Detail
 from services.table import stack_services
 from tests.benchmarks.faults.judge import Entry, drives
 from tests.benchmarks.faults.noting import NOTES
-from tests.benchmarks.faults.proxy import link
+from tests.benchmarks.faults.proxy import Link, link
 from tests.benchmarks.faults.wheels import Step, boot_ahead_s, read_steps, rolling
 
 ROBOT: Final = "faulty"
@@ -107,9 +107,9 @@ class RigPlan:
 class Rig:
     """A driving stack, and one robot of it; made by ``rig_for``."""
 
-    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, int], arrived: list[Entry]) -> None:
+    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, Link], arrived: list[Entry]) -> None:
         self.plan, self.stack, self.bus = plan, stack, bus
-        self.links = links  # Process id of the link of each linked service.
+        self.links = links  # The link of each linked service.
         self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
         self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
         self.driven = False  # Whether a new episode begins when one has ended.
@@ -280,15 +280,15 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     plan.notes.touch()
     with ExitStack() as stacked:
         linked = LINKED if plan.robot == "moving base" and plan.routers == plan.instances == 1 else ()
-        links = {service: stacked.enter_context(link(endpoint)) for service in linked}
+        links = {service: stacked.enter_context(link(endpoint, batches=True)) for service in linked}
         wheels = stacked.enter_context(rolling(plan.world, plan.steps)) if plan.robot == "moving base" else None
-        stack = Stack(plan.stack(endpoint, {service: address for service, (address, _) in links.items()}, wheels))
+        stack = Stack(plan.stack(endpoint, {service: way.address for service, way in links.items()}, wheels))
         with patch.dict(os.environ, {NOTES: str(plan.notes.resolve())}):
             stacked.enter_context(stack)
         if plan.robot != "noting":
             stacked.enter_context(closing(observer(endpoint, arrived)))
         bus = stacked.enter_context(closing(stack.settings.open_bus("operator")))
-        rig = Rig(plan, stack, bus, {service: pid for service, (_, pid) in links.items()}, arrived)
+        rig = Rig(plan, stack, bus, links, arrived)
         for robot in stack.plan.fleet[1:]:
             ended: list[Entry] = []
             own = stacked.enter_context(closing(bus.of_robot(robot)))

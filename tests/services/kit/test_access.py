@@ -19,7 +19,7 @@ from typing import Final
 import pytest
 import zenoh
 
-from schemas.topics import COMMANDS, LANES, TOPICS, rpc_key
+from schemas.topics import COMMANDS, LANES, TOPICS, echo_key, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
 from services.kit.credentials import Credentials, credentials_in, secret, why_refused
@@ -31,6 +31,8 @@ from tests.services.waiting import eventually
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
 TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
 SERVED: Final = {rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves}
+#: Signs of life of a process, by role.
+ECHOES: Final = {echo_key(name, "1", "urgent", "stop"): name for name in roles()}
 KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded}
 #: What nobody may name: other robots, the administration of the router, and keys that stand for many.
 ADMINISTRATION: Final = "@/1/router/config/adminspace"
@@ -39,7 +41,7 @@ FOREIGN: Final = (
     f"smal/{ROBOT}/rpc/robot/nothing",
 )
 WILD: Final = ("**", f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*", f"smal/{ROBOT}/rpc/**", "smal/*/heartbeat")
-KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *FOREIGN, *WILD)
+KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *ECHOES, *FOREIGN, *WILD)
 Cell = tuple[str, str]
 PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}  # Of who waits for a busy machine.
 
@@ -51,6 +53,8 @@ def allowed(role: Role, verb: str, key: str) -> bool:
         if verb in {"put", "serve", "token"}:
             return topic in role.gives
         return verb in {"subscribe", "query"} and topic in role.fetches
+    if key in ECHOES:
+        return verb in {"put", "subscribe"} and ECHOES[key] == role.name
     if verb == "put":
         return key in TOPIC_KEYS and TOPIC_KEYS[key] in role.gives
     if verb == "subscribe":
@@ -93,7 +97,7 @@ class Trial:
 
         direct = zenoh.handlers.Callback
         # `**` stands for no key with @ in it: what senders keep is named.
-        everything = ("**", *KEPT, ADMINISTRATION)
+        everything = ("**", *KEPT, *ECHOES, ADMINISTRATION)
         made = [self._within.declare_subscriber(key, direct(on_sample, indirect=False)) for key in everything]
         made += [self._within.declare_queryable(key, direct(on_query, indirect=False)) for key in everything]
         liveliness = self._within.liveliness()

@@ -164,7 +164,7 @@ def test_the_simulated_robots_stand_in_time(kind: type[KinematicBase | PhysicalB
 
 def test_all_delays_together_are_checked() -> None:
     body = LineBody(Clock())
-    assert stopping_times_s(body) == {"the driver": 0.27, "the operator": 0.27, "this process": 0.2}
+    assert stopping_times_s(body) == {"the driver": 0.27, "the operator": 0.27, "a link": 0.27, "this process": 0.2}
     check_stopping(body)
     body.braking_s = 0.24
     with pytest.raises(

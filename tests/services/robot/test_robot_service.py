@@ -40,8 +40,8 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
     policy = Node("policy", settings)
     policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
     run_node(policy)
-    with link(router_endpoint) as (address, pid):
-        far = settings.model_copy(update={"router": address})
+    with link(router_endpoint) as way:
+        far = settings.model_copy(update={"router": way.address})
         with Node("teleop", far) as node:
             operator = Operator(node, (said := []).append)
             node.every(POLL_S, operator.poll)
@@ -53,7 +53,7 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
                 return robot.wheels.driven
 
             assert node.spin(drives, 100.0), said
-            os.kill(pid, signal.SIGUSR1)
+            os.kill(way.pid, signal.SIGUSR1)
             node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
             dead_s = time.monotonic()
             # From here on it answers nothing; what it has sent is under way.

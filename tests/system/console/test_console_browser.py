@@ -156,11 +156,11 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(browser: Brows
         (frozen, "The console has been silent for"),  # the link
         (lambda _: killed(site), "No connection to the console for"),
     )
-    with link(f"tcp/{site.address}") as (by, link_pid), opened(browser, site, by.removeprefix("tcp/")) as page:
+    with link(f"tcp/{site.address}") as way, opened(browser, site, way.address.removeprefix("tcp/")) as page:
         drive_ahead(page, site)
         for fault, says in faults:
             began_s = time.monotonic()
-            with fault(link_pid):
+            with fault(way.pid):
                 assert site.stood_s(began_s) <= STAND_WITHIN_S + lost_s(began_s)
                 eventually(lambda says=says: told(page).startswith(says))  # type: ignore[misc]
             # The key is still down.

@@ -1,0 +1,146 @@
+"""Lanes that carry nothing although they are connected: seen by health, and the end of the process that has them."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import pytest
+
+from schemas.topics import LANES, Lane, echo_key
+from services.cli.stack import free_endpoint
+from services.kit import echo
+from services.kit.bus import Bus, BusError, Router
+from services.kit.credentials import credentials_in
+from services.kit.group import Group
+from services.kit.node import Node
+from services.kit.settings import FleetSettings, ServiceSettings
+from services.table import SERVICES
+from tests.benchmarks.faults.proxy import Link, link
+from tests.services.kit.test_routers import linked
+from tests.services.secured import make_keys, open_session, secured_router
+from tests.services.waiting import eventually
+
+pytestmark = pytest.mark.zenoh
+
+
+@pytest.fixture
+def way(router_endpoint: str) -> Iterator[Link]:
+    with link(router_endpoint, batches=True) as way:
+        yield way
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> float:
+    """Give how soon a lane counts as deaf in this test, seconds."""
+    monkeypatch.setattr(echo, "SILENT_S", 2.0)
+    monkeypatch.setattr(echo, "DEAF_S", 3.0)
+    return 5.0
+
+
+def is_proved(bus: Bus) -> bool:
+    """Whether every lane has echoed since the bus was opened."""
+    began_s = time.monotonic()
+    eventually(lambda: bus.echo_age_s(*LANES) < time.monotonic() - began_s)
+    return bus.connected()
+
+
+def test_every_lane_echoes(client: Bus) -> None:
+    assert is_proved(client)
+    client.check()
+
+
+def test_every_lane_echoes_with_a_certificate(free_endpoint: str, tmp_path: Path) -> None:
+    keys, endpoint = make_keys(tmp_path), free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")
+    with secured_router(endpoint, keys):
+        for role in ("robot", "watcher"):
+            with closing(Bus("rescuebot", endpoint, credentials=credentials_in(keys, role), role=role)) as bus:
+                assert is_proved(bus)
+
+
+@pytest.mark.system
+def test_echo_passes_between_linked_routers(tmp_path: Path) -> None:
+    """A process whose router is gone may have its lanes at two routers for a while."""
+    key, heard = echo_key("robot", "p", "urgent", "stop"), list[bytes]()
+    with linked(tmp_path, secure=True) as stack:
+        credentials = credentials_in(tmp_path / "keys", "robot")
+        here, there = (open_session(at, credentials) for at in stack._routers.values())
+        with closing(here), closing(there):
+            there.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes()))
+
+            def arrives() -> bool:
+                here.put(key, b"x")
+                return bool(heard)
+
+            eventually(arrives)
+
+
+@pytest.mark.parametrize("lane", LANES)
+def test_process_ends_when_its_lane_stays_deaf(settings: ServiceSettings, way: Link, soon: float, lane: Lane) -> None:
+    with Node("tracker", settings.model_copy(update={"router": way.address})) as node:
+        assert is_proved(node.bus)
+        way.harm("deafen", lane)
+        with pytest.raises(BusError, match=rf"^lane {lane}: no echo for .* must be started again$"):
+            node.spin(timeout_s=100.0)
+        assert node.status().silent == (lane,)
+
+
+def test_group_without_a_robot_ends_when_a_lane_stays_deaf(router_endpoint: str, way: Link, soon: float) -> None:
+    """An instance that serves nobody has no node that could notice."""
+    group = Group("tracker", FleetSettings(router=way.address), lambda *_: None)
+    group.robots = ()
+
+    def harm() -> None:
+        eventually(lambda: group._here)
+        way.harm("cut", "stop")
+
+    threading.Thread(target=harm, daemon=True).start()
+    with pytest.raises(BusError, match=r"^lane stop: no echo"):
+        group.run()
+
+
+def test_process_waits_when_the_whole_router_is_gone(free_endpoint: str, soon: float) -> None:
+    router = Router(free_endpoint)
+    with closing(Bus("rescuebot", free_endpoint)) as bus:
+        assert is_proved(bus)
+        router.close()
+        eventually(lambda: bus.silent() == LANES)
+        gone_s = time.monotonic()
+        eventually(lambda: time.monotonic() - gone_s > soon + 2.0)
+        bus.check()
+        with closing(Router(free_endpoint)):
+            bus.wait_connected(100.0)
+            bus.check()
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("service", ["tracker", "recorder"])
+def test_service_reports_and_fails_when_its_stop_lane_is_deaf(way: Link, tmp_path: Path, service: str) -> None:
+    http = free_endpoint().removeprefix("tcp/")
+
+    def health() -> str:
+        try:
+            with urlopen(f"http://{http}/healthz") as answer:
+                return str(answer.read().decode())
+        except HTTPError as error:
+            return error.read().decode()
+        except OSError:
+            return ""
+
+    command = [sys.executable, *SERVICES[service].command, "--router", way.address, "--http", http]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            eventually(lambda: health() == "ok\n")
+            way.harm("deafen", "stop")
+            eventually(lambda: health() == "no echo from the router by lane stop\n")
+            _, log = running.communicate(timeout=100.0)
+        finally:
+            running.kill()
+    assert running.returncode == 1
+    (line,) = [line for line in log.splitlines() if "ERROR" in line]
+    assert "lane stop: no echo for 12 s" in line
