@@ -3,13 +3,14 @@
 Where routers are, what they and clients take, and how each message travels.
 """
 
+import ctypes
 import json
 import os
 import re
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
@@ -50,6 +51,8 @@ MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
 _OPENING: Final = threading.Lock()
+_LIBC: Final = ctypes.CDLL(None)
+_UNSPECIFIED: Final = bytes(16)  # A socket address of the family AF_UNSPEC.
 
 
 class Quality(NamedTuple):
@@ -282,6 +285,20 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
     return f"what listens at {endpoint} is no router, or takes nobody in without a certificate, or {full}"
 
 
+def connected_sockets() -> Iterator[tuple[int, str]]:
+    """Yield the file descriptors of this process that are TCP connections, with the address at the other end."""
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(OSError), socket.socket(fileno=os.dup(int(name))) as one:
+            if one.family in (socket.AF_INET, socket.AF_INET6):
+                host, port = one.getpeername()[:2]
+                yield int(name), f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}"
+
+
+def reset(fd: int) -> None:
+    """Reset a TCP connection: unlike `shutdown`, this drops what has arrived and is not read yet (connect(2))."""
+    _LIBC.connect(fd, _UNSPECIFIED, len(_UNSPECIFIED))
+
+
 class Router:
     """A Zenoh router in this process.
 
@@ -314,6 +331,19 @@ class Router:
             raise BusError(
                 f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
             ) from None
+
+    def disconnect(self, session: str) -> bool:
+        """Reset the newest connection of a client whose session's id begins so; return whether there is one.
+
+        What the client has sent and the router has not read yet is dropped. An id that begins as another client's does
+        is an imitation, and is the newer one: ids are random.
+        """
+        remote = {link.dst.partition("/")[2] for link in self._session.info.links() if str(link.zid).startswith(session)}
+        found = [(os.fstat(fd).st_ino, fd) for fd, peer in connected_sockets() if peer in remote]
+        if found:
+            _, newest = max(found)
+            reset(newest)
+        return bool(found)
 
     def close(self) -> None:
         """Stop routing."""
