@@ -10,6 +10,7 @@ import logging
 import os
 import re
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -35,6 +36,7 @@ BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
+_WAIT_US: Final = 100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
 _LOG_VARIABLE: Final = "RUST_LOG"  # Read by Zenoh; a developer may set it as well.
 
 
@@ -106,8 +108,8 @@ def read_log(log: socket.socket, out: int, count: Callable[[bytes, float], None]
 def take_log() -> tuple[socket.socket, int]:
     """Have Zenoh log declarations to a socket in place of the standard output; call this before a session is opened.
 
-    The socket keeps entries apart, so that no key can pass for an entry about another session. Entries beyond its room
-    are lost and not counted: the router must not wait for them.
+    The socket keeps entries apart, so that no key can pass for an entry about another session. If the socket is full,
+    the thread that handles the declaration waits until the log is read: a flood is not faster than its count.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def take_log() -> tuple[socket.socket, int]:
         The socket to read from, and the standard output of before.
     """
     read, write = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    write.setblocking(False)
+    write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, _WAIT_US))
     out = os.dup(1)
     os.dup2(write.fileno(), 1)
     write.close()
@@ -135,5 +137,9 @@ def bound_declarations(
         if disconnect(session):
             _logger.warning("session %s: too many declarations; disconnected", session)
 
-    declarations = Declarations(robots, linked=linked, disconnect=end)
+    def end_aside(session: str) -> None:
+        # The log must be read on: Zenoh may hold a lock that `disconnect` needs while it waits for room in the log.
+        threading.Thread(target=end, args=(session,), name=f"end of session {session}", daemon=True).start()
+
+    declarations = Declarations(robots, linked=linked, disconnect=end_aside)
     threading.Thread(target=read_log, args=(*log, declarations.count), name="declarations", daemon=True).start()
