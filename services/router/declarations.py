@@ -2,28 +2,18 @@
 
 A declaration takes the longer the more declarations stand: the router compares its key with all others
 (``Resource::get_matches``), and meanwhile it routes no message. Zenoh 1.10.2 has no setting that bounds declarations.
-Its log has a line for each of them, with the session that made it. So the router reads its own log, counts the lines
-of each session, and resets the connection of a session that exceeds its allowance.
+Its log has an entry for each of them, with the session that made it. This process reads the router's log, counts the
+entries of each session, and prints the session that exceeds its allowance; the router then resets its connection. The
+count is a process of its own because a thread of the router waits for it where Zenoh holds a lock.
 """
 
-import logging
-import os
 import re
 import socket
-import struct
-import threading
+import sys
 import time
 from collections.abc import Callable
 from typing import Final
 
-import zenoh
-
-_logger = logging.getLogger("router")
-#: Zenoh's log of declarations (of known and of new keys), and of the session that a line belongs to.
-LOG: Final = ",".join(
-    f"zenoh::net::{target}=debug"
-    for target in ("primitives::demux", "routing::dispatcher::face", "routing::dispatcher::resource")
-)
 #: Only the beginning of an entry is Zenoh's own. A key may hold line breaks, and what follows was written by the sender.
 _DECLARATION: Final = re.compile(
     rb"\S+ +DEBUG +\S+ +ThreadId\(\d+\) demux\{zid=\w+ src=\S*?(client|peer|router)/(([0-9a-f]+):\d+)\}.*"
@@ -36,8 +26,6 @@ BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
-_WAIT_US: Final = 100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
-_LOG_VARIABLE: Final = "RUST_LOG"  # Read by Zenoh; a developer may set it as well.
 
 
 class Allowance:
@@ -81,7 +69,7 @@ class Declarations:
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
-        match = _DECLARATION.search(line)
+        match = _DECLARATION.match(line)
         if match is None:
             return
         mode, face, session = match.groups()
@@ -96,50 +84,23 @@ class Declarations:
             self._disconnect(session.decode())
 
 
-def read_log(log: socket.socket, out: int, count: Callable[[bytes, float], None]) -> None:
-    """Count the entries of Zenoh's log that are about declarations, and write all others out; ends with the process."""
-    while entry := log.recv(_ENTRY_BYTES):
+def count_log(log: socket.socket, declarations: Declarations) -> None:
+    """Count the entries of the log that are about declarations, and pass all others on, until the router has ended."""
+    buffer = bytearray(_ENTRY_BYTES)
+    while size := log.recv_into(buffer):
+        entry = bytes(memoryview(buffer)[:size])
         if _OWN_LOG.search(entry):
-            count(entry, time.monotonic())
+            declarations.count(entry, time.monotonic())
         else:
-            os.write(out, entry)
+            sys.stderr.buffer.write(entry)
+            sys.stderr.flush()
 
 
-def take_log() -> tuple[socket.socket, int]:
-    """Have Zenoh log declarations to a socket in place of the standard output; call this before a session is opened.
-
-    The socket keeps entries apart, so that no key can pass for an entry about another session. If the socket is full,
-    the thread that handles the declaration waits until the log is read: a flood is not faster than its count.
-
-    Returns
-    -------
-    tuple[socket.socket, int]
-        The socket to read from, and the standard output of before.
-    """
-    read, write = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, _WAIT_US))
-    out = os.dup(1)
-    os.dup2(write.fileno(), 1)
-    write.close()
-    asked = os.environ.get(_LOG_VARIABLE)
-    os.environ[_LOG_VARIABLE] = LOG if asked is None else f"{asked},{LOG}"
-    os.environ["NO_COLOR"] = "1"
-    zenoh.try_init_log_from_env()
-    return read, out
+def print_session(session: str) -> None:
+    """Have the router disconnect a session."""
+    print(session, flush=True)
 
 
-def bound_declarations(
-    log: tuple[socket.socket, int], robots: int, *, linked: bool, disconnect: Callable[[str], bool]
-) -> None:
-    """Disconnect every session that exceeds its allowance, on a thread of its own."""
-
-    def end(session: str) -> None:
-        if disconnect(session):
-            _logger.warning("session %s: too many declarations; disconnected", session)
-
-    def end_aside(session: str) -> None:
-        # The log must be read on: Zenoh may hold a lock that `disconnect` needs while it waits for room in the log.
-        threading.Thread(target=end, args=(session,), name=f"end of session {session}", daemon=True).start()
-
-    declarations = Declarations(robots, linked=linked, disconnect=end_aside)
-    threading.Thread(target=read_log, args=(*log, declarations.count), name="declarations", daemon=True).start()
+if __name__ == "__main__":
+    robots, linked = (int(argument) for argument in sys.argv[1:])
+    count_log(socket.socket(fileno=0), Declarations(robots, linked=bool(linked), disconnect=print_session))
