@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
+from schemas.topics import LANES, ROOT, TOPICS, Topic, group_key, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
 from services.kit.memory import keep_small
@@ -50,6 +50,7 @@ NET_THREADS: Final = 16
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
+_GROUPS: Final = f"{group_key('*', '*')}/**"  # Of the questions of instances to each other; ``**`` does not match it.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
 _OPENING: Final = threading.Lock()
 _LIBC: Final = ctypes.CDLL(None)
@@ -86,7 +87,7 @@ def _door() -> list[dict[str, object]]:
     """
     rules: list[tuple[list[str], list[str], dict[str, object]]] = [
         # The answers have the priority of the question, and what is replayed must keep its own.
-        (["query"], _everything("**"), {"congestion_control": "drop"}),
+        (["query"], [*_everything("**"), _GROUPS], {"congestion_control": "drop"}),
         (["put", "delete"], _everything("**"), _ORDINARY._asdict()),
     ]
     for how in sorted({quality(topic) for topic in TOPICS.values()} - {_ORDINARY}):
@@ -106,7 +107,8 @@ def _bounds() -> list[dict[str, object]]:
     drops what comes too soon after the last one, and of two that waited on a slow link it would drop the newer one.
     """
     served = sorted({name for role in roles().values() for name in role.serves})
-    rules = [{"key_expr": rpc_key("*", *name.split("/", 1)), "freq": MOST_CALLS_HZ} for name in served]
+    keys = [*(rpc_key("*", *name.split("/", 1)) for name in served), _GROUPS]
+    rules = [{"key_expr": key, "freq": MOST_CALLS_HZ} for key in keys]
     return [{"id": "calls", "messages": ["query"], "flows": ["ingress"], "rules": rules}]
 
 
@@ -150,8 +152,9 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     if mode == "router":
         settings["transport/unicast/accept_timeout"] = LEASE_MS
+        keys = ["**", _GROUPS]
         settings["low_pass_filter"] = [
-            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
+            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": keys, "size_limit": _CALL_BYTES}
         ]
         settings["qos/network"] = _door()
         settings["downsampling"] = _bounds()
@@ -342,7 +345,9 @@ class Router:
         What the client has sent and the router has not read yet is dropped. An id that begins as another client's does
         is an imitation, and is the newer one: ids are random.
         """
-        remote = {link.dst.partition("/")[2] for link in self._session.info.links() if str(link.zid).startswith(session)}
+        remote = {
+            link.dst.partition("/")[2] for link in self._session.info.links() if str(link.zid).startswith(session)
+        }
         found = [(os.fstat(fd).st_ino, fd) for fd, peer in connected_sockets() if peer in remote]
         if found:
             _, newest = max(found)
