@@ -8,11 +8,11 @@ import json
 import os
 import re
 import socket
-import stat
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import zenoh
@@ -291,14 +291,14 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
 
 def connected_sockets() -> Iterator[tuple[int, str]]:
     """Yield the file descriptors of this process that are TCP connections, with the address at the other end."""
-    for name in os.listdir("/proc/self/fd"):
+    for path in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
-            if not stat.S_ISSOCK(os.stat(int(name)).st_mode):
+            if not path.is_socket():
                 continue
-            with socket.socket(fileno=os.dup(int(name))) as one:
+            with socket.socket(fileno=os.dup(int(path.name))) as one:
                 if one.family in (socket.AF_INET, socket.AF_INET6):
                     host, port = one.getpeername()[:2]
-                    yield int(name), f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}"
+                    yield int(path.name), f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}"
 
 
 def reset(fd: int) -> None:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-#: Only the beginning of an entry is Zenoh's own. A key may hold line breaks, and what follows was written by the sender.
+#: The beginning of an entry is Zenoh's own. A key may hold line breaks: the sender can write all that follows.
 _DECLARATION: Final = re.compile(
     rb"\S+ +DEBUG +\S+ +ThreadId\(\d+\) demux\{zid=\w+ src=\S*?(client|peer|router)/(([0-9a-f]+):\d+)\}.*"
     rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource )"
@@ -25,27 +25,27 @@ _OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispa
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
+MOST_SESSIONS: Final = 10_000  # Sessions whose declarations are counted at a time, ended ones among them.
+_TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
 class Allowance:
-    """A token bucket: ``burst`` declarations at once, then `RATE_HZ`."""
+    """A token bucket: ``burst`` declarations at once, then `RATE_HZ`; and at most ``burst`` that stand."""
 
     def __init__(self, burst: int, now_s: float) -> None:
         self._burst = burst
         self._left = float(burst)
+        self._standing = 0
         self._at_s = now_s
 
-    def take(self, now_s: float) -> bool:
-        """Count a declaration; return whether it is within the allowance."""
+    def take(self, now_s: float, standing: int) -> bool:
+        """Count a declaration, and how many more stand by it; return whether it is within the allowance."""
+        self._standing = max(0, self._standing + standing)
         regained = RATE_HZ * (now_s - self._at_s)
         self._at_s = now_s
         self._left = min(self._burst, self._left + regained) - 1.0
-        return self._left >= 0.0
-
-    def full(self, now_s: float) -> bool:
-        """Whether the session has declared nothing for so long that its allowance is the initial one."""
-        return self._left + RATE_HZ * (now_s - self._at_s) >= self._burst
+        return self._left >= 0.0 and self._standing <= self._burst
 
 
 class Declarations:
@@ -77,11 +77,19 @@ class Declarations:
             return
         allowance = self._allowances.get(face)
         if allowance is None:
-            self._allowances = {one: left for one, left in self._allowances.items() if not left.full(now_s)}
+            if len(self._allowances) >= MOST_SESSIONS:  # the oldest one has ended
+                del self._allowances[next(iter(self._allowances))]
             allowance = self._allowances[face] = Allowance(self._burst, now_s)
-        if not allowance.take(now_s):
+        if not allowance.take(now_s, _standing(line)):
             del self._allowances[face]
             self._disconnect(session.decode())
+
+
+def _standing(line: bytes) -> int:
+    """Return how many more declarations stand after this one; a new key alone is none."""
+    if b"::face: expr=" not in line:
+        return 0
+    return -1 if line.rstrip().endswith(_TAKEN_BACK) else 1
 
 
 def count_log(log: socket.socket, declarations: Declarations) -> None:
@@ -98,7 +106,8 @@ def count_log(log: socket.socket, declarations: Declarations) -> None:
 
 def print_session(session: str) -> None:
     """Have the router disconnect a session."""
-    print(session, flush=True)
+    sys.stdout.write(f"{session}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

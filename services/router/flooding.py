@@ -50,7 +50,7 @@ def end_floods(log: socket.socket, robots: int, *, linked: bool, disconnect: Cal
 
     def end_each() -> None:
         while True:
-            with subprocess.Popen(command, stdin=log, stdout=subprocess.PIPE, text=True, start_new_session=True) as one:
+            with subprocess.Popen(command, stdin=log, stdout=subprocess.PIPE, text=True, start_new_session=True) as one:  # noqa: S603
                 for line in one.stdout or ():
                     session = line.strip()
                     if disconnect(session):
