@@ -40,7 +40,7 @@ def take_log() -> socket.socket:
     asked = os.environ.get(_LOG_VARIABLE)
     os.environ[_LOG_VARIABLE] = LOG if asked is None else f"{asked},{LOG}"
     os.environ["NO_COLOR"] = "1"
-    zenoh.try_init_log_from_env()
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     return read
 
 
@@ -50,7 +50,9 @@ def end_floods(log: socket.socket, robots: int, *, linked: bool, disconnect: Cal
 
     def end_each() -> None:
         while True:
-            with subprocess.Popen(command, stdin=log, stdout=subprocess.PIPE, text=True, start_new_session=True) as one:  # noqa: S603
+            with subprocess.Popen(
+                command, stdin=log.fileno(), stdout=subprocess.PIPE, text=True, start_new_session=True
+            ) as one:  # noqa: S603
                 for line in one.stdout or ():
                     session = line.strip()
                     if disconnect(session):

@@ -74,7 +74,7 @@ def floods(secure: bool) -> dict[str, list[Flood]]:
 def declared(secure: bool) -> dict[str, list[Flood]]:
     """Return every flood of declarations, by who floods: a role that may declare any number of keys, or anybody."""
     group = group_key(ROBOT, "recognition")
-    kinds = [("recognition", "token", group), ("watcher", "subscriber", f"{ROOT}/{ROBOT}"),
+    kinds = [("recognition", "token", group), ("watcher", "subscriber", f"{ROOT}/{ROBOT}/flood"),
              ("recognition", "queryable", group)]  # fmt: skip
     found: dict[str, list[Flood]] = {}
     for role, kind, key in kinds:
