@@ -50,9 +50,9 @@ def end_floods(log: socket.socket, robots: int, *, linked: bool, disconnect: Cal
 
     def end_each() -> None:
         while True:
-            with subprocess.Popen(
+            with subprocess.Popen(  # noqa: S603
                 command, stdin=log.fileno(), stdout=subprocess.PIPE, text=True, start_new_session=True
-            ) as one:  # noqa: S603
+            ) as one:
                 for line in one.stdout or ():
                     session = line.strip()
                     if disconnect(session):
