@@ -52,6 +52,7 @@ MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
 _GROUPS: Final = f"{group_key('*', '*')}/**"  # Of the questions of instances to each other; ``**`` does not match it.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
+_LOG: Final = "RUST_LOG"  # Zenoh's variable for what it logs.
 _OPENING: Final = threading.Lock()
 _LIBC: Final = ctypes.CDLL(None)
 _UNSPECIFIED: Final = bytes(16)  # A socket address of the family AF_UNSPEC.
@@ -260,6 +261,14 @@ def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
         finally:
             if before is None:
                 del os.environ[_RUNTIME]
+
+
+def start_log(filters: str) -> None:
+    """Have Zenoh log to the standard output by filters, and by those of a developer's environment."""
+    asked = os.environ.get(_LOG)
+    os.environ[_LOG] = filters if asked is None else f"{asked},{filters}"
+    os.environ["NO_COLOR"] = "1"
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
 
 
 def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-import zenoh
+from services.kit.zenoh_session import start_log
 
 #: Zenoh's log of declarations (of known and of new keys), and of the session that a line belongs to.
 LOG: Final = ",".join(
@@ -18,7 +18,6 @@ LOG: Final = ",".join(
     for target in ("primitives::demux", "routing::dispatcher::face", "routing::dispatcher::resource")
 )
 _WAIT_US: Final = 100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
-_LOG_VARIABLE: Final = "RUST_LOG"  # Read by Zenoh; a developer may set it as well.
 _logger = logging.getLogger("router")
 
 
@@ -37,10 +36,7 @@ def take_log() -> socket.socket:
     write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, _WAIT_US))
     os.dup2(write.fileno(), 1)
     write.close()
-    asked = os.environ.get(_LOG_VARIABLE)
-    os.environ[_LOG_VARIABLE] = LOG if asked is None else f"{asked},{LOG}"
-    os.environ["NO_COLOR"] = "1"
-    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+    start_log(LOG)
     return read
 
 
