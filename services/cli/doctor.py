@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Final
@@ -25,13 +25,14 @@ from services.kit.bus import Bus, BusError, Router, addresses, check_credentials
 from services.kit.credentials import how_secure
 from services.kit.errors import JobError
 from services.kit.process import EXIT_FAILED
-from services.kit.settings import ServiceSettings
-from services.table import stack_services
+from services.kit.settings import ServiceSettings, fleet
+from services.table import SERVICES, stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
 DISK_GB: Final = 2.0  # Recordings of a full set of drives, with room for the reports.
 RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
+GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 
 
 def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
@@ -132,10 +133,14 @@ def check_port(settings: ServiceSettings) -> str:
         with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
             running = [service for service in stack_services() if answers(bus, service) is not None]
             shared = instances(bus)
+            router = answers(bus, "router")
     except BusError as error:
         raise JobError(f"{error}; {elsewhere}") from None
     if not running:
         raise JobError(f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
+    if router is not None:
+        robots = fleet(robot, int(router.detail.get("robots") or 1))
+        check_served(robots, {service: shared.get(service, {}) for service in GROUPED})
     told = f"{endpoint} is used by the running stack of {robot}, {how_secure(credentials)}: {', '.join(running)}"
     if all(served == [robot] for by in shared.values() for served in by.values()):
         return told
@@ -143,6 +148,18 @@ def check_port(settings: ServiceSettings) -> str:
         f"; {service}: " + ", ".join(f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
         for service, by in shared.items()
     )
+
+
+def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequence[str]]]) -> None:
+    """Check that every robot has an instance of each service that may run any number of times; else a JobError."""
+    unserved = [
+        f"{robot} by no instance of {service}"
+        for service, by in shared.items()
+        for robot in robots
+        if all(robot not in served for served in by.values())
+    ]
+    if unserved:
+        raise JobError(f"not served: {', '.join(unserved)}; start one, or see /healthz of those that run (--http)")
 
 
 def check_disk() -> str:

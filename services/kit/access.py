@@ -80,7 +80,7 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
         for names in (role.serves, role.calls)
     )
     listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
-    #: An instance is seen by those of its own service, and sees them.
+    #: An instance is seen by those of its own service, sees them, asks them and answers them.
     seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()
     #: A process sends itself signs of life.
     echo = {echo_key(role.name, "*", "*", "*")}
@@ -88,10 +88,10 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     yield "put", gives | kept | echo, takes | replayed | echo
     # A sender is told who listens, and a caller who serves: without that neither sends.
     yield "declare_subscriber", takes | replayed | listens | echo, gives | kept | echo
-    yield "declare_queryable", serves | kept, asked
-    yield "query", asked | _lost(replayed), serves | kept | _lost(kept)
+    yield "declare_queryable", serves | kept | seen, asked | seen
+    yield "query", asked | _lost(replayed) | seen, serves | kept | _lost(kept) | seen
     # What a sender kept is answered on the topic's own key.
-    yield "reply", serves | kept | recorded, asked | fetches
+    yield "reply", serves | kept | recorded | seen, asked | fetches | seen
     yield "liveliness_token", kept | seen, replayed | seen
     yield "declare_liveliness_subscriber", replayed | seen, kept | seen
     yield "liveliness_query", replayed, kept

@@ -21,7 +21,7 @@ from services.kit.echo import DEAF_S, SILENT_S, Echo
 from services.kit.errors import JobError
 from services.kit.history import in_order, subscribe_whole
 from services.kit.replay import Budget
-from services.kit.wire import BusError, Refused, Take, checksum, damage, flaw, reason
+from services.kit.wire import MAX_RPC_BYTES, BusError, Refused, Take, checksum, damage, flaw, reason
 from services.kit.zenoh_session import (
     DEFAULT_ROUTER,
     Router,
@@ -281,6 +281,35 @@ class Bus:
             return session.liveliness().declare_subscriber(keys, on_token, history=True)
 
         self._declare("urgent", look)
+
+    def answer(self, key: str, tell: Callable[[], Strict | None]) -> None:
+        """Answer every question at a key, on the bus's thread; with None the question stays without an answer."""
+
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                message = tell()
+                if message is not None:
+                    query.reply(key, message.model_dump_json().encode(), encoding=JSON_ENCODING)
+
+        callback = zenoh.handlers.Callback(on_query, indirect=False)
+        self._declare("ordinary", lambda session: session.declare_queryable(key, callback))
+
+    def ask(self, keys: str, take: Callable[[str, bytes], None], timeout_s: float) -> None:
+        """Ask all that answer at some keys, and call ``take(key, payload)`` for each answer, on the bus's thread."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None and len(reply.ok.payload) <= MAX_RPC_BYTES:
+                take(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+
+        self._lanes["ordinary"].session.get(
+            keys,
+            zenoh.handlers.Callback(on_reply, indirect=False),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.DROP,
+            timeout=timeout_s,
+            priority=_CALL_PRIORITY,
+        )
 
     # -- calls ----------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,11 @@
 - Whoever loses a robot closes its node, and then is seen there no more. Whoever gets it is seen there first, looks
   again, and opens a node when nobody else is seen there: of two who look, one has seen the other. So no frame is
   answered twice; those that come meanwhile are lost.
-- Who is not seen by the router lets go of what others might take.
+- A token alone proves nothing: it stands while its process is frozen, and any holder of the role's key can declare it.
+  So every instance asks all others, and itself, every `ASK_S`. An instance counts while its last answer is not older
+  than `ANSWER_S`, and it answers while its main loop runs.
+- An instance without an answer of its own lets go of what others might take.
+- An answer names the robots that the instance serves. A robot that no answer names is reported by `/healthz`.
 - Services that have something to hand on publish it (`schemas.snapshot`): every instance keeps the newest one of each
   robot, and the node that gets the robot begins with it.
 """
@@ -26,10 +30,13 @@ from hashlib import blake2b
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from prometheus_client import CollectorRegistry
+from pydantic import ValidationError
 
+from schemas.base import Strict
 from schemas.codec import DecodeError, decode
 from schemas.snapshot import Snapshot
 from schemas.topics import KEPT_S, SNAPSHOTS, group_key, key_of
+from services.kit.bus import MOVE_S
 from services.kit.health import Together, ailment, serve_http, silence
 from services.kit.node import LOOK_S, SNAPSHOT_S, Node
 from services.kit.settings import FleetSettings, fleet
@@ -38,6 +45,10 @@ from services.table import role_of
 
 #: A belief that is older is of no use: the robot may have been carried elsewhere.
 OLD_S: Final = 10.0
+ASK_S: Final = 0.25  # From one question to the others to the next.
+ANSWER_S: Final = 2.0  # An instance without an answer for so long is left out.
+#: A robot without an instance for so long makes the service unhealthy: an instance that is left out, and a move.
+UNSERVED_S: Final = ANSWER_S + MOVE_S
 _STUCK_S: Final = 100.0  # A node that does not end within this time, at the end, is left to the end of its process.
 S = TypeVar("S", bound=FleetSettings)
 
@@ -77,6 +88,39 @@ class Seen(NamedTuple):
             {robot: frozenset(one for one, of in pairs if of == robot) for robot in sorted(robots)},
         )
 
+    def among(self, answering: frozenset[str]) -> "Seen":
+        """Return what is seen of instances that answer."""
+        serving = {robot: instances & answering for robot, instances in self.serving.items()}
+        return Seen(self.instances & answering, {robot: instances for robot, instances in serving.items() if instances})
+
+
+class Answer(Strict):
+    """What an instance answers to another one."""
+
+    robots: tuple[str, ...]  # The robots whose nodes it has opened.
+
+
+class Answers:
+    """The last answer of each instance."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[float, frozenset[str]]] = {}
+
+    def note(self, instance: str, robots: Iterable[str], now_s: float) -> bool:
+        """Keep an answer; return whether it changes what is known."""
+        before = self._last.get(instance)
+        self._last[instance] = now_s, frozenset(robots)
+        return before is None or now_s - before[0] > ANSWER_S or before[1] != self._last[instance][1]
+
+    def answering(self, now_s: float) -> frozenset[str]:
+        """Return the instances whose last answer is recent, and forget the others."""
+        self._last = {one: answer for one, answer in self._last.items() if now_s - answer[0] <= ANSWER_S}
+        return frozenset(self._last)
+
+    def served(self) -> frozenset[str]:
+        """Return the robots that instances answered to serve."""
+        return frozenset().union(*(robots for _, robots in self._last.values()))
+
 
 class _Kept(NamedTuple):
     """A snapshot as it came."""
@@ -91,6 +135,7 @@ class _Served:
 
     def __init__(self, go: Callable[[], None]) -> None:
         self.go = go  # Nobody is seen here any more.
+        self.since_s = time.monotonic()
         self.node: Node | None = None
         self.thread: threading.Thread | None = None
         self.leaving = False
@@ -124,6 +169,11 @@ class Group(Generic[S]):
         self._kept: dict[str, _Kept] = {}
         self._failure: Exception | None = None
         self._here = self._others = self._stopped = False
+        self._ending = False
+        self._answers = Answers()
+        self._answered = threading.Lock()  # Held to keep an answer, and to look at all.
+        self._looked_s = self._asked_s = -math.inf
+        self._served_s = dict.fromkeys(self.robots, math.inf)  # When each robot was last served by an instance.
         self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
         self._news = threading.Event()
 
@@ -137,14 +187,17 @@ class Group(Generic[S]):
                     http = serve_http(self._settings.http, self._ailment, Together(self._registries).registry)
                 self._keep_snapshots(closing_last)
                 self._bus.watch(f"{self._prefix}/**", self._note)
+                self._looked_s = time.monotonic()
+                self._served_s = dict.fromkeys(self.robots, self._looked_s)
+                self._bus.answer(f"{self._prefix}/{self.instance}", self._tell)
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
-                looked_s = time.monotonic()
                 while not self._stopped and self._failure is None:
                     self._bus.check()
                     # Who was frozen for so long is taken for dead, though it has not heard of it yet.
-                    frozen = time.monotonic() - looked_s > LEASE_MS / 1000.0
-                    looked_s = time.monotonic()
-                    self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix))
+                    frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
+                    self._looked_s = time.monotonic()
+                    self._ask()
+                    self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix), self._answering())
                     self._news.wait(LOOK_S)
                     self._news.clear()
                 go()  # First, so that who is next knows at once.
@@ -160,12 +213,48 @@ class Group(Generic[S]):
         (self._seen.add if there else self._seen.discard)(key)
         self._news.set()
 
+    # -- proof of life ----------------------------------------------------------------------------------------------
+
+    def _tell(self) -> Answer | None:
+        """Answer another instance, while the main loop runs or the nodes end."""
+        if not self._ending and time.monotonic() - self._looked_s > ANSWER_S:
+            return None
+        served = [*self._served.items()]
+        return Answer(robots=tuple(robot for robot, one in served if one.node is not None and not one.leaving))
+
+    def _ask(self) -> None:
+        """Ask all instances, this one as well, whether they live and which robots they serve."""
+        if self._looked_s - self._asked_s >= ASK_S:
+            self._asked_s = self._looked_s
+            self._bus.ask(f"{self._prefix}/*", self._take_answer, ANSWER_S)
+
+    def _take_answer(self, key: str, payload: bytes) -> None:
+        try:
+            answer = Answer.model_validate_json(payload)
+        except ValidationError:
+            return
+        for instance in Seen.of([key], self._prefix).instances:
+            with self._answered:
+                changed = self._answers.note(instance, answer.robots, time.monotonic())
+            if changed:
+                self._news.set()
+
+    def _answering(self) -> frozenset[str]:
+        """Return the instances that answer, and note when each robot was served."""
+        now_s = time.monotonic()
+        with self._answered:
+            answering = self._answers.answering(now_s)
+            served = self._answers.served()
+        self._served_s |= {robot: now_s for robot in self.robots if robot in served}
+        return answering
+
     def stop(self) -> None:
         """Make ``run`` return, soon; it takes no lock."""
         self._stopped = True
 
-    def _settle(self, seen: Seen) -> None:
+    def _settle(self, announced: Seen, answering: frozenset[str]) -> None:
         """Let go of what is another's, and take what is one's own, as far as others have let go of it."""
+        seen = announced.among(answering)
         self._here = here = self.instance in seen.instances
         others = {robot for robot, serving in seen.serving.items() if serving - {self.instance}}
         self._elsewhere_s |= dict.fromkeys(others, time.monotonic())
@@ -183,7 +272,10 @@ class Group(Generic[S]):
             if mine is None:
                 self._served[robot] = _Served(self._bus.stand(f"{self._prefix}/{self.instance}/{robot}"))
             elif mine.thread is None and robot in seen.serving and self._handed_on(robot):
-                self._open(robot, mine)
+                # An instance that is announced here and does not answer yet may serve the robot.
+                alone = announced.serving[robot] == {self.instance}
+                if alone or time.monotonic() - mine.since_s > ANSWER_S:
+                    self._open(robot, mine)
 
     def _open(self, robot: str, served: _Served) -> None:
         settings = self._settings.of_robot(robot)
@@ -207,6 +299,7 @@ class Group(Generic[S]):
 
     def _end(self) -> None:
         """Have all nodes end, and be seen nowhere."""
+        self._ending = True
         until_s = time.monotonic() + _STUCK_S
         for served in self._served.values():
             served.leave()
@@ -256,9 +349,13 @@ class Group(Generic[S]):
         return [node.metrics.registry for node in self._nodes()]
 
     def _ailment(self) -> str | None:
-        """Return what ails it, or the first of its nodes that is not healthy; a spare one has none."""
+        """Return what ails it: a silent link, a robot that no instance serves, or the first of its unhealthy nodes."""
         if silent := self._bus.silent():
             return silence(silent)
+        longest_s = time.monotonic() - UNSERVED_S
+        unserved = [robot for robot, served_s in [*self._served_s.items()] if served_s < longest_s]
+        if unserved:
+            return f"{unserved[0]}: served by no instance"
         if not self._here or any(served.node is None for served in [*self._served.values()]):
             return "starting"
         found = ((node.robot, ailment(node.status())) for node in self._nodes())

@@ -3,19 +3,21 @@
 Where routers are, what they and clients take, and how each message travels.
 """
 
+import ctypes
 import json
 import os
 import re
 import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from schemas.topics import LANES, ROOT, TOPICS, Topic, echo_key, rpc_key
+from schemas.topics import LANES, ROOT, TOPICS, Topic, echo_key, group_key, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted, others_reach, why_refused
 from services.kit.memory import keep_small
@@ -48,8 +50,12 @@ NET_THREADS: Final = 16
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
+_GROUPS: Final = f"{group_key('*', '*')}/**"  # Of the questions of instances to each other; ``**`` does not match it.
 _RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
+_LOG: Final = "RUST_LOG"  # Zenoh's variable for what it logs.
 _OPENING: Final = threading.Lock()
+_LIBC: Final = ctypes.CDLL(None)
+_UNSPECIFIED: Final = bytes(16)  # A socket address of the family AF_UNSPEC.
 
 
 class Quality(NamedTuple):
@@ -94,7 +100,7 @@ def _door() -> list[dict[str, object]]:
     """
     rules: list[tuple[list[str], list[str], dict[str, object]]] = [
         # The answers have the priority of the question, and what is replayed must keep its own.
-        (["query"], _everything("**"), {"congestion_control": "drop"}),
+        (["query"], [*_everything("**"), _GROUPS], {"congestion_control": "drop"}),
         (["put", "delete"], _everything("**"), _ORDINARY._asdict()),
         (["put", "delete"], [echo_key("*", "*", "*", "*")], ECHO_QUALITY._asdict()),
     ]
@@ -115,7 +121,8 @@ def _bounds() -> list[dict[str, object]]:
     drops what comes too soon after the last one, and of two that waited on a slow link it would drop the newer one.
     """
     served = sorted({name for role in roles().values() for name in role.serves})
-    rules = [{"key_expr": rpc_key("*", *name.split("/", 1)), "freq": MOST_CALLS_HZ} for name in served]
+    keys = [*(rpc_key("*", *name.split("/", 1)) for name in served), _GROUPS]
+    rules = [{"key_expr": key, "freq": MOST_CALLS_HZ} for key in keys]
     return [{"id": "calls", "messages": ["query"], "flows": ["ingress"], "rules": rules}]
 
 
@@ -159,8 +166,9 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     if mode == "router":
         settings["transport/unicast/accept_timeout"] = LEASE_MS
+        keys = ["**", _GROUPS]
         settings["low_pass_filter"] = [
-            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
+            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": keys, "size_limit": _CALL_BYTES}
         ]
         settings["qos/network"] = _door()
         settings["downsampling"] = _bounds()
@@ -269,6 +277,14 @@ def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
                 del os.environ[_RUNTIME]
 
 
+def start_log(filters: str) -> None:
+    """Have Zenoh log to the standard output by filters, and by those of a developer's environment."""
+    asked = os.environ.get(_LOG)
+    os.environ[_LOG] = filters if asked is None else f"{asked},{filters}"
+    os.environ["NO_COLOR"] = "1"
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+
+
 def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
     """Connect to the first router that lets us in; BusError where none does before the patience ends."""
     deadline = time.monotonic() + patience_s
@@ -294,6 +310,23 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         refused = why_refused(credentials, *host_and_port(named(endpoint)))
         return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
     return f"what listens at {endpoint} is no router, or takes nobody in without a certificate, or {full}"
+
+
+def connected_sockets() -> Iterator[tuple[int, str]]:
+    """Yield the file descriptors of this process that are TCP connections, with the address at the other end."""
+    for path in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if not path.is_socket():
+                continue
+            with socket.socket(fileno=os.dup(int(path.name))) as one:
+                if one.family in (socket.AF_INET, socket.AF_INET6):
+                    host, port = one.getpeername()[:2]
+                    yield int(path.name), f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}"
+
+
+def reset(fd: int) -> None:
+    """Reset a TCP connection: unlike `shutdown`, this drops what has arrived and is not read yet (connect(2))."""
+    _LIBC.connect(fd, _UNSPECIFIED, len(_UNSPECIFIED))
 
 
 class Router:
@@ -328,6 +361,21 @@ class Router:
             raise BusError(
                 f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
             ) from None
+
+    def disconnect(self, session: str) -> bool:
+        """Reset the newest connection of a client whose session's id begins so; return whether there is one.
+
+        What the client has sent and the router has not read yet is dropped. An id that begins as another client's does
+        is an imitation, and is the newer one: ids are random.
+        """
+        remote = {
+            link.dst.partition("/")[2] for link in self._session.info.links() if str(link.zid).startswith(session)
+        }
+        found = [(os.fstat(fd).st_ino, fd) for fd, peer in connected_sockets() if peer in remote]
+        if found:
+            _, newest = max(found)
+            reset(newest)
+        return bool(found)
 
     def close(self) -> None:
         """Stop routing."""

@@ -9,6 +9,7 @@ from services.kit.credentials import how_secure
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.kit.settings import FleetSettings, fleet
+from services.router.flooding import end_floods, take_log
 
 
 class RouterSettings(FleetSettings):
@@ -27,7 +28,9 @@ def serve() -> None:
     credentials = settings.credentials("router")
     peers = addresses(settings.peers) if settings.peers else []
     robots = fleet(settings.robot, settings.robots)
+    log = take_log()
     router = Router(settings.router, credentials, *robots, insecure=settings.insecure, peers=peers)
+    end_floods(log, len(robots), linked=bool(peers), disconnect=router.disconnect)
     try:
         with Node("router", settings) as node:
             node.stop_on_signals()

@@ -11,7 +11,8 @@ of cores makes times long.
 The cells "floods" and "floods with certificates" flood each key and call of each role in turn as fast as Zenoh takes
 it, by one process. In each flood one emergency stop is put, a single time (the stop's own key is not flooded: whatever
 comes on it stops the robot): how many stops the robot stood for within 0.5 s of the put, by a note of its own process,
-and the longest time that it took.
+and the longest time that it took. The cells "floods of declarations" and "floods of declarations with certificates"
+do so 100 times in each flood of tokens, subscribers and queryables.
 """
 
 import sys
@@ -26,7 +27,7 @@ from services.cli import options
 from services.kit.errors import JobError, UsageError
 from tests.benchmarks.drives import taught
 from tests.benchmarks.faults.cells import FLOODS, MATRIX, QUICK, Cell
-from tests.benchmarks.faults.floods import Stop, flooded
+from tests.benchmarks.faults.floods import Stop, declared, flooded, floods
 from tests.benchmarks.faults.rig import CAMERA, ROBOT, WORLD, RigPlan, rig_for
 from tests.benchmarks.faults.run import Outcome, run_cell
 from tests.benchmarks.reporting import Parser, Record, folder_for, say, table
@@ -56,9 +57,10 @@ def benchmark(names: Sequence[str], model: Path | None, folder: Path) -> dict[st
 
 def _stops(name: str, model: Path, folder: Path) -> list[Stop]:
     folder.mkdir(parents=True, exist_ok=True)
-    keys = make_keys(folder / "keys", robot=ROBOT) if name == "floods with certificates" else None
+    keys = make_keys(folder / "keys", robot=ROBOT) if name.endswith("with certificates") else None
+    found = declared if "declarations" in name else floods
     with rig_for(RigPlan(model, folder, robot="noting", secure=keys)) as rig:
-        return flooded(rig)
+        return flooded(rig, found(keys is not None))
 
 
 def _run(cells: Sequence[Cell], model: Path, folder: Path) -> Iterator[Outcome]:

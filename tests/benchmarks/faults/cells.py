@@ -343,6 +343,11 @@ def _matrix() -> Iterator[Cell]:
 
 MATRIX: Final = {cell.name: cell for cell in _matrix()}
 #: Stops in a flood, which have a stack and a judgement of their own (`floods`).
-FLOODS: Final = ("floods", "floods with certificates")
+FLOODS: Final = (
+    "floods",
+    "floods with certificates",
+    "floods of declarations",
+    "floods of declarations with certificates",
+)
 #: The short version: what tells most in a minute.
 QUICK: Final = ("no fault", "kill -9 policy", "kill -9 recorder", "freeze recognition 3 s", "restart router")

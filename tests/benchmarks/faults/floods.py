@@ -3,6 +3,9 @@
 A process floods in the name of one role after the other, of each key that it may put and of each call that it may make
 in turn; without certificates in nobody's. Once in each flood one emergency stop is put, a single time, and the
 robot's own note tells when it stood for it. The stop's own key is not flooded: whatever comes on it stops the robot.
+
+Floods of declarations (tokens, subscribers, queryables) last for 100 stops each. When the router disconnects the
+flooder, the flooder connects again and goes on.
 """
 
 import json
@@ -18,7 +21,7 @@ import zenoh
 
 from schemas.base import NO_EPISODE
 from schemas.command import Command
-from schemas.topics import COMMANDS, TOPICS, rpc_key
+from schemas.topics import COMMANDS, ROOT, TOPICS, group_key, rpc_key
 from services.kit.bus import RpcError
 from services.kit.credentials import credentials_in
 from services.kit.errors import JobError
@@ -32,6 +35,7 @@ _STOP: Final = COMMANDS["emergency_stop"]
 _FLOODED_S: Final = (0.4, 0.8)  # A flood lasts so long before a stop is put, seconds: buffers on its way are full then.
 _LOST_S: Final = 5.0  # A stop that is not obeyed after so long counts as lost, seconds.
 _BETWEEN_S: Final = 0.3  # Between two floods, seconds: what is under way arrives.
+STOPS: Final = 100  # In each flood of declarations.
 _BEGIN_S: Final = 30.0  # How long the robot may take to begin an episode, seconds.
 _ROUND: Final = 50  # Messages or calls between two looks at what to flood next.
 _ANSWER_S: Final = 1.0  # Calls wait so long for their answers, seconds.
@@ -45,8 +49,9 @@ class Flood(NamedTuple):
     """What is flooded, by whom."""
 
     role: str
-    kind: Literal["put", "call"]
+    kind: Literal["put", "call", "token", "subscriber", "queryable"]
     key: str
+    stops: int = 1
 
     def __str__(self) -> str:
         """Return it in a few words."""
@@ -64,6 +69,18 @@ def floods(secure: bool) -> dict[str, list[Flood]]:
         for role in roles().values()
     }
     return {role: of_it for role, of_it in found.items() if of_it}
+
+
+def declared(secure: bool) -> dict[str, list[Flood]]:
+    """Return every flood of declarations, by who floods: a role that may declare any number of keys, or anybody."""
+    group = group_key(ROBOT, "recognition")
+    kinds = [("recognition", "token", group), ("watcher", "subscriber", f"{ROOT}/{ROBOT}/flood"),
+             ("recognition", "queryable", group)]  # fmt: skip
+    found: dict[str, list[Flood]] = {}
+    for role, kind, key in kinds:
+        name = role if secure else "anybody"
+        found.setdefault(name, []).append(Flood(name, kind, key, STOPS))
+    return found
 
 
 def _floods(role: str, puts: list[str], calls: set[str]) -> list[Flood]:
@@ -97,29 +114,36 @@ def read_notes(path: Path) -> dict[int, dict[str, float]]:
     return stops
 
 
-def flooded(rig: Rig) -> list[Stop]:
-    """Flood, and stop the robot once in each flood."""
+def flooded(rig: Rig, floods: dict[str, list[Flood]]) -> list[Stop]:
+    """Flood, and stop the robot in each flood, by who floods."""
     chance = random.Random(1)  # noqa: S311 - when a stop comes
     stops: list[Stop] = []
-    for role, of_it in floods(rig.plan.secure is not None).items():
+    for role, of_it in floods.items():
         with child(f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role) as flooder:
             for flood in of_it:
-                stops.append(_stop_in(rig, flood, flooder.pipe, len(stops) + 1, chance.uniform(*_FLOODED_S)))
+                stops += _stops_in(rig, flood, flooder.pipe, len(stops) + 1, chance)
     return stops
 
 
-def _stop_in(rig: Rig, flood: Flood, flooder: Connection, number: int, after_s: float) -> Stop:
-    """Put one stop into a flood, and wait until the robot stands for it."""
+def _stops_in(rig: Rig, flood: Flood, flooder: Connection, first: int, chance: random.Random) -> list[Stop]:
+    """Put stops into a flood one after another, and wait each time until the robot stands."""
     rig.hold(_BETWEEN_S)
 
-    def noted(stop: int) -> dict[str, float]:
-        return read_notes(rig.plan.notes).get(stop, {})
-
-    if "stood_s" not in noted(number - 1):
+    if "stood_s" not in _noted(rig, first - 1):
         with suppress(RpcError):
             rig.resume()
         rig.begin(_BEGIN_S)
     flooder.send(flood)
+    late = [_late_s(rig, first + number, chance.uniform(*_FLOODED_S)) for number in range(flood.stops)]
+    flooder.send(None)
+    if not flooder.poll(_LOST_S):
+        raise JobError(f"the {flood} hangs")
+    rate_hz = flooder.recv()
+    return [Stop(str(flood), rate_hz, late_s) for late_s in late]
+
+
+def _late_s(rig: Rig, number: int, after_s: float) -> float | None:
+    """Put a stop after some time; return when the robot stood for it, seconds, or None if it was lost."""
     rig.hold(after_s)
     put_s = time.monotonic()
     rig.bus.publish(
@@ -127,31 +151,51 @@ def _stop_in(rig: Rig, flood: Flood, flooder: Connection, number: int, after_s: 
             robot=ROBOT, episode=NO_EPISODE, tick=0, stamp_ns=0, source="emergency_stop", sequence=number, atom="stop"
         )
     )
-    rig.until(lambda: "stood_s" in noted(number), _LOST_S)
-    flooder.send(None)
-    if not flooder.poll(_LOST_S):
-        raise JobError(f"the {flood} hangs")
+    rig.until(lambda: "stood_s" in _noted(rig, number), _LOST_S)
     # While no episode runs the robot stands anyway.
-    at_s = noted(number).get("stood_s", noted(number).get("latched_s"))
-    return Stop(str(flood), flooder.recv(), None if at_s is None else at_s - put_s)
+    at_s = _noted(rig, number).get("stood_s", _noted(rig, number).get("latched_s"))
+    return None if at_s is None else at_s - put_s
+
+
+def _noted(rig: Rig, stop: int) -> dict[str, float]:
+    return read_notes(rig.plan.notes).get(stop, {})
 
 
 def flood_all(endpoint: str, keys: Path | None, role: str, told: Connection) -> None:
     """Flood what is told, until something else is; ends where nobody tells any more."""
-    session = open_session(endpoint, None if keys is None else credentials_in(keys, role), _PATIENT)
+    credentials = None if keys is None else credentials_in(keys, role)
+    session = open_session(endpoint, credentials, _PATIENT)
     told.send("ready")
     with suppress(EOFError, OSError):
         while flood := told.recv():
             sent, began_s = 0, time.monotonic()
             while not told.poll():
+                if not session.info.routers_zid():  # disconnected
+                    with suppress(zenoh.ZError):
+                        session.close()
+                        session = open_session(endpoint, credentials, _PATIENT)
                 for _ in range(_ROUND):
-                    _send(session, flood)
-                sent += _ROUND
+                    _send(session, flood, sent)
+                    sent += 1
             told.recv()
             told.send(sent / (time.monotonic() - began_s))
 
 
-def _send(session: zenoh.Session, flood: Flood) -> None:
+def _send(session: zenoh.Session, flood: Flood, number: int) -> None:
+    if flood.kind in ("put", "call"):
+        _message(session, flood)
+        return
+    key = f"{flood.key}/{number:08x}-1"
+    with suppress(zenoh.ZError):  # without a connection
+        if flood.kind == "token":
+            session.liveliness().declare_token(key)
+        elif flood.kind == "subscriber":
+            session.declare_subscriber(key, zenoh.handlers.RingChannel(1))
+        else:
+            session.declare_queryable(key, zenoh.handlers.RingChannel(1))
+
+
+def _message(session: zenoh.Session, flood: Flood) -> None:
     if flood.kind == "put":
         session.put(
             flood.key, _NONSENSE, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.BLOCK

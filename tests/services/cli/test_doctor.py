@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.cli.doctor import check_port, check_rendering
+from services.cli.doctor import check_port, check_rendering, check_served
 from services.kit.errors import JobError
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -70,3 +70,10 @@ def test_a_problem_is_one_line_and_exit_status_1(stranger: str, smal: Smal, monk
     assert [line.split()[1] for line in lines] == ["python", "disk", "zenoh", "port", "rendering"]
     assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "problem", "problem"]
     assert "/no/such/driver.json" in lines[-1]
+
+
+def test_doctor_names_a_robot_that_no_instance_serves() -> None:
+    shared = {"features": {"0123abcd-2": ["rescuebot", "rescuebot-2"]}, "policy": {"89abcdef-2": ["rescuebot"]}}
+    check_served(["rescuebot"], shared)
+    with pytest.raises(JobError, match="rescuebot-2 by no instance of policy"):
+        check_served(["rescuebot", "rescuebot-2"], shared)

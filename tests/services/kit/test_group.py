@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import numpy as np
@@ -24,14 +25,14 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.cli.stack import free_endpoint
-from services.kit.bus import Bus
-from services.kit.group import Seen, owner, share
+from services.kit.bus import MOVE_S, Bus
+from services.kit.group import ANSWER_S, Answer, Answers, Seen, owner, share
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
 from tests import corridor
 from tests.schemas.messages import EXAMPLES
 from tests.services.chain import image, process, seen, wheels
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import eventually, stalls, status_of
 
 NAMES = st.from_regex(r"[0-9a-f]{8}", fullmatch=True)
 INSTANCES = st.sets(NAMES, min_size=1, max_size=9)
@@ -88,6 +89,24 @@ def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
         FleetSettings(robots=1000)
     with pytest.raises(ValueError, match=f"robot id '{'r' * 31}-2' does not match"):
         FleetSettings(robot="r" * 31, robots=2)
+
+
+def test_an_instance_counts_while_its_answers_are_recent() -> None:
+    answers = Answers()
+    assert answers.note("a-1", ["rescuebot"], 10.0)
+    assert not answers.note("a-1", ["rescuebot"], 11.0)
+    assert answers.note("a-1", [], 11.5)
+    answers.note("b-1", ["rescuebot"], 13.0)
+    assert answers.answering(11.5 + ANSWER_S) == {"a-1", "b-1"}
+    assert answers.answering(11.6 + ANSWER_S) == {"b-1"}
+    assert answers.served() == {"rescuebot"}
+    assert answers.answering(14.0 + ANSWER_S) == set()
+    assert answers.served() == set()
+
+
+def test_announcements_without_an_answer_are_left_out() -> None:
+    announced = Seen.of([f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX)
+    assert announced.among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
 
 
 # -- at a router ------------------------------------------------------------------------------------------------------
@@ -301,3 +320,58 @@ def test_a_frozen_instance_s_robots_move_and_it_answers_nothing_old_when_it_goes
     robots.insist(image(4))
     assert {robots.answers[name, 3] for name in robots.buses} == {1}
     assert {robots.answers[name, 1] for name in robots.buses} == {0, 1}  # Those of the frozen one are nobody's.
+
+
+def stronger_than(instance: str) -> str:
+    """Return the name of an instance that the hashing prefers for the first robot."""
+    names = (f"{number:08x}-1" for number in range(1_000_000))
+    return next(name for name in names if owner("rescuebot", [name, instance]) == name)
+
+
+def health(address: str) -> str:
+    """Return what a service answers about its health; empty while it does not listen."""
+    try:
+        with urlopen(f"http://{address}/healthz") as answer:
+            return str(answer.read().decode())
+    except HTTPError as error:
+        return str(error.read().decode())
+    except OSError:
+        return ""
+
+
+def test_an_announcement_does_not_take_a_robot(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+    address = free_endpoint().removeprefix("tcp/")
+    robots = Robots(client, ("rescuebot",), topics.OBSERVATION, stack)
+    stolen = "00000000-1"
+    for key in (stolen, f"{stolen}/rescuebot"):  # Announced before the real instance comes, it also claims the robot.
+        stack.callback(client.stand(f"{PREFIX}/{key}"))
+    start(stack, "features", router_endpoint, 1, "--http", address)
+    (instance,) = robots.served_by("features", 1).values()
+    robots.insist(image(0))
+    lost_s = stack.enter_context(stalls())
+    stack.callback(client.stand(f"{PREFIX}/{stronger_than(instance)}"))
+    began_s = time.monotonic()
+    tick = 1
+    while time.monotonic() < began_s + ANSWER_S + MOVE_S:
+        robots.insist(image(tick))
+        tick += 1
+    assert time.monotonic() - began_s - lost_s(began_s) < 2.0 * (ANSWER_S + MOVE_S)
+    assert robots.instances("features") == {"rescuebot": instance}
+    eventually(lambda: health(address) == "ok\n")
+
+
+def test_a_robot_that_no_instance_serves_is_reported(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+    address = free_endpoint().removeprefix("tcp/")
+    robots = Robots(client, ("rescuebot",), topics.OBSERVATION, stack)
+    start(stack, "features", router_endpoint, 1, "--http", address)
+    (instance,) = robots.served_by("features", 1).values()
+    eventually(lambda: health(address) == "ok\n")
+    # A thief of the role's key who answers as well is an instance; it serves nothing.
+    key = f"{PREFIX}/{stronger_than(instance)}"
+    thief = stack.enter_context(closing(Bus("rescuebot", router_endpoint)))
+    thief.answer(key, lambda: Answer(robots=()))
+    go = thief.stand(key)
+    eventually(lambda: health(address) == "rescuebot: served by no instance\n")
+    go()
+    eventually(lambda: health(address) == "ok\n")
+    robots.insist(image(1))

@@ -1,0 +1,115 @@
+"""Disconnect sessions that flood the router with declarations: tokens, queryables, subscribers and keys.
+
+A declaration takes the longer the more declarations stand: the router compares its key with all others
+(``Resource::get_matches``), and meanwhile it routes no message. Zenoh 1.10.2 has no setting that bounds declarations.
+Its log has an entry for each of them, with the session that made it. This process reads the router's log, counts the
+entries of each session, and prints the session that exceeds its allowance; the router then resets its connection. The
+count is a process of its own because a thread of the router waits for it where Zenoh holds a lock.
+"""
+
+import re
+import socket
+import sys
+import time
+from collections.abc import Callable
+from typing import Final
+
+#: The beginning of an entry is Zenoh's own. A key may hold line breaks: the sender can write all that follows.
+_DECLARATION: Final = re.compile(
+    rb"\S+ +DEBUG +\S+ +ThreadId\(\d+\) demux\{zid=\w+ src=\S*?(client|peer|router)/(([0-9a-f]+):\d+)\}.*"
+    rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource )"
+)
+_OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): ")
+#: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it serves. The largest
+#: session of a stack with one robot makes 100.
+BURST: Final = 200
+BURST_A_ROBOT: Final = 100
+RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
+MOST_SESSIONS: Final = 10_000  # Sessions whose declarations are counted at a time, ended ones among them.
+_TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
+_ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
+
+
+class Allowance:
+    """A token bucket: ``burst`` declarations at once, then `RATE_HZ`; and at most ``burst`` that stand."""
+
+    def __init__(self, burst: int, now_s: float) -> None:
+        self._burst = burst
+        self._left = float(burst)
+        self._standing = 0
+        self._at_s = now_s
+
+    def take(self, now_s: float, standing: int) -> bool:
+        """Count a declaration, and how many more stand by it; return whether it is within the allowance."""
+        self._standing = max(0, self._standing + standing)
+        regained = RATE_HZ * (now_s - self._at_s)
+        self._at_s = now_s
+        self._left = min(self._burst, self._left + regained) - 1.0
+        return self._left >= 0.0 and self._standing <= self._burst
+
+
+class Declarations:
+    """Count the declarations of every session.
+
+    Parameters
+    ----------
+    robots
+        Number of robots of the fleet, which one session may serve.
+    linked
+        Whether other routers pass on what their own sessions declare. Their declarations are not bounded here.
+    disconnect
+        Called with the beginning of a session's id when the session exceeds its allowance.
+    """
+
+    def __init__(self, robots: int, *, linked: bool, disconnect: Callable[[str], None]) -> None:
+        self._burst = BURST + BURST_A_ROBOT * robots
+        self._linked = linked
+        self._disconnect = disconnect
+        self._allowances: dict[bytes, Allowance] = {}
+
+    def count(self, line: bytes, now_s: float) -> None:
+        """Count a line of Zenoh's log if it is about a declaration."""
+        match = _DECLARATION.match(line)
+        if match is None:
+            return
+        mode, face, session = match.groups()
+        if mode == b"router" and self._linked:
+            return
+        allowance = self._allowances.get(face)
+        if allowance is None:
+            if len(self._allowances) >= MOST_SESSIONS:  # the oldest one has ended
+                del self._allowances[next(iter(self._allowances))]
+            allowance = self._allowances[face] = Allowance(self._burst, now_s)
+        if not allowance.take(now_s, _standing(line)):
+            del self._allowances[face]
+            self._disconnect(session.decode())
+
+
+def _standing(line: bytes) -> int:
+    """Return how many more declarations stand after this one; a new key alone is none."""
+    if b"::face: expr=" not in line:
+        return 0
+    return -1 if line.rstrip().endswith(_TAKEN_BACK) else 1
+
+
+def count_log(log: socket.socket, declarations: Declarations) -> None:
+    """Count the entries of the log that are about declarations, and pass all others on, until the router has ended."""
+    buffer = bytearray(_ENTRY_BYTES)
+    while size := log.recv_into(buffer):
+        entry = bytes(memoryview(buffer)[:size])
+        if _OWN_LOG.search(entry):
+            declarations.count(entry, time.monotonic())
+        else:
+            sys.stderr.buffer.write(entry)
+            sys.stderr.flush()
+
+
+def print_session(session: str) -> None:
+    """Have the router disconnect a session."""
+    sys.stdout.write(f"{session}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    robots, linked = (int(argument) for argument in sys.argv[1:])
+    count_log(socket.socket(fileno=0), Declarations(robots, linked=bool(linked), disconnect=print_session))
