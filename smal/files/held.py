@@ -70,7 +70,7 @@ def _older(name: str, own: os.stat_result) -> Iterator[memoryview]:
     """Yield the older sealed copies of that name and size that processes of this user hold."""
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            if not os.readlink(link).startswith(f"/memfd:{name} "):
+            if not str(link.readlink()).startswith(f"/memfd:{name} "):
                 continue
             descriptor = os.open(link, os.O_RDONLY | os.O_CLOEXEC)
             try:

@@ -74,10 +74,7 @@ def test_content_is_whole_when_there_is_no_memory_file(path: Path, monkeypatch: 
 def test_processes_share_one_copy_when_they_load_one_model(path: Path) -> None:
     program = READ + "print(*[line.split()[4] for line in open('/proc/self/maps') if 'memfd:smal' in line], flush=True)"
     command = [sys.executable, "-c", program + "\nsys.stdin.read()", path]
-    processes = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603 - our own
-        for _ in range(2)
-    ]
+    processes = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     try:
         # The second one may begin before the first has its copy; a third begins after both.
         inodes = [process.stdout.readline().split() for process in processes if process.stdout is not None]
