@@ -301,7 +301,7 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
          "no tables of topics and messages"),
         ("CREATE TABLE stored AS SELECT * FROM messages; DROP TABLE messages; CREATE TABLE messages (id INTEGER, "
          "topic_id INTEGER, timestamp INTEGER); INSERT INTO messages SELECT id, topic_id, timestamp FROM stored; "
-         f"ALTER TABLE messages ADD COLUMN data BLOB DEFAULT X'{'00' * 100_000}'",
+         "ALTER TABLE messages ADD COLUMN data BLOB DEFAULT X'" + "00" * 100_000 + "'",
          "its messages are larger than the file"),
         ("UPDATE topics SET serialization_format = 'json'", "topics are json, not ROS 2's CDR"),
         ("UPDATE topics SET type = 'std_msgs/msg/String'", "no topic of image"),
