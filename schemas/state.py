@@ -104,8 +104,9 @@ class State(Message):
         status = "unknown" if lost > 0.5 else "recognized"
         told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
         told |= {"strange_m": strange_m} if math.isfinite(strange_m) else {}
-        told["camera"] = camera
-        return cls.after(observation, status=status, model=model, places=places, lost=lost, **told, **of_all)
+        return cls.after(
+            observation, status=status, model=model, places=places, lost=lost, camera=camera, **told, **of_all
+        )
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
         """Return what `of_belief` was given: keyframes (p,), offsets (p, 3) and weights (p,)."""

@@ -1,13 +1,10 @@
 """``smal import``: recordings that somebody has already, to teach from."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 from typer import Argument, Option
@@ -15,15 +12,16 @@ from typer import Argument, Option
 from schemas.base import STILL, TURNING
 from schemas.codec import printable
 from services.cli import options, outputs
-from services.cli.child import tied
 from services.experiments.progress import Bars
 from services.experiments.words import remark
 from services.importers.job import FORMATS, Job, Report, check_format
+from services.importers.run import MOST_MEMORY
 from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
+from smal.files.confined import Bounds, ConfinedError, confined, size_of
 
-_COMMAND: Final = (sys.executable, "-P", "-m", "services.importers.run")
+_WORK: Final = "services.importers.run:work"
 
 
 def import_recordings(
@@ -94,36 +92,17 @@ def import_recordings(
 
 def _run(job: Job) -> tuple[list[str], Report]:
     """Do the job in a process of its own; see `services.importers.run`."""
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # Each would take memory of the bound for all.
-    with subprocess.Popen(  # noqa: S603 - our own
-        tied(*_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
-        text=True,
-    ) as child:  # fmt: skip
-        try:
-            assert child.stdin is not None  # noqa: S101 - by PIPE
-            with suppress(BrokenPipeError):
-                child.stdin.write(job.model_dump_json())
-                child.stdin.close()
-            last = _listen(child)
-            child.wait()
-        except BaseException:
-            child.kill()
-            raise
-    if "report" in last:
-        return list(last["remarks"]), Report.model_validate_json(json.dumps(last["report"]))
-    died = f"what decodes it broke down (status {child.returncode}); the source is damaged, or hostile"
-    raise JobError(printable(last.get("error") or f"{job.path}: {died}", 700))
-
-
-def _listen(child: subprocess.Popen[str]) -> dict[str, Any]:
-    last: dict[str, Any] = {}
-    assert child.stdout is not None  # noqa: S101 - by PIPE
+    bounds = Bounds.of_size(size_of(Path(job.path)), MOST_MEMORY)
     with closing(Bars("frame")) as bars:
-        for line in child.stdout:
-            last = json.loads(line)
-            if "done" in last:
-                bars("importing", last["done"], last["total"])
-    return last
+
+        def show(progress: dict[str, int]) -> None:
+            bars("importing", progress["done"], progress["total"])
+
+        try:
+            done = confined(_WORK, job.model_dump(mode="json"), bounds, job.path, progress=show)
+        except ConfinedError as error:
+            raise JobError(printable(str(error), 700)) from None
+    return list(done["remarks"]), Report.model_validate_json(json.dumps(done["report"]))
 
 
 def _lines(report: Report, job: Job, files: list[Path], out: Path) -> Iterator[str]:

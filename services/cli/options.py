@@ -22,7 +22,7 @@ from services.kit.settings import DEFAULT_SECURE_ROUTER, MAX_ROBOTS, ServiceSett
 from services.simulator.opening import BaseKind
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import World as LoadedWorld
-from services.simulator.world import WorldError, load_world
+from services.simulator.world import WorldError, load_foreign_world
 from smal.features import MODALITY_NAMES, FeatureSettings
 from smal.files.container import ModelError
 
@@ -218,7 +218,7 @@ class Use:
 def read_world(world: str) -> LoadedWorld:
     """Read the world of ``--world`` before the processes start; UsageError says what is wrong with it."""
     try:
-        return load_world(world)
+        return load_foreign_world(world)
     except WorldError as error:
         raise UsageError(f"--world {world}: {error}") from None
 

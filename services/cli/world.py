@@ -4,13 +4,15 @@ import math
 import re
 import time
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 import shapely
 import typer
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 from typer import Argument, Option
 
 from services.cli import options, outputs
@@ -19,11 +21,12 @@ from services.experiments.progress import bar_of
 from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
-from services.simulator.world import Pose, World, load_world
-from services.simulator.world.loading import Wishes, import_map
+from services.simulator.world import Pose, World, WorldError, load_foreign_world
+from services.simulator.world.loading import Wishes, bounded, import_map
 from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
+from smal.files.confined import ConfinedError, Work
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,12 +73,26 @@ def import_world(
     )
     if not osm_map.is_file():
         raise UsageError(f"{osm_map}: no such file")
-    imported, text = import_map(osm_map, out, wishes)
+    inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(osm_map))  # The map of a page, which has no name.
     with outputs.writing(out, "--out") as file:
-        file.write(text.encode())
-    for line in table(list(_summary(imported, time.perf_counter() - began_s)), left=1):
+        request = {"map": str(osm_map), "out": str(out), "file": file.name, "wishes": asdict(wishes)}
+        descriptors = (int(inherited[1]),) if inherited else ()
+        rows = bounded("services.cli.world:make", request, osm_map, descriptors)
+    rows.append(("time", f"{time.perf_counter() - began_s:.1f} s"))
+    for line in table(rows, left=1):
         typer.echo(line)
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
+
+
+def make(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
+    """Make a world file of a map, in a child process, and return its summary; ConfinedError where that cannot be."""
+    wishes = TypeAdapter(Wishes).validate_python(request["wishes"])
+    try:
+        imported, text = import_map(Path(request["map"]), Path(request["out"]), wishes)
+    except WorldError as error:
+        raise ConfinedError(str(error)) from None
+    Path(request["file"]).write_text(text)
+    return list(_summary(imported))
 
 
 def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:
@@ -103,7 +120,7 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
     return Surroundings(latitude, longitude, radius)
 
 
-def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:
+def _summary(world: World) -> Iterable[tuple[str, str]]:
     terrain = world.place
     assert isinstance(terrain, Terrain)  # noqa: S101 - of a map
     assert terrain.source is not None  # noqa: S101
@@ -127,7 +144,6 @@ def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:
     ]
     yield from ((name, str(count)) for name, count in counts)
     yield "route", f"{route_length_m(plan_route(world, (world.start.x, world.start.y))):.1f} m"
-    yield "time", f"{took_s:.1f} s"
 
 
 @app.command("render")
@@ -148,7 +164,7 @@ def render(
     """
     size = camera or options.USUAL_CAMERA
     outputs.make_folder(out, "--out")
-    world = load_world(name)
+    world = load_foreign_world(name)
     from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
 
     places = viewpoints(world, views)

@@ -72,7 +72,9 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
 
 def _records(inside: Inside, paths: list[str], tally: Tally) -> Iterator[_Record | None]:
     """Yield all records; None for one that is none."""
-    for path in paths:
+    catalogs = {inside.regular(path): path for path in dict.fromkeys(paths)}
+    tally.count("names of catalogs are repeated, which are read once", len(paths) - len(catalogs))
+    for path in catalogs.values():
         for line in filter(bytes.strip, inside.lines(path)):
             try:
                 yield inside.parsed(_Record, line, path)

@@ -100,8 +100,10 @@ class _Velocity(NamedTuple):
 def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     """Read a data set; each of its episodes is a drive."""
     dataset = _DataSet(inside, job, tally)
-    asked = (one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes)
-    drives = [dataset.drive(episode) for episode in asked]
+    asked = [one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes]
+    once = {episode.number: episode for episode in asked}
+    tally.count("episodes are described again, which are read once", len(asked) - len(once))
+    drives = [dataset.drive(episode) for episode in once.values()]
     announced = dataset.info.total_episodes
     if not job.episodes and announced != len(drives):
         tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")

@@ -33,6 +33,7 @@ from smal.camera import Camera
 
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20  # Largest message: a raw image of 4096x3072x4, and more.
+_LEAST_ROW: Final = 6  # Bytes of a row beside its blob: two lengths, and the header of three columns and more.
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
 INFO: Final = "sensor_msgs/msg/CameraInfo"
@@ -104,19 +105,31 @@ def _of_mcap(path: Path, tally: Tally) -> Iterator[Received]:
 def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
     with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)) as database:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
-        # A view could call itself, or compute for ever.
         database.execute("PRAGMA trusted_schema = OFF")
-        kinds = dict(database.execute("SELECT name, type FROM sqlite_master WHERE name IN ('topics', 'messages')"))
-        if kinds != {"topics": "table", "messages": "table"}:
-            raise sqlite3.DatabaseError("no tables of topics and messages")
+        for table in ("topics", "messages"):
+            _check_plain(database, table)
         topics: dict[Any, tuple[str, str]] = {}
         for number, name, kind, form in database.execute("SELECT id, name, type, serialization_format FROM topics"):
             if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
         # In the order in which they were received; to sort them by time could take as much room as they do.
+        left = path.stat().st_size
         for number, stamp_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
+            left -= _LEAST_ROW + (len(data) if isinstance(data, bytes) else 0)
+            if left < 0:
+                raise sqlite3.DatabaseError("its messages are larger than the file")
             if number in topics and isinstance(data, bytes) and isinstance(stamp_ns, int):
                 yield Received(*topics[number], stamp_ns / 1e9, data)
+
+
+def _check_plain(database: sqlite3.Connection, table: str) -> None:
+    """Refuse all but a table that holds what is read of it: a view or a generated column could compute for ever."""
+    found = database.execute("SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchall()
+    if len(found) != 1 or found[0][0] != "table" or not found[0][1]:  # A virtual table has no page of its own.
+        raise sqlite3.DatabaseError("no tables of topics and messages")
+    for name, hidden in database.execute("SELECT name, hidden FROM pragma_table_xinfo(?)", (table,)):
+        if hidden:
+            raise sqlite3.DatabaseError(f"the column {name} of {table} is computed, not stored")
 
 
 def _is_cdr(encoding: object, tally: Tally) -> bool:

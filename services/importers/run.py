@@ -1,18 +1,16 @@
-"""One import in a process of its own: a job as JSON in, lines of JSON out. It reads, resamples and writes.
+"""One import: it reads, resamples and writes.
 
-The libraries that decode Parquet, video and images are written in C and C++. What a stranger's file makes them do,
-a crash or a demand for all memory, ends this process and no other.
+The libraries that decode Parquet, video and images are written in C and C++, so that ``smal import`` runs `work` in a
+process of its own (`smal.files.confined`).
 """
 
 import importlib
 import json
-import resource
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,10 +21,11 @@ from services.importers.job import FORMATS, Format, Job, Report
 from services.importers.recording import write
 from services.importers.ticks import nominal
 from services.kit.errors import describe_os_error
+from smal.files.confined import ConfinedError, Work
 
 #: What the modules of this package that read a format are called; each has ``read(inside, job, tally)``.
 _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
-MOST_MEMORY: Final = 2 * 2**30  # Bytes that an import may take; numbers of the longest drive take a quarter.
+MOST_MEMORY: Final = 2 * 2**30  # Bytes of memory; the numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
@@ -66,39 +65,21 @@ def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
     )
 
 
-def main() -> int:
-    """Run the job; the exit status is 1 where it failed."""
-    # What is mapped from files does not count: bags are larger than this.
-    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY, MOST_MEMORY))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    job, tally, done, told_s = Job.model_validate_json(sys.stdin.read()), Tally(), 0, 0.0
+def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
+    """Run a job, given as JSON, in a process of its own; ConfinedError when that cannot be."""
+    job, tally, done, told_s = Job.model_validate_json(json.dumps(request)), Tally(), 0, 0.0
 
     def advance(total: int) -> None:
         nonlocal done, told_s
         done += 1
         if time.monotonic() - told_s >= _PERIOD_S:
             told_s = time.monotonic()
-            _tell(done=done, total=max(total, done))
+            child.tell({"done": done, "total": max(total, done)})
 
     try:
         report = run(job, tally, advance)
     except ImportFailure as error:
-        said = str(error)
-    except MemoryError:
-        said = f"{job.path}: reading it takes more than {MOST_MEMORY >> 30} GiB of memory"
+        raise ConfinedError(str(error)) from None
     except OSError as error:
-        said = describe_os_error(error)
-    else:
-        _tell(remarks=tally.lines(), report=report.model_dump(mode="json"))
-        return 0
-    _tell(error=said)
-    return 1
-
-
-def _tell(**what: object) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        raise ConfinedError(describe_os_error(error)) from None
+    return {"remarks": tally.lines(), "report": report.model_dump(mode="json")}

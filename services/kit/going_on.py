@@ -12,8 +12,13 @@ _ASK: Final[ContextVar[Callable[[], None]]] = ContextVar("go_on", default=lambda
 def each(items: Iterable[T]) -> Iterator[T]:
     """Give items one after another for as long as the work of this thread is to go on."""
     for item in items:
-        _ASK.get()()
+        go_on()
         yield item
+
+
+def go_on() -> None:
+    """Raise what ends the work of this thread if it is not to go on."""
+    _ASK.get()()
 
 
 @contextmanager

@@ -91,9 +91,10 @@ def load_model(path: Path) -> AnyModel:
 
 
 def _read(file: IO[bytes], name: str) -> AnyModel:
-    """Read an open file, or return what was made of it: the robots of a process share one map.
+    """Read an open file, or return the model that was made of it: the robots of a process share one map.
 
-    It is the same file where nothing has changed it: models are replaced, never written over.
+    A file that has the same size and times is the same. Of a file that is rewritten, the loaded model keeps the old
+    content (`smal.files.held`).
     """
     with _READING:
         told = os.fstat(file.fileno())

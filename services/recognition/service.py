@@ -198,9 +198,10 @@ class _ByFilter:
         seen = self._localizer.seen(observation.small(), belief, detected)
         told = belief.summary()
         strange = self._localizer.strange(observation.small(), told) if self._watches else math.inf
-        places, lost, cosine = (told.keyframes, told.offsets, told.weights), told.lost, told.cosine
-        of_all = {"lost": lost, "cosine": cosine, "tracked_m": told.tracked, "unseen_m": told.unseen}
-        return State.of_belief(observation, self._identity, *places, seen, strange, told.camera, **of_all)
+        return State.of_belief(
+            observation, self._identity, told.keyframes, told.offsets, told.weights, seen, strange, told.camera,
+            lost=told.lost, cosine=told.cosine, tracked_m=told.tracked, unseen_m=told.unseen,
+        )  # fmt: skip
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""

@@ -7,7 +7,7 @@ from services.simulator.base import Base
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import variation_named
-from services.simulator.world import load_world
+from services.simulator.world import load_foreign_world
 from services.simulator.world.place import Pose
 from services.simulator.world.varying import vary
 
@@ -34,7 +34,7 @@ def open_simulation(
     cannot be used, UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
     """
     conditions = variation_named(variation)
-    there = load_world(world)
+    there = load_foreign_world(world)
     if task is not None:
         there = replace(there, start=task[0], victim=task[1])
     there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)

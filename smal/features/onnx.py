@@ -13,7 +13,9 @@ the file has `mean` and `std`, each three numbers separated by commas. Weights m
 import hashlib
 import os
 import re
+import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 from smal.features.detectors import Detection, of_boxes
 from smal.features.modality import Modality, detector, unit_length
 from smal.features.resizing import resized
+from smal.files.confined import Bounds, ConfinedError, Work, confined
 from smal.files.container import open_regular
 
 if TYPE_CHECKING:
@@ -33,6 +36,11 @@ if TYPE_CHECKING:
 PREFIX, BOXES = "onnx:", "boxes:"
 # Of a network that takes any height or width.
 SIDE = 224
+LARGEST = 2**31  # Most bytes of a file: the format, protobuf, ends there.
+MOST_MEMORY = 4 * 2**30  # Bytes that a network may take beside its weights.
+_COPIES = 4  # How often its weights may be in memory while it is opened.
+LONGEST_S = 5.0  # Processor time of an image, seconds. A robot sees ten a second; evaluating a drive can be slower.
+_LONGEST_WAIT_S = 4 * LONGEST_S  # The same by the clock, on a machine with much to do.
 # No embedding has more entries than a raw image.
 _NAME = re.compile(r"onnx:([0-9a-f]{64}):(0|[1-9][0-9]{0,6})")
 Channels = tuple[float, float, float]
@@ -72,10 +80,20 @@ class Network:
         small = resized(image, self.rows, self.columns).astype(np.float32)
         scaled = (small / np.float32(255.0) - self.mean) / self.std
         batch = np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
+        run = _onnxruntime(self.file).RunOptions()
+        # How long a loop goes on can depend on the image.
+        end = threading.Timer(_LONGEST_WAIT_S, setattr, (run, "terminate", True))
+        end.daemon = True
+        end.start()
         try:
-            output = np.asarray(self.session.run(None, {self.session.get_inputs()[0].name: batch})[0], dtype=np.float32)
+            found = self.session.run(None, {self.session.get_inputs()[0].name: batch}, run)
+            output = np.asarray(found[0], dtype=np.float32)
         except Exception as error:
+            if run.terminate:
+                raise ValueError(f"{self.file}: an image takes more than {_LONGEST_WAIT_S:g} s") from error
             raise ValueError(f"{self.file}: the network does not run: {_one_line(error)}") from error
+        finally:
+            end.cancel()
         if output.size == 0:
             raise ValueError(f"{self.file}: the network's first output is empty")
         if not np.isfinite(output).all():
@@ -96,20 +114,66 @@ def open_network(file: str, kind: str = PREFIX) -> str:
         raise ValueError(f"the feature modality {kind!r} names no file; write {kind}FILE")
     try:
         with os.fdopen(open_regular(Path(file)), "rb") as opened:
-            data = opened.read()
+            size = os.fstat(opened.fileno()).st_size
+            if size > LARGEST:
+                raise ValueError(f"{file}: too large for a network: {size} bytes, at most {LARGEST}")
+            data = opened.read(size)
     except FileNotFoundError:
         raise ValueError(f"{file}: there is no such file for the feature modality {kind}FILE") from None
     except OSError as error:
         raise ValueError(f"{file}: cannot read the network's file: {error.strerror or error}") from error
-    network = _network(
-        file, _session(file, data), *((IMAGENET_MEAN, IMAGENET_STD) if kind == PREFIX else (ZEROS, ONES))
-    )
-    blank = np.zeros((network.rows, network.columns, 3), dtype=np.uint8)
-    # Only running it tells the size of an output whose shape depends on that of the input.
-    size = network.describe(blank).size if kind == PREFIX else 0 * len(network.detect(blank))
+    _onnxruntime(file)
+    size = _proven(file, kind, data)
     name = f"{PREFIX}{hashlib.sha256(data).hexdigest()}:{size}"
-    _given[name] = network
+    _given[name] = _opened(file, kind, data)
     return name
+
+
+def _proven(file: str, kind: str, data: bytes) -> int:
+    """Run a network in a child process with bounds; return the size of its embedding, or raise ValueError.
+
+    A few bytes can describe a loop without an end, or a matrix that fills all memory.
+    """
+    request = {"file": str(Path(file).absolute()), "called": file, "kind": kind, "longest_s": LONGEST_S}
+    bounds = Bounds.of_size(len(data), MOST_MEMORY + _COPIES * len(data))
+    try:
+        proven = confined("smal.features.onnx:prove", request, bounds, file)
+    except ConfinedError as error:
+        raise ValueError(str(error)) from None
+    if proven["digest"] != hashlib.sha256(data).hexdigest():
+        raise ValueError(f"{file}: the network's file was changed while it was read; try again")
+    return int(proven["size"])
+
+
+def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
+    """Run a network, in a child process, on a blank image and on noise; ConfinedError where it is of no use."""
+    file, kind = request["called"], request["kind"]
+    data = Path(request["file"]).read_bytes()
+    try:
+        network = _opened(file, kind, data)
+        work.step("an image", request["longest_s"])
+        shape = (network.rows, network.columns, 3)
+        # Only running it tells the size of an output whose shape depends on that of the input.
+        size = _run_once(network, kind, np.zeros(shape, dtype=np.uint8))
+    except ValueError as error:
+        raise ConfinedError(str(error)) from None
+    work.step("an image", request["longest_s"])
+    with suppress(ValueError):  # Noise is no picture: how long the network takes is all that counts.
+        _run_once(network, kind, np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8))
+    return {"digest": hashlib.sha256(data).hexdigest(), "size": size}
+
+
+def _run_once(network: Network, kind: str, image: NDArray[np.uint8]) -> int:
+    """Run a network on an image; return the size of the embedding, 0 of a detector."""
+    if kind == PREFIX:
+        return network.describe(image).size
+    network.detect(image)
+    return 0
+
+
+def _opened(file: str, kind: str, data: bytes) -> Network:
+    mean, std = (IMAGENET_MEAN, IMAGENET_STD) if kind == PREFIX else (ZEROS, ONES)
+    return _network(file, _session(file, data), mean, std)
 
 
 def given_as(name: str) -> str:
@@ -155,13 +219,18 @@ def _parts(name: str) -> tuple[str, int]:
     return match[1], int(match[2])
 
 
-def _session(file: str, data: bytes) -> "InferenceSession":
+def _onnxruntime(file: str) -> Any:  # noqa: ANN401 - of a package that may be missing
     try:
         import onnxruntime  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise ValueError(
             f"{PREFIX}{file}: needs the package onnxruntime, which is not installed: pip install -e '.[onnx]'"
         ) from error
+    return onnxruntime
+
+
+def _session(file: str, data: bytes) -> "InferenceSession":
+    onnxruntime = _onnxruntime(file)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     # Its errors are raised as well; on standard error they would be said twice.

@@ -5,15 +5,14 @@ UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}), filled up wit
 arrays one after the other, those of the largest items first, so that all are aligned, C order, little endian; 32 bytes
 SHA-256 of all that went before.
 
-Arrays are not copied to memory but mapped: all processes of a machine share those of one file, and what is not looked
-at is not read. A file is therefore replaced, never written to (`replacing`).
+A file is read once, into memory that cannot change any more, and its checksum is that of these very bytes
+(`smal.files.held`). Arrays are views of it. All processes of a machine share one copy.
 """
 
 import errno
 import hashlib
 import json
 import math
-import mmap
 import os
 import stat
 import struct
@@ -26,9 +25,12 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.files.held import held
+
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
 _ALIGNED = 8
+_DIGEST = 32  # Bytes of the checksum.
 LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
 LARGEST_HEADER = 2**24  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
 _MOST_AXES = 8
@@ -97,19 +99,26 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
             raise NoModelError(f"{name}: too large for a model: {size} bytes, at most {LARGEST}")
-        header_size = _header_size(file, name, version)
-        content = memoryview(mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ))
-        body, digest = content[:-32], bytes(content[-32:])
-        if hashlib.sha256(body).digest() != digest:
+        _header_size(file.read(_FIXED.size), name, version)  # Before memory is taken for the rest.
+        file.seek(max(size - _DIGEST, 0))
+        content = held(file, size, file.read(_DIGEST).hex(), _is_whole)
+        if content is None:
             raise ModelError(f"{name}: truncated or altered: its checksum does not match")
+        header_size = _header_size(bytes(content[: _FIXED.size]), name, version)
+        body = content[:-_DIGEST]
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
-        return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :]), digest.hex()
+        arrays = _arrays(header["arrays"], body[_FIXED.size + header_size :])
+        return header["meta"], arrays, bytes(content[-_DIGEST:]).hex()
+
+
+def _is_whole(content: memoryview) -> bool:
+    return hashlib.sha256(content[:-_DIGEST]).digest() == content[-_DIGEST:]
 
 
 def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     """Read what a file of `write` says of itself, without its arrays, unchecked; ModelError where it says nothing."""
     with _explained(name):
-        meta = json.loads(file.read(_header_size(file, name, version)))["meta"]
+        meta = json.loads(file.read(_header_size(file.read(_FIXED.size), name, version)))["meta"]
         if not isinstance(meta, dict):
             raise TypeError("it says nothing of itself")
         return meta
@@ -128,9 +137,8 @@ def _explained(name: str) -> Iterator[None]:
         raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
 
 
-def _header_size(file: IO[bytes], name: str, version: int) -> int:
-    """Read the beginning alone, before memory is taken for the rest; return the length of the header behind it."""
-    fixed = file.read(_FIXED.size)
+def _header_size(fixed: bytes, name: str, version: int) -> int:
+    """Check the beginning of a file, and return the length of the header behind it."""
     if len(fixed) < _FIXED.size or not fixed.startswith(MAGIC):
         raise NoModelError(f"{name}: not a SMAL model")
     _, found, size = _FIXED.unpack(fixed)

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -223,3 +224,77 @@ def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monke
     # The refusal is not remembered once it is installed.
     monkeypatch.undo()
     assert modality_named(given(name)).size == 4
+
+
+# -- work without an end ----------------------------------------------------------------------------------------------
+
+
+def computed(path: Path, nodes: list[Any], *constants: Any) -> str:
+    """Write a network of a few nodes from `x` to `y`, and return its modality's name."""
+    given = [helper.make_tensor_value_info("x", FLOAT, ANY)]
+    graph = helper.make_graph(nodes, "g", given, [helper.make_tensor_value_info("y", FLOAT, None)], constants)
+    onnx.save_model(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), str(path))
+    return f"onnx:{path}"
+
+
+def loop(path: Path, *before: Any) -> str:
+    """Write a network that does nothing as often as `times` says, without an end if nothing makes that."""
+    value = helper.make_tensor_value_info
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["on"], ["still"]), helper.make_node("Identity", ["v"], ["w"])],
+        "body",
+        [value("i", onnx.TensorProto.INT64, []), value("on", onnx.TensorProto.BOOL, []), value("v", FLOAT, None)],
+        [value("still", onnx.TensorProto.BOOL, []), value("w", FLOAT, None)],
+    )
+    endless = [] if before else [helper.make_tensor("times", onnx.TensorProto.INT64, [], [2**62])]
+    return computed(path, [*before, helper.make_node("Loop", ["times", "", "x"], ["y"], body=body)], *endless)
+
+
+def test_network_is_refused_when_an_image_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnx_features, "LONGEST_S", 1.0)
+    line = refusal(loop(tmp_path / "loop.onnx"))
+    assert line.startswith(f"{tmp_path}/loop.onnx: ")
+    assert re.search(r"an image( of it)? takes more than", line)
+
+
+def test_network_is_refused_when_it_takes_all_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnx_features, "MOST_MEMORY", 2**30)
+    size = helper.make_tensor("size", onnx.TensorProto.INT64, [2], [20_000, 20_000])
+    nodes = [
+        helper.make_node("ConstantOfShape", ["size"], ["matrix"]),
+        helper.make_node("ReduceMean", ["matrix"], ["mean"], keepdims=0),
+        helper.make_node("Add", ["x", "mean"], ["y"]),
+    ]
+    line = refusal(computed(tmp_path / "huge.onnx", nodes, size))
+    assert line.startswith(f"{tmp_path}/huge.onnx: the network does not run: ")
+
+
+def test_image_is_refused_when_it_makes_the_network_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Only a picture that is white all over makes it loop: a blank one and noise have a dark pixel.
+    nodes = [
+        helper.make_node("ReduceMin", ["x"], ["darkest"], keepdims=0),
+        helper.make_node("Relu", ["darkest"], ["above"]),
+        helper.make_node("Mul", ["above", "many"], ["so"]),
+        helper.make_node("Cast", ["so"], ["count"], to=onnx.TensorProto.INT64),
+        helper.make_node("Add", ["count", "one"], ["times"]),
+    ]
+    path = tmp_path / "white.onnx"
+    loop(path, *nodes)
+    model = onnx.load(str(path))
+    model.graph.initializer.extend([
+        helper.make_tensor("many", FLOAT, [], [1e15]), helper.make_tensor("one", onnx.TensorProto.INT64, [], [1]),
+    ])  # fmt: skip
+    onnx.save_model(model, str(path))
+    modality = modality_named(given(f"onnx:{path}"))
+    modality.describe(picture(224, 224))
+    monkeypatch.setattr(onnx_features, "_LONGEST_WAIT_S", 0.5)
+    with pytest.raises(ValueError, match=r"white.onnx: an image takes more than 0.5 s"):
+        modality.describe(np.full((224, 224, 3), 255, dtype=np.uint8))
+
+
+def test_network_is_refused_when_its_file_is_too_large(tmp_path: Path) -> None:
+    with (tmp_path / "large.onnx").open("wb") as file:
+        file.truncate(2**31 + 1)
+    assert refusal(f"onnx:{tmp_path}/large.onnx").endswith(
+        "too large for a network: 2147483649 bytes, at most 2147483648"
+    )

@@ -1,6 +1,6 @@
 """What a world is made of and how one is loaded; never imports the renderer."""
 
-from services.simulator.world.loading import known_worlds, load_world
+from services.simulator.world.loading import known_worlds, load_foreign_world, load_world
 from services.simulator.world.place import Pose, World, WorldError
 
-__all__ = ["Pose", "World", "WorldError", "known_worlds", "load_world"]
+__all__ = ["Pose", "World", "WorldError", "known_worlds", "load_foreign_world", "load_world"]

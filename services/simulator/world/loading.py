@@ -2,11 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -15,6 +15,7 @@ from shapely import LineString, STRtree, points
 from shapely.errors import GEOSException
 
 from schemas.codec import describe, printable
+from services.kit.going_on import go_on
 from services.simulator.world.osm import Extract, Surroundings, read_osm
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.room import RoomFile
@@ -22,10 +23,12 @@ from services.simulator.world.route import lane_graph, obstacles_of, plan_route
 from services.simulator.world.survey import terrain_from
 from services.simulator.world.task import choose_roles
 from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
+from smal.files.confined import Bounds, ConfinedError, Work, confined, size_of
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _SUFFIXES: Final = (".osm", ".json")
 LARGEST_FILE: Final = 32 * 1024 * 1024  # Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
+MOST_MEMORY: Final = 4 * 2**30  # Bytes of memory to load a world.
 # Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
 _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
 _FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
@@ -59,6 +62,31 @@ def load_world(name_or_path: str | Path) -> World:
     """
     path = _find(name_or_path)
     return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)
+
+
+def load_foreign_world(name_or_path: str | Path) -> World:
+    """Load a world as `load_world` does; the file of a user is loaded in a child process with bounds before."""
+    path = _find(name_or_path)
+    if path.parent != WORLDS_FOLDER:
+        bounded("services.simulator.world.loading:prove", str(path), path)
+    return load_world(path)
+
+
+def prove(path: str, _work: Work) -> None:
+    """Load a world in a child process; ConfinedError where it is of no use."""
+    try:
+        load_world(path)
+    except WorldError as error:
+        raise ConfinedError(str(error)) from None
+
+
+def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int] = ()) -> Any:  # noqa: ANN401 - JSON
+    """Work with a map or a world file in a child process; WorldError where it is of no use, or takes too much."""
+    bounds = Bounds.of_size(size_of(source), MOST_MEMORY)
+    try:
+        return confined(function, request, bounds, source, go_on=go_on, pass_fds=pass_fds)
+    except ConfinedError as error:
+        raise WorldError(printable(str(error), 700)) from None
 
 
 def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:

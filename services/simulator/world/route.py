@@ -1,7 +1,7 @@
 """Where a robot can go: what stands in the way, and the shortest way to the victim, along lanes."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from shapely import LineString, Point, STRtree
+from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.place import Place, Pose, Solid, World, WorldError
 
 # Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
 _TIGHT_COST: Final = 3.0
 _OFF_LANE_COST: Final = 1.5
+_ROUND: Final = 16  # How many times as many shapes the next round has; with 8 and 64 usual maps took no less time.
 
 
 class Obstacles:
@@ -27,42 +29,71 @@ class Obstacles:
         in_the_way = [solid for solid in (*place.solids, *more) if solid.low_m < place.robot.top_m]
         self._bounds = place.bounds
         self._radius_m = place.robot.radius_m
-        self._solid = STRtree([solid.shape for solid in in_the_way])
-        self._walls = STRtree([solid.shape for solid in in_the_way if solid.opaque])
+        self._solid = _Shapes([solid.shape for solid in in_the_way])
+        self._walls = _Shapes([solid.shape for solid in in_the_way if solid.opaque])
 
     def clearance(self, x: float, y: float) -> float:
         """Return the distance in metres from a point to the nearest obstacle; 0 inside one or outside the world."""
         if not self._contains(x, y):
             return 0.0
-        _, distance = self._solid.query_nearest(Point(x, y), return_distance=True, all_matches=False)
-        return float(distance[0])
+        return self._solid.distance(Point(x, y))
 
     def is_free(self, x: float, y: float, radius_m: float | None = None) -> bool:
         """Return whether a circle about a point, by default the robot's, touches nothing."""
-        radius_m = self._radius_m if radius_m is None else radius_m
-        return self._contains(x, y) and self._solid.query(Point(x, y), "dwithin", radius_m).size == 0
+        return bool(self.are_free(np.array([[x, y]]), self._radius_m if radius_m is None else radius_m)[0])
+
+    def are_free(self, places: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
+        """Return at which points (n, 2) a circle touches nothing, as (n,)."""
+        inside = np.array([self._contains(x, y) for x, y in places.tolist()], dtype=np.bool_)
+        return inside & ~self._solid.near(np.asarray(shapely.points(places)), radius_m)
 
     def are_clear(self, segments: NDArray[np.float64], clearance_m: float) -> NDArray[np.bool_]:
         """Return which segments (n, 2, 2) keep more than `clearance_m` from every obstacle, as (n,)."""
-        return ~self._hits(self._solid, segments, clearance_m)
+        return ~self._solid.near(_lines(segments), clearance_m)
 
     def in_sight(self, segments: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which segments (n, 2, 2) nothing opaque interrupts, as (n,); trees and hedges are not counted on."""
-        return ~self._hits(self._walls, segments, 0.0)
+        return ~self._walls.near(_lines(segments), 0.0)
 
     def _contains(self, x: float, y: float) -> bool:
         x_min, y_min, x_max, y_max = self._bounds
         return x_min < x < x_max and y_min < y < y_max
 
-    @staticmethod
-    def _hits(tree: STRtree, segments: NDArray[np.float64], distance_m: float) -> NDArray[np.bool_]:
-        hit = np.zeros(len(segments), dtype=np.bool_)
-        lines = np.asarray(shapely.linestrings(segments))
-        # GEOS finds nothing near a line without length, so that one is asked about as the point that it is.
-        still = (segments[:, 0] == segments[:, 1]).all(axis=1)
-        lines[still] = shapely.points(segments[still, 0])
-        hit[tree.query(lines, "dwithin", distance_m)[0]] = True
-        return hit
+
+class _Shapes:
+    """Shapes to keep off, in rounds of growing size.
+
+    In a pile of shapes a query of all shapes costs as much as the pile is high. A shape of the first rounds is near
+    most places in it, and these places are not asked about again.
+    """
+
+    def __init__(self, shapes: Sequence[BaseGeometry]) -> None:
+        every = np.array(shapes, dtype=object)
+        mixed = np.random.default_rng(0).permutation(len(every))  # Neighbours in a file are often neighbours on earth.
+        sizes = _ROUND ** np.arange(1, math.ceil(math.log(max(len(every), _ROUND), _ROUND)))
+        self._rounds = [STRtree(every[some]) for some in np.split(mixed, sizes)]
+
+    def near(self, places: NDArray[np.object_], distance_m: float) -> NDArray[np.bool_]:
+        """Return which geometries (n,) a shape touches, or is at most so far from, as (n,)."""
+        near = np.zeros(len(places), dtype=np.bool_)
+        for tree in self._rounds:
+            left = np.flatnonzero(~near)
+            near[left[tree.query(places[left], "dwithin", distance_m)[0]]] = True
+        return near
+
+    def distance(self, place: Point) -> float:
+        """Return the distance to the nearest shape."""
+        found = [tree.query_nearest(place, return_distance=True, all_matches=False)[1] for tree in self._rounds]
+        return float(np.concatenate(found).min())
+
+
+def _lines(segments: NDArray[np.float64]) -> NDArray[np.object_]:
+    """Return segments (n, 2, 2) as geometries, (n,)."""
+    lines = np.asarray(shapely.linestrings(segments))
+    # GEOS finds nothing near a line without length, so that one is asked about as the point that it is.
+    still = (segments[:, 0] == segments[:, 1]).all(axis=1)
+    lines[still] = shapely.points(segments[still, 0])
+    return lines
 
 
 @lru_cache(maxsize=8)

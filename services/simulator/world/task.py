@@ -64,11 +64,13 @@ def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Po
     obstacles = obstacles_of(terrain)
     for building in sorted(terrain.buildings, key=lambda building: building.footprint.distance(middle)):
         ring = shapely.get_coordinates(shapely.orient_polygons(building.footprint).exterior)
-        for first, second in itertools.pairwise(ring):
-            along = (second - first) / max(float(np.linalg.norm(second - first)), 1e-9)
-            x, y = (first + second) / 2 + _FROM_WALL_M * np.array([along[1], -along[0]])
-            if obstacles.is_free(x, y, _VICTIM_ROOM_M):
-                yield Pose(float(x), float(y), math.atan2(along[1], along[0]))
+        along = np.diff(ring, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        outwards = np.column_stack([along[:, 1], -along[:, 0]])
+        places = (ring[:-1] + ring[1:]) / 2 + _FROM_WALL_M * outwards
+        free = obstacles.are_free(places, _VICTIM_ROOM_M)
+        for (x, y), (east, north) in zip(places[free].tolist(), along[free].tolist(), strict=True):
+            yield Pose(x, y, math.atan2(north, east))
 
 
 def _start_for(

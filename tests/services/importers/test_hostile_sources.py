@@ -5,7 +5,7 @@ import os
 import sqlite3
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from services.importers.drive import ImportFailure
+from services.importers.inside import Inside
 from services.kit.jpeg import encode_jpeg
 from tests.fuzz.targets import check_line
 from tests.services.importers import sources
@@ -251,6 +252,32 @@ def test_wrong_counts_and_a_video_that_ends_early_are_said(tmp_path: Path) -> No
     assert tally.counts["frames are not in the video"] == 14
 
 
+def test_catalog_is_read_once_when_the_manifest_repeats_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tub = sources.donkeycar(tmp_path / "tub")
+    replaced(tub / "manifest.json", f'"{CATALOG}"', ", ".join([f'"{CATALOG}"', f'"./{CATALOG}"'] * 500))
+    read: list[str] = []
+    lines = Inside.lines
+
+    def counted(inside: Inside, name: str) -> Iterator[bytes]:
+        read.append(name)
+        return lines(inside, name)
+
+    monkeypatch.setattr(Inside, "lines", counted)
+    report, tally = imported(tub, "donkeycar", tmp_path / "out")
+    assert len(read) == 1
+    assert tally.counts["names of catalogs are repeated, which are read once"] == 999
+    assert report.ticks == len(MADE)
+
+
+def test_episode_is_read_once_when_it_is_described_again(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", "v2.1")
+    lines = (dataset / "meta/episodes.jsonl").read_text()
+    (dataset / "meta/episodes.jsonl").write_text(lines * 50)
+    report, tally = imported(dataset, "lerobot", tmp_path / "out")
+    assert len(report.files) == 2
+    assert tally.counts["episodes are described again, which are read once"] == 98
+
+
 def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bag")
     (bag / "bag.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-30])
@@ -266,6 +293,16 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
         ("ALTER TABLE messages RENAME TO real; CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL "
          "SELECT n + 1 FROM r) SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(9) AS data FROM r",
          "no tables of topics and messages"),
+        ("CREATE TABLE stored AS SELECT * FROM messages; DROP TABLE messages; CREATE TABLE messages (id INTEGER, "
+         "topic_id INTEGER, timestamp INTEGER, raw BLOB, data BLOB AS (hex(zeroblob(length(raw)))) VIRTUAL); "
+         "INSERT INTO messages SELECT id, topic_id, timestamp, data FROM stored",
+         "the column data of messages is computed, not stored"),
+        ("DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts4(topic_id, timestamp, data)",
+         "no tables of topics and messages"),
+        ("CREATE TABLE stored AS SELECT * FROM messages; DROP TABLE messages; CREATE TABLE messages (id INTEGER, "
+         "topic_id INTEGER, timestamp INTEGER); INSERT INTO messages SELECT id, topic_id, timestamp FROM stored; "
+         "ALTER TABLE messages ADD COLUMN data BLOB DEFAULT X'" + "00" * 100_000 + "'",
+         "its messages are larger than the file"),
         ("UPDATE topics SET serialization_format = 'json'", "topics are json, not ROS 2's CDR"),
         ("UPDATE topics SET type = 'std_msgs/msg/String'", "no topic of image"),
         ("UPDATE messages SET data = X'0001'", "no topic of velocity"),

@@ -1,0 +1,116 @@
+"""Work with foreign files ends: by its result, by its error, by a bound, or because it is cancelled."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smal.files import confined as module
+from smal.files.confined import Bounds, ConfinedError, confined, size_of
+
+ROOT = Path(__file__).parents[2]
+SMALL = Bounds(2**28, 2.0)
+
+
+@pytest.fixture(autouse=True)
+def found_by_the_child(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setattr(module, "_WAITING", 1e3)  # On a loaded machine the clock runs far ahead.
+
+
+def does(work: str, request: object = None, bounds: Bounds = SMALL, **how: Any) -> Any:
+    return confined(f"tests.confined_work:{work}", request, bounds, "some.file", **how)
+
+
+def failure(work: str, request: object = None) -> str:
+    with pytest.raises(ConfinedError, match=r"\Asome.file: [^\n]+\Z") as caught:
+        does(work, request)
+    return str(caught.value)
+
+
+def test_work_returns_its_result_when_it_prints() -> None:
+    assert does("echo", {"a": ["ü", 1.5, None]}) == {"a": ["ü", 1.5, None]}
+
+
+def test_work_ends_when_it_takes_too_much_time() -> None:
+    said = failure("loop")
+    assert "takes more than 2 s of processor time" in said
+    assert "SMAL_LIMITS=2 doubles the bound" in said
+
+
+def test_step_ends_when_it_takes_too_much_time() -> None:
+    assert "reading an image of it takes more than 1 s of processor time" in failure("loop_in_a_step", 1.0)
+
+
+def test_work_goes_on_when_it_reports_progress() -> None:
+    seen: list[float] = []
+    assert does("go_on", 5.0, progress=seen.append) >= 5.0
+    assert len(seen) > 10
+
+
+def test_work_ends_when_it_takes_all_memory() -> None:
+    assert "takes more than 0.25 GiB of memory" in failure("fill")
+
+
+def test_work_ends_in_one_line_when_it_crashes() -> None:
+    assert "broke down (status -11)" in failure("crash")
+
+
+def test_work_ends_when_it_makes_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_WAITING", 0.5)
+    assert "takes more than 1 s without progress" in failure("sleep")
+
+
+def test_refusal_of_the_work_is_raised_when_it_refuses() -> None:
+    with pytest.raises(ConfinedError, match=r"\Athis: is of no use\Z"):
+        does("refuse", "this")
+
+
+def test_bounds_grow_when_the_user_raises_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SMAL_LIMITS", "1.5")
+    assert "takes more than 3 s of processor time" in failure("loop")
+    monkeypatch.setenv("SMAL_LIMITS", "much")
+    with pytest.raises(ConfinedError, match="SMAL_LIMITS=much: must be a number from 1 to 1000000"):
+        does("echo")
+
+
+def test_child_ends_when_the_work_is_cancelled() -> None:
+    children: list[int] = []
+
+    def go_on() -> None:
+        if children:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        does("sleep", progress=children.append, go_on=go_on)
+    with pytest.raises(ProcessLookupError):
+        os.kill(children[0], 0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel of Linux ends the child")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_child_ends_when_its_parent_is_ended(number: signal.Signals) -> None:
+    program = (
+        "from smal.files.confined import Bounds, confined\n"
+        "confined('tests.confined_work:sleep', None, Bounds(2**28, 60.0), 'x', progress=lambda n: print(n, flush=True))"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        parent.send_signal(number)
+        parent.wait()
+    while Path(f"/proc/{child}/stat").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+        time.sleep(0.01)  # The timeout of the test ends this where the child lives on.
+
+
+def test_holes_do_not_count_when_a_source_is_measured(tmp_path: Path) -> None:
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(10**12)
+    (tmp_path / "full").write_bytes(os.urandom(100_000))
+    assert 100_000 <= size_of(tmp_path) < 200_000
+    assert size_of(tmp_path / "none") == 0
