@@ -282,7 +282,7 @@ def start_log(filters: str) -> None:
     asked = os.environ.get(_LOG)
     os.environ[_LOG] = filters if asked is None else f"{asked},{filters}"
     os.environ["NO_COLOR"] = "1"
-    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+    zenoh.try_init_log_from_env()
 
 
 def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
