@@ -22,13 +22,14 @@ from smal.obstacles.clearance import Floats, Mount, above_ground
 LONGEST_S: Final = 1.0
 #: Two poses that differ by less show the same: a tenth of what the robot drives between two frames, and its turn.
 STILL_M, STILL_RAD = 0.01, math.radians(0.5)
-#: A measured depth that differs by more from the predicted one, as a share of it, contradicts the prediction. Stereo
-#: cameras err by 2 % at 4 m.
+#: A measured depth that differs by more from the predicted one, as a share of it, contradicts the prediction: twice the
+#: error of stereo cameras, which is 2 % at 4 m, and grows with the distance.
 DIFFERS: Final = 0.05
+DIFFERS_A_M: Final = 0.01
 #: Points of an image that are compared, at most, and the fewest that tell anything.
 POINTS, FEW = 1000, 50
-#: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about fifty.
-EVIDENCE: Final = 50.0
+#: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about twenty.
+EVIDENCE: Final = 20.0
 #: Probabilities, with each new image of a robot that moves: that the image is as old as the one before, and a frame
 #: more; and that the delay changed to any other. Cameras work for hours, and hang for seconds.
 HANGS: Final = 0.001
@@ -155,5 +156,6 @@ def _cost(depth_m: NDArray[np.float32], before: Look, pose: NDArray[np.float64],
     told = np.isfinite(measured) & (measured > 0.0)
     if told.sum() < FEW:
         return math.nan
-    error = np.abs(np.log(measured[told] / ahead[inside][told])) / DIFFERS
+    predicted = ahead[inside][told]
+    error = np.abs(np.log(measured[told] / predicted)) / np.maximum(DIFFERS, DIFFERS_A_M * predicted)
     return float(np.minimum(error, 1.0).mean())
