@@ -212,9 +212,12 @@ class Filter:
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
         middle, spread = scale(self._map.sample @ components)
-        blank = not components.any() or spread <= 1e-6 or components @ self._map.blank > cosines.max()
-        self._camera = "blank" if blank else "frozen" if self._frozen.yes else "sees"
-        if self._camera != "sees" or np.array_equal(components, self._last):
+        like_blank = float(components @ self._map.blank)
+        blank = not components.any() or spread <= 1e-6 or like_blank > cosines.max()
+        # A view of what was not taught may be less like a taught view than like none, and yet show something.
+        dead = blank and (like_blank > 0.5 or not components.any())
+        self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"
+        if blank or self._frozen.yes or np.array_equal(components, self._last):
             return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
         return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
 

@@ -315,18 +315,18 @@ class CommandGate:
 
         While a stop might not reach the robot (``deaf``) it stands. Then it goes on by itself: the loss of an operator
         is latched as such, and an operator repeats a stop until the robot reports that it stands for it.
-        The guard is asked without the lock: no stop waits for it, and a stop that came meanwhile counts.
+        The guard is asked without the lock: no stop waits for it. What came meanwhile counts: a stop, another command,
+        or another episode.
         """
         latest = self._obeyed(now_s, deaf=deaf)
-        if isinstance(latest, Applied):
-            return latest
-        command = latest.command
-        insists = command.insists and command.source == "teleop"
-        may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
-        still = self._obeyed(now_s, deaf=deaf)
-        if isinstance(still, Applied):
-            return still
-        return Applied(may, command.source, reason, command.tick, now_s - latest.captured_s)
+        while not isinstance(latest, Applied):
+            command = latest.command
+            insists = command.insists and command.source == "teleop"
+            may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
+            asked, latest = latest, self._obeyed(now_s, deaf=deaf)
+            if latest is asked:
+                return Applied(may, command.source, reason, command.tick, now_s - asked.captured_s)
+        return latest
 
     def _obeyed(self, now_s: float, *, deaf: bool) -> _Accepted | Applied:
         """Return the command that is obeyed now, or why the robot stands."""

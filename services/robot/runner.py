@@ -249,10 +249,8 @@ class EpisodeRunner(Generic[V]):
         view, tick = run.episode.view, run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        if view.odometry is not None:
-            self._compare(view.odometry, captured_s)
-            if self.gate.guard is not None:
-                self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
+        if view.odometry is not None and self._follows(view.odometry, captured_s) and self.gate.guard is not None:
+            self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         answers = run.request.driver == "policy" and not self.gate.taken_over
@@ -272,13 +270,14 @@ class EpisodeRunner(Generic[V]):
             run.found = True
             yield self._event(run, "victim_found")
 
-    def _compare(self, odometry: OdometryReading, captured_s: float) -> None:
-        """Stop the robot if its odometry contradicts what its wheels were told."""
+    def _follows(self, odometry: OdometryReading, captured_s: float) -> bool:
+        """Return whether the odometry follows what the wheels were told; if it does not, stop the robot."""
         wheels = self.gate.wheels
         contradiction = None if wheels is None else wheels.read(odometry[:3], captured_s)
         if contradiction is not None:
             self.gate.stop("wheels")
             _log.error("%s: the robot stands until it is armed again", contradiction)
+        return contradiction is None
 
     def _pictures(self, view: V, header: Message) -> Iterator[Message]:
         """Make what the driver needs to answer a frame; last comes the colour image, for which the driver waits."""

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Final
 
 from schemas.base import STANDING, Velocity
@@ -24,17 +25,16 @@ _STEP_S: Final = 0.02  # Time step in which the expected movement is added up, s
 class Wheels:
     """Compares what a base was told with what its odometry reports; ``told`` is called by one thread, ``read`` by one.
 
-    The sum of what was expected and not reported is kept for the way ahead and for the turn (a cumulative sum test,
-    Page 1954). A wheel that stands and a wheel that runs backwards both exceed the bound.
+    A base that moves more than it was told is not noticed.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._full = kinematics.speed_m_s, kinematics.turn_rate_rad_s
+        self._axes = (
+            _Axis("m", kinematics.speed_m_s, "speed"),
+            _Axis("rad", kinematics.turn_rate_rad_s, "turn rate"),
+        )
         self._told = deque[tuple[float, Velocity]]([(-math.inf, STANDING)])
         self._read: tuple[float, Sequence[float]] | None = None
-        self._bases = _Base(), _Base()
-        self._expected = [0.0, 0.0]  # Shares of the full speed and turn rate at which the base moves, at least.
-        self._unfollowed_s = [0.0, 0.0]  # Time at full speed, and at full turn rate, that the odometry lacks.
 
     def told(self, velocity: Velocity, now_s: float) -> None:
         """Take what the base carries out from now on."""
@@ -46,39 +46,27 @@ class Wheels:
 
     def read(self, pose: Sequence[float], at_s: float) -> str | None:
         """Take a pose by the wheels; return in one line how it contradicts the commands, or None."""
+        if not all(map(math.isfinite, pose)):
+            return f"the odometry is not finite: {tuple(pose)}"
         before, self._read = self._read, (at_s, tuple(pose))
         if before is None:
             return None
         since_s = max(before[0], at_s - _KEPT_S)
-        expected_s = self._expect(since_s, at_s)
+        self._expect(since_s, at_s)
         reported = Movement.between(before[1], pose)
-        found = None
-        for axis, moved in enumerate((reported.ahead, reported.turn_rad)):
-            followed_s = math.copysign(1.0, expected_s[axis]) * moved / self._full[axis] / LAG
-            lacks_s = self._unfollowed_s[axis] + abs(expected_s[axis]) - followed_s
-            self._unfollowed_s[axis] = max(lacks_s, 0.0) if expected_s[axis] else self._unfollowed_s[axis]
-            if self._unfollowed_s[axis] > UNFOLLOWED_S:
-                found = "the odometry does not follow the commands: " + (
-                    f"{reported.ahead:.2f} m" if axis == 0 else f"{math.degrees(reported.turn_rad):.0f} degrees"
-                ) + f" in {at_s - since_s:.1f} s, {self._expected[axis] * self._full[axis]:.2f} "  # fmt: skip
-                found += "m/s expected" if axis == 0 else "rad/s expected"
-        if found is not None:
-            self._unfollowed_s = [0.0, 0.0]
-        return found
+        found = [axis.compare(moved, at_s - since_s) for axis, moved in zip(self._axes, astuple(reported), strict=True)]
+        return next((one for one in found if one is not None), None)
 
-    def _expect(self, since_s: float, until_s: float) -> list[float]:
-        """Return how long the base moved at its full speed and turn rate, at least, with the sign of its movement."""
+    def _expect(self, since_s: float, until_s: float) -> None:
+        """Have each axis add up what the base moved at least."""
         orders = [*self._told]  # Another thread may append meanwhile.
         steps = max(1, round((until_s - since_s) / _STEP_S))
         step_s = (until_s - since_s) / steps
-        total_s = [0.0, 0.0]
         for number in range(steps):
             at_s = since_s + (number + 1) * step_s
             order, late = _order(orders, at_s), _order(orders, at_s - DELAY_S)
-            for axis, base in enumerate(self._bases):
-                self._expected[axis] = base.step(order[axis], late[axis], step_s / STARTS_S)
-                total_s[axis] += self._expected[axis] * step_s
-        return total_s
+            for which, axis in enumerate(self._axes):
+                axis.step(order[which], late[which], step_s)
 
 
 def _order(orders: Sequence[tuple[float, Velocity]], at_s: float) -> Velocity:
@@ -86,17 +74,42 @@ def _order(orders: Sequence[tuple[float, Velocity]], at_s: float) -> Velocity:
     return next((told for told_s, told in reversed(orders) if told_s <= at_s), STANDING)
 
 
-class _Base:
-    """The least that any base does along one axis: it may stop at once, or late, and speeds up slowly."""
+class _Axis:
+    """The way ahead, or the turn: what a base does at least, and how much of it the odometry lacks.
 
-    def __init__(self) -> None:
-        self._quick = 0.0  # Share of the full speed if it slows down at once,
+    A base may stop at once, or late, and speeds up slowly. The sum of what was expected and not reported is kept (a
+    cumulative sum test, Page 1954). Odometry that stands and odometry that runs backwards both exceed the bound.
+    """
+
+    def __init__(self, unit: str, full: float, name: str) -> None:
+        self._unit, self._full, self._name = unit, full, name
+        self._quick = 0.0  # Share of the full speed if the base slows down at once,
         self._slow = 0.0  # and if it slows down as slowly as it speeds up.
+        self._expected_s = 0.0  # Time at full speed that is expected since the last reading.
+        self._direction = 1.0  # Sign of the last expected movement.
+        self._lacks_s = 0.0  # Time at full speed that the odometry lacks.
 
-    def step(self, order: float, late: float, most: float) -> float:
-        """Return the share at which it moves, at least, where it is given an order, and obeyed a late one."""
+    def step(self, order: float, late: float, step_s: float) -> None:
+        """Let time pass in which a base is given an order, and obeys a late one."""
+        most = step_s / STARTS_S
         self._slow += max(-most, min(late - self._slow, most))
         self._quick = math.copysign(min(abs(late), abs(self._quick) + most), late) if self._quick * late >= 0 else 0.0
-        least = min(abs(order), abs(self._quick), abs(self._slow))
-        agree = order * self._quick > 0.0 and order * self._slow > 0.0
-        return math.copysign(least, order) if agree else 0.0
+        if order * self._quick > 0.0 and order * self._slow > 0.0:
+            self._direction = math.copysign(1.0, order)
+            self._expected_s += min(abs(order), abs(self._quick), abs(self._slow)) * step_s
+
+    def compare(self, moved: float, elapsed_s: float) -> str | None:
+        """Take a reported movement; return how it contradicts what was expected, or None."""
+        expected_s, self._expected_s = self._expected_s, 0.0
+        followed_s = self._direction * moved / self._full / LAG
+        if expected_s == 0.0:
+            followed_s = max(followed_s, 0.0)  # A base that rolls on after its order does what it owes.
+        self._lacks_s = max(self._lacks_s + expected_s - followed_s, 0.0)
+        if self._lacks_s <= UNFOLLOWED_S:
+            return None
+        self._lacks_s = 0.0
+        least = self._direction * expected_s * self._full * LAG
+        return (
+            f"the odometry does not follow the commands: {moved:.2f} {self._unit} in {elapsed_s:.1f} s, at least "
+            f"{least:.2f} {self._unit} expected at a {self._name} of {self._full:g} {self._unit}/s"
+        )

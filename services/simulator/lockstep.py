@@ -42,7 +42,7 @@ class LockstepEpisode(Episode[SimulatedView]):
         """Carry out a key or a velocity, or what the gate would let through, until the next frame, and return that."""
         now_s, wheels = self.tick * TICK_S, self.view.odometry[:3]
         self.contradiction = self.contradiction or self._wheels.read(wheels, now_s)
-        if self._guard is not None:
+        if self._guard is not None and self.contradiction is None:
             self._guard.look(self.view.depth, wheels, now_s)
         wanted = KEYS[asked] if isinstance(asked, str) else asked
         may, _ = bounded(STANDING if self.contradiction else wanted, self.kinematics, self._guard, now_s)

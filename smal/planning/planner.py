@@ -199,12 +199,16 @@ class Planner:
     def _unless_blind(self, kind: Kind, looked: bool, belief: Belief) -> Kind:
         """Return what to do instead if no view has spoken for the robot's place for too long.
 
-        It looks around first, if its camera shows anything. So it never drives far without a view that it knows.
+        It looks around first, if its camera shows anything and it has driven since it last did. So it never drives far
+        without a view that it knows.
         """
         sees = belief.camera == "sees"
         moves = kind in ("follow", "guess") or (not sees and kind in ("look_around", "search"))
         if not moves or belief.unseen <= SETTINGS.blind_s * self._map.speed:
             return kind
+        if self._driven > 0.0 or self._guessed_s > 0.0:
+            self._looked_rad = self._guessed_s = 0.0
+            looked = False
         return "look_around" if sees and not looked else "blind"
 
     def _say(

@@ -34,7 +34,8 @@ def delays(way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, 
         if shown(tick) not in images:
             noise = rng.normal(1.0, 0.01, (60, 80))
             images[shown(tick)] = (depth(YARD, way(shown(tick))) * noise).astype(np.float32)
-        at_s, pose = made.of(images[shown(tick)], way(tick), tick * TICK_S)
+        made.note(way(tick), tick * TICK_S)
+        at_s, pose = made.estimate(images[shown(tick)])
         found.append(tick * TICK_S - at_s)
         assert pose == pytest.approx(way(round(at_s / TICK_S)))
     return found
