@@ -151,12 +151,15 @@ def check_port(settings: ServiceSettings) -> str:
 
 
 def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequence[str]]]) -> None:
-    """Check that every robot has an instance of each service that may run any number of times; else a JobError."""
+    """Check that of the instances of each service one serves every robot; else a JobError.
+
+    A service without any instance is another machine's, or left out on purpose.
+    """
     unserved = [
         f"{robot} by no instance of {service}"
         for service, by in shared.items()
         for robot in robots
-        if all(robot not in served for served in by.values())
+        if by and all(robot not in served for served in by.values())
     ]
     if unserved:
         raise JobError(f"not served: {', '.join(unserved)}; start one, or see /healthz of those that run (--http)")

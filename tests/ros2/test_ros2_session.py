@@ -96,9 +96,10 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(make: Callable[[bool], Pl
     assert place.robot is not None
     show = place.robot.publisher("camera/image_raw/compressed", COMPRESSED_IMAGE)
     router = place.endpoint
-    place.endpoint, proxy = stack.enter_context(link(router))
+    late = stack.enter_context(link(router))
+    place.endpoint = late.address
     senses = place.listen(stack)
-    os.kill(proxy, signal.SIGUSR1)
+    os.kill(late.pid, signal.SIGUSR1)
     time.sleep(2.0)  # the delay grows by half a second a second
     shown = 0
     while shown < 5:
