@@ -1,9 +1,9 @@
 """Senses that lie: whether the robot stands, and whether it touches anything.
 
 Every lying depth camera, and every wrong mount, drives from places by chance: a person holds the key for full speed
-ahead, and the robot searches by itself among three obstacles. Half of the lies begin with the episode, half a second
-after the robot set off. A camera or odometry that fails does so on the taught way, without a depth camera. The last
-rows are honest: they count searches from the start of the way, with the same checks.
+ahead, and the robot searches by itself, half of the time from the start among three obstacles. Half of the lies begin
+with the episode, the others a second after the robot set off. A camera or odometry that fails does so on the taught way,
+without a depth camera. The last rows are honest: they count searches from the start of the way, with the same checks.
 """
 
 import math
@@ -98,9 +98,15 @@ def _depth_row(simulation: Simulation, model: Model, what: tuple[str, Lie | None
 
     hand = _each(places, f"{world}, {name}, by hand",
                  lambda k: by_hand(simulation, lie, mount, SEED + k, since(k)))  # fmt: skip
-    itself = _each(places, f"{world}, {name}, by itself",
-                   lambda k: by_itself(simulation, lie, mount, SEED + k, since(k), model,
-                                       obstacles=3, anywhere=True, most=80))  # fmt: skip
+
+    def search(number: int) -> Trial:
+        anywhere = number // 2 % 2 == 0  # Half of the searches begin at the start, with things in their way.
+        return by_itself(
+            simulation, lie, mount, SEED + number, since(number), model,
+            obstacles=0 if anywhere else 3, anywhere=anywhere, most=80,
+        )  # fmt: skip
+
+    itself = _each(places, f"{world}, {name}, by itself", search)
     both = [*hand, *itself]
     return {
         "world": world,
