@@ -2,8 +2,8 @@
 
 Every lying depth camera, and every wrong mount, drives from places by chance: a person holds the key for full speed
 ahead, and the robot searches by itself, half of the time from the start among three obstacles. Half of the lies begin
-with the episode, the others a second after the robot set off. A camera or odometry that fails does so on the taught way,
-without a depth camera. The last rows are honest: they count searches from the start of the way, with the same checks.
+with the episode, the others a second after the robot set off. A failing camera, or odometry, begins to lie on the
+taught way, without a depth camera. The last rows are honest: searches from the start of the way, with the same checks.
 """
 
 import math
