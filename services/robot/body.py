@@ -125,8 +125,8 @@ class Body(Stops, Protocol[V_co]):
     def mount(self) -> Mount | None:
         """How its depth camera sits; without one the gate does not keep the robot from running into things."""
 
-    def drive(self, velocity: Velocity) -> None:
-        """Go on with a velocity until told otherwise."""
+    def drive(self, velocity: Velocity) -> Velocity:
+        """Go on with a velocity until told otherwise; return what is carried out, which may be to stand."""
 
     def stand(self) -> None:
         """Stop, and stay."""

@@ -95,11 +95,12 @@ class ActuatorLoop:
         now = self._clock()
         self._gate.watch(now)
         applied = self._gate.applied(now, deaf=self._deaf())
+        carried_out = STANDING
         if applied.velocity == STANDING:
             self._body.stand()
         else:
-            self._body.drive(applied.velocity)
-        self._gate.carries_out(applied.velocity, now)
+            carried_out = self._body.drive(applied.velocity)
+        self._gate.carries_out(carried_out, now)
         if applied.answered_tick not in (None, self._answered):
             self._answered, self.delay_s = applied.answered_tick, applied.age_s
         what = (applied.velocity, applied.source, applied.reason)
@@ -116,6 +117,7 @@ class ActuatorLoop:
             self.step()
 
     def _stand(self) -> None:
+        self._gate.carries_out(STANDING, self._clock())
         try:
             self._body.stand()
         except Exception:  # noqa: BLE001 - nothing more can be done here

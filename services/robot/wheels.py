@@ -48,6 +48,8 @@ class Wheels:
         """Take a pose by the wheels; return in one line how it contradicts the commands, or None."""
         if not all(map(math.isfinite, pose)):
             return f"the odometry is not finite: {tuple(pose)}"
+        if self._read is not None and at_s <= self._read[0]:
+            return None  # The same reading, or an older one.
         before, self._read = self._read, (at_s, tuple(pose))
         if before is None:
             return None

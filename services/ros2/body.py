@@ -87,8 +87,8 @@ class Ros2Body:
         """As the camera has told it."""
         return self._senses.camera
 
-    def drive(self, velocity: Velocity) -> None:
-        """Go on with a velocity; stand where somebody who must be heard is silent. ServiceError if it is forbidden."""
+    def drive(self, velocity: Velocity) -> Velocity:
+        """Go on with a velocity; stand while a required input is silent. ServiceError if the velocity is forbidden."""
         for atom in velocity.keys:
             why = self._senses.forbids(atom)
             if why is not None:
@@ -97,8 +97,9 @@ class Ros2Body:
         self._asked = velocity
         if self._lacks() is not None:
             self._send(0.0, 0.0)
-            return
+            return STANDING
         self._send(velocity.linear * self._config.speed_m_s, velocity.angular * self._config.turn_rate_rad_s)
+        return velocity
 
     def stand(self) -> None:
         """Stop, and stay."""

@@ -89,14 +89,15 @@ class SimulatedBody:
         elif any(wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)):
             self._enter(self._worlds.open(*wished))
 
-    def drive(self, velocity: Velocity) -> None:
+    def drive(self, velocity: Velocity) -> Velocity:
         """Go on with a velocity until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
         if not self._realtime:
-            return
+            return velocity
         with self._lock:
             now = self._clock()
             self._catch_up(now)
             self._order, self._ordered_s = velocity, now
+        return velocity
 
     def stand(self) -> None:
         """Stop, and stay."""

@@ -26,9 +26,10 @@ class FarBody(SimulatedBody):
         super().__init__(simulation, wanted=wanted)
         self._base = base
 
-    def drive(self, velocity: Velocity) -> None:
+    def drive(self, velocity: Velocity) -> Velocity:
         """Go on with a velocity until told otherwise."""
         self._base.order(velocity)
+        return velocity
 
     def _catch_up(self, _now_s: float) -> None:
         for _ in range(self._base.fetch()):

@@ -91,11 +91,12 @@ class LineBody:
         self._order, self._at_s = STANDING, self.clock()
         return Beginning(((0.0, 0.0), (self.goal, 0.0)), 5.0)
 
-    def drive(self, velocity: Velocity) -> None:
+    def drive(self, velocity: Velocity) -> Velocity:
         now = self.clock()
         self.advance(self._order, now - self._at_s)
         self._order, self._at_s = velocity, now
         self.orders.append((velocity.atom(), max(map(abs, velocity))))
+        return velocity
 
     def stand(self) -> None:
         self.drive(STANDING)

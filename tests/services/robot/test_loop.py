@@ -31,10 +31,10 @@ class Failing(LineBody):
 
     fails: frozenset[str] = frozenset()
 
-    def drive(self, velocity: Velocity) -> None:
+    def drive(self, velocity: Velocity) -> Velocity:
         if velocity.atom() in self.fails:
             raise OSError("the wheels do not answer")
-        super().drive(velocity)
+        return super().drive(velocity)
 
 
 def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCaptureFixture) -> None:

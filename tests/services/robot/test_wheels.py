@@ -8,7 +8,11 @@ from hypothesis import strategies as st
 
 from schemas.base import STANDING, Velocity
 from services.robot.body import Kinematics
+from services.robot.gate import CommandGate
+from services.robot.loop import ActuatorLoop
 from services.robot.wheels import DELAY_S, STARTS_S, Wheels
+from tests.services.robot.gating import command
+from tests.services.robot.line import Clock, LineBody
 
 FULL = Kinematics(2.0, 0.8)
 TICK_S, STEP_S = 0.1, 0.02
@@ -70,3 +74,41 @@ def test_wheels_agree_when_a_base_is_slow(starts_s: float, report: float) -> Non
 def test_wheels_agree_whatever_is_asked(asked: list[tuple[float, float, int]]) -> None:
     orders = [Velocity(linear, angular) for linear, angular, ticks in asked for _ in range(ticks)]
     assert compare(orders, 1.0) is None
+
+
+@pytest.mark.parametrize("reading", [(float("nan"), 0.0, 0.0), (0.0, float("inf"), 0.0)])
+def test_wheels_contradict_when_odometry_is_not_finite(reading: tuple[float, float, float]) -> None:
+    wheels = Wheels(FULL)
+    assert wheels.read((0.0, 0.0, 0.0), 0.0) is None
+    assert "not finite" in str(wheels.read(reading, 0.1))
+    # It still compares afterwards.
+    wheels.told(AHEAD, 0.1)
+    found = [wheels.read((0.0, 0.0, 0.0), 0.1 * tick) for tick in range(2, 20)]
+    assert any(one is not None for one in found)
+
+
+def test_wheels_agree_when_a_base_rolls_on_after_its_order() -> None:
+    """Half a second of every second ahead, by a base that begins late: each pulse is driven, and reported, in full."""
+    pulses = ([AHEAD] * 5 + [STANDING] * 5) * 12
+    assert compare(pulses, 1.0, delay_s=0.4) is None
+
+
+def test_loop_compares_what_the_body_carries_out_when_it_refuses() -> None:
+    """A base that stands, because an input is silent, is not expected to move."""
+
+    class Refusing(LineBody):
+        def drive(self, velocity: Velocity) -> Velocity:
+            return super().drive(STANDING)
+
+    clock = Clock()
+    gate, body = CommandGate(first_stop=1), Refusing(clock)
+    gate.wheels = Wheels(body.kinematics)
+    assert gate.arm(1, "") is None
+    gate.begin("e", "policy")
+    loop = ActuatorLoop(gate, body, lambda _: None, clock)
+    for tick in range(30):
+        clock.now_s += TICK_S
+        gate.captured(tick, clock.now_s)
+        assert gate.wheels.read((body.x, 0.0, 0.0), clock.now_s) is None
+        assert gate.offer(command(tick), clock.now_s) is None
+        loop.step()

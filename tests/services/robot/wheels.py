@@ -25,9 +25,9 @@ class Wheels(LineBody):
         super().__init__(now_s)
         self.told: list[tuple[float, Atom]] = []
 
-    def drive(self, velocity: Velocity) -> None:
-        super().drive(velocity)
+    def drive(self, velocity: Velocity) -> Velocity:
         self.told.append((time.monotonic(), velocity.atom()))
+        return super().drive(velocity)
 
     @property
     def driven(self) -> bool:
