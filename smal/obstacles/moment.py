@@ -19,6 +19,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from smal.movement import placed, seen_from
 from smal.obstacles.clearance import Floats, Mount, above_ground
+from smal.settings import SETTINGS
 
 #: Delays up to this one are hypotheses, seconds. A longer one counts as this: both are too old to drive by.
 LONGEST_S: Final = 1.0
@@ -79,9 +80,11 @@ class Moment:
             self._last = depth_m.copy()
             self._delivered = at_s, here
             self._resume()
-            self._weigh(depth_m)
+            every = math.ceil(depth_m.shape[1] / SETTINGS.depth_columns)
+            small_m = depth_m[every // 2 :: every, every // 2 :: every]
+            self._weigh(small_m)
             self._taken = self._track[self._best()]
-            self._looks.append(Look(_points(depth_m, self._mount), self._taken[1], at_s))
+            self._looks.append(Look(_points(small_m, self._mount), self._taken[1], at_s))
             while self._looks[0].at_s < at_s - LONGEST_S:
                 self._looks.popleft()
         elif _apart(here, self._delivered[1]):
