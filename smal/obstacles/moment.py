@@ -30,13 +30,14 @@ STILL_M, STILL_RAD = 0.01, math.radians(0.5)
 #: error of stereo cameras, which is 2 % at 4 m, and grows with the distance.
 DIFFERS: Final = 0.05
 DIFFERS_A_M: Final = 0.01
+SHAKES_RAD: Final = math.radians(1.5)  # How far the camera may look aside of where it sits, as on a mast that shakes.
 #: Points of an image that are compared, at most, and the fewest that prove anything.
 POINTS, FEW = 1000, 50
 #: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about twenty.
 EVIDENCE: Final = 20.0
 #: Probability, with each new image of a robot that moves, that the delay changed: cameras work for hours. It is then as
 #: likely any other as that of a camera of which nothing is known, which is fresh with this probability.
-CHANGES: Final = 0.001
+CHANGES: Final = 0.02
 FRESH: Final = 0.95
 QUEUES: Final = 0.4  # Probability that a camera which hung has delayed its images, and not dropped them.
 
@@ -127,7 +128,7 @@ class Moment:
         any_delay = np.full(len(poses), (1.0 - FRESH) / (len(poses) - 1))
         any_delay[0] = FRESH
         self._belief = (1.0 - CHANGES) * self._belief + CHANGES * any_delay
-        ranges = _ranges(depth_m)
+        ranges = _ranges(depth_m, self._mount.focal)
         costs = np.array([_cost(ranges, self._looks[0], one, self._mount) for one in poses])
         if np.isfinite(costs).all():
             self._belief *= np.exp(EVIDENCE * (costs.min() - costs))
@@ -152,11 +153,12 @@ def _points(depth_m: NDArray[np.float32], mount: Mount) -> Floats:
     return np.stack([ahead[stands], ahead[stands] * left[stands], ahead[stands] * up[stands]], axis=1)
 
 
-def _ranges(depth_m: NDArray[np.float32]) -> tuple[Floats, Floats]:
-    """Return the nearest and the farthest depth about each pixel, one pixel to each side; 0 where it has none."""
+def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]:
+    """Return the nearest and the farthest depth about each pixel, within `SHAKES_RAD`; 0 where it has none."""
     valid = np.isfinite(depth_m) & (depth_m > 0.0)
-    nearest = minimum_filter(np.where(valid, depth_m, np.inf), 3)
-    farthest = maximum_filter(np.where(valid, depth_m, 0.0), 3)
+    size = 2 * math.ceil(SHAKES_RAD * focal * depth_m.shape[1]) + 1
+    nearest = minimum_filter(np.where(valid, depth_m, np.inf), size)
+    farthest = maximum_filter(np.where(valid, depth_m, 0.0), size)
     return np.where(valid, nearest, 0.0), np.where(valid, farthest, 0.0)
 
 

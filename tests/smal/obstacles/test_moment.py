@@ -75,3 +75,32 @@ def test_delay_ends_when_the_camera_sees_again() -> None:
     found = delays(straight, lambda tick: 12 if 12 <= tick < 18 else tick, 30)
     assert max(found[14:18]) > 0.25
     assert max(found[20:]) == pytest.approx(0.0, abs=1e-9)
+
+
+#: Smooth walls on both sides: an image says little of how far along the robot is.
+STREET: list[Box] = [(-5.0, 2.5, 60.0, 3.0, 3.0), (-5.0, -4.0, 60.0, -3.5, 3.0), (20.0, 1.5, 20.5, 2.5, 2.0)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_delay_is_zero_when_the_camera_shakes(seed: int) -> None:
+    """A mast swings by 1.4 degrees while the robot drives; images are on time, in the yard and in a street."""
+    for boxes in (YARD, STREET):
+        rng, made = np.random.default_rng(seed), Moment(MOUNT)
+        for tick in range(60):
+            x, y, heading = straight(tick)
+            yaw, pitch = np.radians(rng.uniform(-0.7, 0.7, 2))
+            shown = depth(boxes, (x, y, heading + yaw), pitch) * rng.normal(1.0, 0.02, (60, 80))
+            made.note((x, y, heading), tick * TICK_S)
+            at_s, _ = made.estimate(shown.astype(np.float32))
+            assert tick * TICK_S - at_s < 0.25
+
+
+@pytest.mark.parametrize("hang_s", [0.3, 0.5, 1.0, 2.0])
+def test_delay_ends_after_a_hang_of_any_length(hang_s: float) -> None:
+    until = 12 + round(hang_s / TICK_S)
+
+    def stands_meanwhile(tick: int) -> Pose:
+        return straight(tick if tick < 14 else max(14, tick - (until - 14)))
+
+    found = delays(stands_meanwhile, lambda tick: 12 if 12 <= tick < until else tick, until + 20)
+    assert max(found[until + 3 :]) < 0.25
