@@ -8,6 +8,7 @@ from typing import Final
 
 from schemas.base import STANDING, Velocity
 from services.robot.body import Kinematics
+from services.robot.clock import TICK_S
 from smal.movement import Movement
 
 #: Time until a base begins to follow a command, and until it has its full speed then, seconds. Both are those of slow
@@ -18,17 +19,19 @@ STARTS_S: Final = 1.0
 #: what a base drives before a command is expected to show, it stands within a second of driving.
 UNFOLLOWED_S: Final = 0.25
 LAG: Final = 0.5  # Share of the expected way at which the wheels follow: loads, slopes and worn tyres take some.
-_KEPT_S: Final = 2.0  # Orders that are kept; odometry that comes more seldom is compared over this time alone.
+#: Frames without odometry after which it is compared anew. Its silence is no contradiction: the body notices that.
+SILENT_FRAMES: Final = 3
 _STEP_S: Final = 0.02  # Time step in which the expected movement is added up, seconds.
 
 
 class Wheels:
     """Compares what a base was told with what its odometry reports; ``told`` is called by one thread, ``read`` by one.
 
-    A base that moves more than it was told is not noticed.
+    A base that moves more than it was told is not noticed. Readings come every ``frame_s`` seconds.
     """
 
-    def __init__(self, kinematics: Kinematics) -> None:
+    def __init__(self, kinematics: Kinematics, frame_s: float = TICK_S) -> None:
+        self._silent_s = SILENT_FRAMES * frame_s + _STEP_S
         self._axes = (
             _Axis("m", kinematics.speed_m_s, "speed"),
             _Axis("rad", kinematics.turn_rate_rad_s, "turn rate"),
@@ -41,7 +44,7 @@ class Wheels:
         if velocity == self._told[-1][1]:
             return
         self._told.append((now_s, velocity))
-        while len(self._told) > 1 and self._told[1][0] < now_s - _KEPT_S:
+        while len(self._told) > 1 and self._told[1][0] < now_s - self._silent_s - DELAY_S:
             self._told.popleft()
 
     def read(self, pose: Sequence[float], at_s: float) -> str | None:
@@ -51,12 +54,15 @@ class Wheels:
         if self._read is not None and at_s <= self._read[0]:
             return None  # The same reading, or an older one.
         before, self._read = self._read, (at_s, tuple(pose))
-        if before is None:
+        if before is None or at_s - before[0] > self._silent_s:
+            for axis in self._axes:
+                axis.restart()
             return None
-        since_s = max(before[0], at_s - _KEPT_S)
-        self._expect(since_s, at_s)
+        self._expect(before[0], at_s)
         reported = Movement.between(before[1], pose)
-        found = [axis.compare(moved, at_s - since_s) for axis, moved in zip(self._axes, astuple(reported), strict=True)]
+        found = [
+            axis.compare(moved, at_s - before[0]) for axis, moved in zip(self._axes, astuple(reported), strict=True)
+        ]
         return next((one for one in found if one is not None), None)
 
     def _expect(self, since_s: float, until_s: float) -> None:
@@ -85,10 +91,14 @@ class _Axis:
 
     def __init__(self, unit: str, full: float, name: str) -> None:
         self._unit, self._full, self._name = unit, full, name
+        self._direction = 1.0  # Sign of the last expected movement.
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was expected, as of a base that stands."""
         self._quick = 0.0  # Share of the full speed if the base slows down at once,
         self._slow = 0.0  # and if it slows down as slowly as it speeds up.
         self._expected_s = 0.0  # Time at full speed that is expected since the last reading.
-        self._direction = 1.0  # Sign of the last expected movement.
         self._lacks_s = 0.0  # Time at full speed that the odometry lacks.
 
     def step(self, order: float, late: float, step_s: float) -> None:

@@ -87,6 +87,15 @@ def test_wheels_contradict_when_odometry_is_not_finite(reading: tuple[float, flo
     assert any(one is not None for one in found)
 
 
+def test_wheels_agree_when_odometry_was_silent() -> None:
+    """A base that hangs for a second neither moves nor reports; then both go on."""
+    wheels = Wheels(FULL)
+    wheels.told(AHEAD, 0.0)
+    found = [wheels.read((2.0 * 0.1 * tick, 0.0, 0.0), 0.1 * tick) for tick in range(20)]
+    found += [wheels.read((3.8 + 2.0 * 0.1 * tick, 0.0, 0.0), 3.0 + 0.1 * tick) for tick in range(20)]
+    assert found == [None] * 40
+
+
 def test_wheels_agree_when_a_base_rolls_on_after_its_order() -> None:
     """Half a second of every second ahead, by a base that begins late: each pulse is driven, and reported, in full."""
     pulses = ([AHEAD] * 5 + [STANDING] * 5) * 12
