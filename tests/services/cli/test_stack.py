@@ -67,7 +67,7 @@ def test_a_service_that_cannot_start_is_named_with_its_last_line(
     with pytest.raises(JobError) as caught, failing:
         pass
     assert str(caught.value) == f"policy: {missing}: cannot be read: No such file or directory"
-    assert not processes_of(robot)
+    eventually(lambda: not processes_of(robot))
 
 
 def test_a_service_that_hangs_in_starting_is_named(
@@ -91,7 +91,7 @@ def test_a_service_that_hangs_in_starting_is_named(
         pass
     assert re.fullmatch(r"not ready after \d+ s: recorder \(waiting for ever\)", str(caught.value))
     assert re.search(r"waiting, \d+ s so far, for recorder", caplog.text)
-    assert not processes_of(robot)
+    eventually(lambda: not processes_of(robot))
 
 
 def test_a_dead_service_comes_back_with_its_flags(
@@ -101,7 +101,8 @@ def test_a_dead_service_comes_back_with_its_flags(
     settings = plan(robot, free_endpoint, tmp_path, "recorder", recorder=flags(recordings=folder))
     with Stack(settings) as running, caplog.at_level(logging.WARNING):
         running.check()
-        assert len(processes_of(robot)) == 3  # Recorder, router, and what counts declarations for it.
+        # Recorder, router, and what counts declarations for it.
+        eventually(lambda: len(processes_of(robot)) == 3)
         bus = Bus(robot, free_endpoint)
         try:
             before = bus.call("recorder", "status", Nothing(), Status)
@@ -115,7 +116,7 @@ def test_a_dead_service_comes_back_with_its_flags(
         assert f"--recordings\0{folder}".encode() in b"".join(
             Path(f"/proc/{pid}/cmdline").read_bytes() for pid in processes_of(robot)
         )
-    assert not processes_of(robot)
+    eventually(lambda: not processes_of(robot))
     assert sum("started again" in record.getMessage() for record in caplog.records) == 1
     assert "it is started again" in caplog.text
 
@@ -131,7 +132,7 @@ def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Sig
         assert parent.stderr is not None
         if when == "running":
             assert parent.stdout.readline() == "ready\n"
-            assert len(processes_of(name)) == 3
+            eventually(lambda: len(processes_of(name)) == 3)
         else:
             eventually(lambda: processes_of(name))
         parent.send_signal(number)
