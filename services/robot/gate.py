@@ -18,7 +18,7 @@ from schemas.command import Command, StopCause
 from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
 from services.robot.guard import Guard
-from services.robot.wheels import Wheels
+from services.robot.wheels import WheelCheck
 
 #: Silence at which a command is no longer obeyed, seconds since it came. The robot must stand 0.5 s after the last
 #: command; the rest is for braking, see `services.robot.loop`.
@@ -99,7 +99,7 @@ class CommandGate:
         self.max_age_s = max_age_s
         #: What bounds the speed of whoever drives, where the robot sees what it may run into; and how it can move.
         self.guard: Guard | None = None
-        self.wheels: Wheels | None = None  # Compares what is carried out with the odometry.
+        self.wheels: WheelCheck | None = None  # Compares what is carried out with the odometry.
         self.kinematics = Kinematics(1.0, 1.0)
         self.attended = attended
         self._lock = Lock()

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from schemas.base import Velocity
 from services.robot.body import Body, Kinematics, View
 from services.robot.clock import TICK_S
+from smal.obstacles.capture_time import CaptureTime
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
-from smal.obstacles.moment import Moment
 
 MAX_LOOK_S: Final = 0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
 _STEPS: Final = 20  # Steps of a share: each change of it is published.
@@ -53,7 +53,7 @@ class Guard:
     def __init__(self, mount: Mount, kinematics: Kinematics, braking_s: float) -> None:
         self._mount, self._kinematics, self._braking_s = mount, kinematics, braking_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
-        self._moment = Moment(mount)
+        self._capture_time = CaptureTime(mount)
         self._lock = threading.Lock()  # Held for the few lines that grant a share, or put a look in place of another.
         self._known = self._before = _Known(None, -math.inf)  # By the last look, and by the one before.
 
@@ -63,10 +63,10 @@ class Guard:
         An image may be older than its stamp: it counts as of the moment and the pose at which it was taken, and not at
         all if it is too old, or shows no ground.
         """
-        self._moment.note(pose, captured_s)
+        self._capture_time.note(pose, captured_s)
         if depth_m is None:
             return
-        taken_s, there = self._moment.estimate(depth_m)
+        taken_s, there = self._capture_time.estimate(depth_m)
         if captured_s - taken_s > MAX_LOOK_S or not self._around.look(there, depth_m, self._mount):
             return
         known = _Known(self._around.snapshot(), taken_s)

@@ -27,7 +27,7 @@ from services.robot.loop import check_stopping
 from services.robot.messages import imu_message, odometry_message
 from services.robot.pace import Pace, Paces, RealTime, Running
 from services.robot.task import Task
-from services.robot.wheels import Wheels
+from services.robot.wheels import WheelCheck
 
 #: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
 CLIENT_S: Final = 2.0
@@ -138,7 +138,7 @@ class EpisodeRunner(Generic[V]):
         # In another world it may be another robot.
         check_stopping(self.body)
         self.gate.guard, self.gate.kinematics = guard_of(self.body), self.body.kinematics
-        self.gate.wheels = Wheels(self.body.kinematics, self.frame_s)
+        self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))

@@ -24,7 +24,7 @@ SILENT_FRAMES: Final = 3
 _STEP_S: Final = 0.02  # Time step in which the expected movement is added up, seconds.
 
 
-class Wheels:
+class WheelCheck:
     """Compares what a base was told with what its odometry reports; ``told`` is called by one thread, ``read`` by one.
 
     A base that moves more than it was told is not noticed. Readings come every ``frame_s`` seconds.

@@ -12,7 +12,7 @@ from services.robot.episode import Episode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
 from services.robot.pace import Running, Teller
-from services.robot.wheels import Wheels
+from services.robot.wheels import WheelCheck
 from services.simulator.body import SimulatedBody
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
@@ -28,10 +28,9 @@ class LockstepEpisode(Episode[SimulatedView]):
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
-        self._simulated, self._guard, self._wheels = body, guard_of(body), Wheels(body.kinematics)
-        self.contradiction: str | None = (
-            None  # Why the robot stands until the end, if its senses contradict each other.
-        )
+        self._simulated, self._guard, self._wheels = body, guard_of(body), WheelCheck(body.kinematics)
+        #: Why the robot stands until the end, if its senses contradict each other.
+        self.contradiction: str | None = None
 
     @property
     def kinematics(self) -> Kinematics:

@@ -10,7 +10,7 @@ from schemas.base import STANDING, Velocity
 from services.robot.body import Kinematics
 from services.robot.gate import CommandGate
 from services.robot.loop import ActuatorLoop
-from services.robot.wheels import DELAY_S, STARTS_S, Wheels
+from services.robot.wheels import DELAY_S, STARTS_S, WheelCheck
 from tests.services.robot.gating import command
 from tests.services.robot.line import Clock, LineBody
 
@@ -26,7 +26,7 @@ def compare(orders: Orders, report: float, *, delay_s: float = 0.1, starts_s: fl
     The base begins to obey after a delay, and has its full speed after ``starts_s``. Its odometry reports so many times
     what it does.
     """
-    wheels, speed, pose = Wheels(FULL), [0.0, 0.0], [0.0, 0.0, 0.0]
+    wheels, speed, pose = WheelCheck(FULL), [0.0, 0.0], [0.0, 0.0, 0.0]
     steps = round(TICK_S / STEP_S)
     late = round(delay_s / STEP_S)
     for tick, order in enumerate(orders):
@@ -78,7 +78,7 @@ def test_wheels_agree_whatever_is_asked(asked: list[tuple[float, float, int]]) -
 
 @pytest.mark.parametrize("reading", [(float("nan"), 0.0, 0.0), (0.0, float("inf"), 0.0)])
 def test_wheels_contradict_when_odometry_is_not_finite(reading: tuple[float, float, float]) -> None:
-    wheels = Wheels(FULL)
+    wheels = WheelCheck(FULL)
     assert wheels.read((0.0, 0.0, 0.0), 0.0) is None
     assert "not finite" in str(wheels.read(reading, 0.1))
     # It still compares afterwards.
@@ -89,7 +89,7 @@ def test_wheels_contradict_when_odometry_is_not_finite(reading: tuple[float, flo
 
 def test_wheels_agree_when_odometry_was_silent() -> None:
     """A base that hangs for a second neither moves nor reports; then both go on."""
-    wheels = Wheels(FULL)
+    wheels = WheelCheck(FULL)
     wheels.told(AHEAD, 0.0)
     found = [wheels.read((2.0 * 0.1 * tick, 0.0, 0.0), 0.1 * tick) for tick in range(20)]
     found += [wheels.read((3.8 + 2.0 * 0.1 * tick, 0.0, 0.0), 3.0 + 0.1 * tick) for tick in range(20)]
@@ -111,7 +111,7 @@ def test_loop_compares_what_the_body_carries_out_when_it_refuses() -> None:
 
     clock = Clock()
     gate, body = CommandGate(first_stop=1), Refusing(clock)
-    gate.wheels = Wheels(body.kinematics)
+    gate.wheels = WheelCheck(body.kinematics)
     assert gate.arm(1, "") is None
     gate.begin("e", "policy")
     loop = ActuatorLoop(gate, body, lambda _: None, clock)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from smal.obstacles.moment import LONGEST_S, Moment
+from smal.obstacles.capture_time import LONGEST_S, CaptureTime
 from tests.smal.depth_world import MOUNT, Box, depth
 
 Pose = tuple[float, float, float]
@@ -29,7 +29,7 @@ def turning(tick: int) -> Pose:
 
 def delays(way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, seed: int = 0) -> list[float]:
     """Deliver, tick after tick, the image of another tick; return how old each is said to be."""
-    rng, made, images, found = np.random.default_rng(seed), Moment(MOUNT), {}, []
+    rng, made, images, found = np.random.default_rng(seed), CaptureTime(MOUNT), {}, []
     for tick in range(ticks):
         if shown(tick) not in images:
             noise = rng.normal(1.0, 0.01, (60, 80))
@@ -85,7 +85,7 @@ STREET: list[Box] = [(-5.0, 2.5, 60.0, 3.0, 3.0), (-5.0, -4.0, 60.0, -3.5, 3.0),
 def test_delay_is_zero_when_the_camera_shakes(seed: int) -> None:
     """A mast swings by 1.4 degrees while the robot drives; images are on time, in the yard and in a street."""
     for boxes in (YARD, STREET):
-        rng, made = np.random.default_rng(seed), Moment(MOUNT)
+        rng, made = np.random.default_rng(seed), CaptureTime(MOUNT)
         for tick in range(60):
             x, y, heading = straight(tick)
             yaw, pitch = np.radians(rng.uniform(-0.7, 0.7, 2))

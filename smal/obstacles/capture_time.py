@@ -50,7 +50,7 @@ class Look(NamedTuple):
     at_s: float
 
 
-class Moment:
+class CaptureTime:
     """Estimates, image after image, at which of the robot's recent poses a depth image was taken."""
 
     def __init__(self, mount: Mount) -> None:
