@@ -4,8 +4,8 @@ A camera that hangs repeats an image, which is as old as at its first delivery. 
 fresh stamps, and they show things where an earlier pose saw them. The robot's recent poses, by the wheels, are
 therefore the hypotheses. Each of them predicts where the points of an earlier image are now, and the image contradicts
 the wrong ones (scan matching, as in Olson 2009, over a handful of poses). A hidden Markov model adds the evidence up: a
-delay usually lasts. While the robot stands, or where nothing stands in view, all hypotheses predict the same, and the
-belief stays as it was.
+delay usually lasts. While the robot stands, all hypotheses predict the same: the belief returns within seconds to that
+of an unknown camera, so that a robot which was called late by mistake may drive again.
 """
 
 import math
@@ -35,10 +35,13 @@ SHAKES_RAD: Final = math.radians(1.5)  # How far the camera may look aside of wh
 POINTS, FEW = 1000, 50
 #: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about twenty.
 EVIDENCE: Final = 20.0
-#: Probability, with each new image of a robot that moves, that the delay changed: cameras work for hours. It is then as
-#: likely any other as that of a camera of which nothing is known, which is fresh with this probability.
+#: Probability, with each new image, that the delay changed: cameras work for hours. It is then as likely any other as
+#: that of a camera of which nothing is known, which is fresh with this probability.
 CHANGES: Final = 0.02
 FRESH: Final = 0.95
+#: Likelihood of an image that has nothing to do with the earlier ones: the robot was carried, or what it saw has moved.
+#: It is that of a mean cost of a quarter, which no true hypothesis has.
+UNRELATED: Final = math.exp(-EVIDENCE / 4.0)
 QUEUES: Final = 0.4  # Probability that a camera which hung has delayed its images, and not dropped them.
 
 
@@ -123,15 +126,17 @@ class CaptureTime:
     def _weigh(self, depth_m: NDArray[np.float32]) -> None:
         """Weigh the hypotheses by a new image."""
         poses = np.array([one for _, one in self._track])
-        if not self._looks or not any(_apart(one, poses[0]) for one in poses[1:]):
+        if not self._looks or len(poses) == 1:
             return
         any_delay = np.full(len(poses), (1.0 - FRESH) / (len(poses) - 1))
         any_delay[0] = FRESH
         self._belief = (1.0 - CHANGES) * self._belief + CHANGES * any_delay
+        if not any(_apart(one, poses[0]) for one in poses[1:]):
+            return
         ranges = _ranges(depth_m, self._mount.focal)
         costs = np.array([_cost(ranges, self._looks[0], one, self._mount) for one in poses])
         if np.isfinite(costs).all():
-            self._belief *= np.exp(EVIDENCE * (costs.min() - costs))
+            self._belief *= np.exp(-EVIDENCE * costs) + UNRELATED
             self._belief /= self._belief.sum()
 
 

@@ -67,8 +67,22 @@ def test_delay_stays_when_a_late_robot_stands_again() -> None:
     def stops(tick: int) -> Pose:
         return straight(min(tick, 20))
 
-    found = delays(stops, lambda tick: max(tick - 5, 0), 60)
-    assert found[-1] > 0.25
+    found = delays(stops, lambda tick: max(tick - 5, 0), 120)
+    assert min(found[12:40]) > 0.25
+    assert found[-1] < 0.25  # A robot that was called late by mistake does not stand for ever.
+
+
+@pytest.mark.parametrize("way", [straight, turning])
+@pytest.mark.parametrize("to", [(0.0, 3.0, 1.0), (-2.0, -1.0, math.pi), (4.0, -1.0, -0.5), (-2.0, 0.5, 0.1)])
+def test_delay_is_zero_when_the_robot_was_carried(way: Callable[[int], Pose], to: Pose) -> None:
+    """Its wheels do not turn meanwhile: no pose of theirs explains what it sees now."""
+    rng, made = np.random.default_rng(0), CaptureTime(MOUNT)
+    for tick in range(40):
+        x, y, heading = way(tick)
+        there = (x, y, heading) if tick < 20 else (x + to[0], y + to[1], heading + to[2])
+        made.note((x, y, heading), tick * TICK_S)
+        at_s, _ = made.estimate((depth(YARD, there) * rng.normal(1.0, 0.01, (60, 80))).astype(np.float32))
+        assert tick * TICK_S - at_s < 0.25
 
 
 def test_delay_ends_when_the_camera_sees_again() -> None:
