@@ -19,6 +19,9 @@ STARTS_S: Final = 1.0
 #: what a base drives before a command is expected to show, it stands within a second of driving.
 UNFOLLOWED_S: Final = 0.25
 LAG: Final = 0.5  # Share of the expected way at which the wheels follow: loads, slopes and worn tyres take some.
+#: Share of the full turn rate below which no turn is expected: a skid-steered base that drives ahead slips sideways, and
+#: turns half as fast as it is told in gentle bends.
+SLIPS: Final = 0.5
 #: Frames without odometry after which it is compared anew. Its silence is no contradiction: the body notices that.
 SILENT_FRAMES: Final = 3
 _STEP_S: Final = 0.02  # Time step in which the expected movement is added up, seconds.
@@ -33,8 +36,8 @@ class WheelCheck:
     def __init__(self, kinematics: Kinematics, frame_s: float = TICK_S) -> None:
         self._silent_s = SILENT_FRAMES * frame_s + _STEP_S
         self._axes = (
-            _Axis("m", kinematics.speed_m_s, "speed"),
-            _Axis("rad", kinematics.turn_rate_rad_s, "turn rate"),
+            _Axis("m", kinematics.speed_m_s, "speed", 0.0),
+            _Axis("rad", kinematics.turn_rate_rad_s, "turn rate", SLIPS),
         )
         self._told = deque[tuple[float, Velocity]]([(-math.inf, STANDING)])
         self._read: tuple[float, Sequence[float]] | None = None
@@ -87,10 +90,11 @@ class _Axis:
 
     A base may stop at once, or late, and speeds up slowly. The sum of what was expected and not reported is kept (a
     cumulative sum test, Page 1954). Odometry that stands and odometry that runs backwards both exceed the bound.
+    Shares of the full speed below the least one are not expected to show.
     """
 
-    def __init__(self, unit: str, full: float, name: str) -> None:
-        self._unit, self._full, self._name = unit, full, name
+    def __init__(self, unit: str, full: float, name: str, least: float) -> None:
+        self._unit, self._full, self._name, self._least = unit, full, name, least
         self._direction = 1.0  # Sign of the last expected movement.
         self.restart()
 
@@ -107,8 +111,10 @@ class _Axis:
         self._slow += max(-most, min(late - self._slow, most))
         self._quick = math.copysign(min(abs(late), abs(self._quick) + most), late) if self._quick * late >= 0 else 0.0
         if order * self._quick > 0.0 and order * self._slow > 0.0:
-            self._direction = math.copysign(1.0, order)
-            self._expected_s += min(abs(order), abs(self._quick), abs(self._slow)) * step_s
+            share = min(abs(order), abs(self._quick), abs(self._slow))
+            if share >= self._least:
+                self._direction = math.copysign(1.0, order)
+                self._expected_s += share * step_s
 
     def compare(self, moved: float, elapsed_s: float) -> str | None:
         """Take a reported movement; return how it contradicts what was expected, or None."""

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,6 +64,17 @@ def test_wheels_contradict_when_odometry_lies(order: Velocity, report: float, mo
 def test_wheels_agree_when_a_base_is_slow(starts_s: float, report: float) -> None:
     orders = [AHEAD] * 20 + [STANDING] * 10 + [LEFT] * 20 + [Velocity(-0.5, 0.0)] * 20
     assert compare(orders, report, delay_s=DELAY_S, starts_s=max(starts_s, STEP_S)) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_wheels_agree_when_a_base_slips_in_bends(seed: int) -> None:
+    """A skid-steered base that drives ahead turns a third as fast as it is told; its odometry is noisy."""
+    rng, wheels, heading = np.random.default_rng(seed), WheelCheck(FULL), 0.0
+    for tick in range(600):
+        assert wheels.read((0.2 * tick, 0.0, heading), tick * TICK_S) is None
+        bend = 0.45 * math.sin(tick / 20.0)
+        wheels.told(Velocity(1.0, bend), tick * TICK_S)
+        heading += (bend / 3.0 + rng.normal(0.0, 0.1)) * FULL.turn_rate_rad_s * TICK_S
 
 
 @given(
