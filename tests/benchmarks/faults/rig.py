@@ -190,6 +190,8 @@ class Rig:
         request = ResetRequest(seed=self.seed + 1, mode=self.plan.mode)
         try:
             if not self._armed:  # as its operator does with a robot that was just started
+                if self.bus.call("robot", "status", Nothing(), Status).state != "ready":
+                    return False
                 self._arm("not_armed")
             self._episode = self.bus.call("robot", "reset", request, ResetReply, timeout_s).episode
         except RpcError:

@@ -170,8 +170,8 @@ def start(stack: ExitStack, service: str, endpoint: str, robots: int, *flags: st
     return stack.enter_context(process(service, endpoint, "--robots", str(robots), *flags))
 
 
-#: So many that each of a few instances has some, but for one time in a thousand.
-MANY = 12
+#: So many that each of three instances has some, but for one time in a thousand.
+MANY = 20
 
 
 def test_no_frame_is_answered_twice_while_instances_come_and_go(
@@ -184,7 +184,7 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
 
     def drive() -> None:
         nonlocal tick
-        while not ended.wait(0.05):
+        while not ended.wait(0.2):
             robots.send(image(tick, tick % 50))
             tick += 1
 

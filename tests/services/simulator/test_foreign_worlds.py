@@ -21,8 +21,17 @@ def test_world_is_the_same_when_its_file_is_foreign(town: Path) -> None:
     assert (found.name, found.start, found.victim) == (sound.name, sound.start, sound.victim)
 
 
+@pytest.fixture
+def endless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the loading of any world take for ever."""
+    bounded = loading.bounded
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+    monkeypatch.setattr(loading, "bounded", lambda _function, *more: bounded("tests.confined_work:loop", *more))
+
+
+@pytest.mark.usefixtures("endless")
 def test_world_is_refused_when_it_takes_too_much_time(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(confined, "LEAST_S", 0.1)  # Starting Python and its packages takes longer.
+    monkeypatch.setattr(confined, "LEAST_S", 0.1)
     monkeypatch.setattr(confined, "S_A_MEGABYTE", 0.0)
     monkeypatch.setattr(confined, "_WAITING", 1e4)  # On a loaded machine the clock runs far ahead.
     with pytest.raises(
@@ -38,15 +47,8 @@ def test_world_is_refused_in_one_line_when_it_is_of_no_use(town: Path) -> None:
         load_foreign_world(town)
 
 
-def test_loading_ends_when_it_is_cancelled(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
-    bounded = loading.bounded
-
-    def endless(_function: str, *more: object) -> object:
-        return bounded("tests.confined_work:loop", *more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(loading, "bounded", endless)
-
+@pytest.mark.usefixtures("endless")
+def test_loading_ends_when_it_is_cancelled(town: Path) -> None:
     def cancel() -> None:
         raise InterruptedError("cancelled")
 
