@@ -1,21 +1,22 @@
-"""Who serves which robot, where a service runs any number of times: nobody coordinates.
+"""Share out the robots of a fleet among the instances of a service, without a coordinator.
 
-- The robots of a fleet are known beforehand (`FleetSettings`): no name that comes by the wire is ever served.
-- An instance of a service is seen (a liveliness token of Zenoh) at ``smal/<fleet>/@group/<service>/<instance>``, and
-  for each robot that it serves at that key with the robot's id behind it. Whoever is killed is seen no more at once;
-  whoever freezes or is cut off, after `zenoh_session.LEASE_MS`.
-- Whose a robot is follows from who is seen, by rendezvous hashing: where one leaves, its robots alone move. The name of
-  an instance ends with how many robots it serves: a fleet grows while it drives, instance by instance.
-- Whoever loses a robot closes its node, and then is seen there no more. Whoever gets it is seen there first, looks
-  again, and opens a node when nobody else is seen there: of two who look, one has seen the other. So no frame is
-  answered twice; those that come meanwhile are lost.
+- The names of the robots are known beforehand (`FleetSettings`). A name that arrives by the network is never served.
+- An instance declares a liveliness token of Zenoh at ``smal/<fleet>/@group/<service>/<instance>``, and one for each
+  robot that it serves, at that key with the robot's id behind it. The tokens of a killed process vanish at once, those
+  of a frozen or disconnected one after `zenoh_session.LEASE_MS`.
+- Rendezvous hashing over the announced instances assigns each robot to one of them: when an instance leaves, only its
+  robots move. The name of an instance ends with the number of robots that it serves, so a fleet can grow while it
+  drives, instance by instance.
+- An instance that loses a robot first closes its node and then withdraws the token. An instance that gains a robot
+  first declares its token, looks again, and opens a node if it sees no other token there. Of two instances that look,
+  at least one sees the other, so no frame is answered twice. Frames that arrive in between are lost.
 - A token alone proves nothing: it stands while its process is frozen, and any holder of the role's key can declare it.
   So every instance asks all others, and itself, every `ASK_S`. An instance counts while its last answer is not older
   than `ANSWER_S`, and it answers while its main loop runs.
-- An instance without an answer of its own lets go of what others might take.
+- An instance without an answer of its own releases the robots that others might take.
 - An answer names the robots that the instance serves. A robot that no answer names is reported by `/healthz`.
-- Services that have something to hand on publish it (`schemas.snapshot`): every instance keeps the newest one of each
-  robot, and the node that gets the robot begins with it.
+- A service with a state to hand on publishes it (`schemas.snapshot`). Every instance keeps the newest snapshot of each
+  robot, and the node that gains the robot begins with it.
 """
 
 import logging
@@ -54,7 +55,7 @@ S = TypeVar("S", bound=FleetSettings)
 
 
 def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set[str]:
-    """Return which robots of a fleet are an instance's; those of a smaller fleet have no say in the robots beyond."""
+    """Return the robots of a fleet that are assigned to an instance, among the instances that serve enough robots."""
     able = {one: int(one.rpartition("-")[2]) for one in instances}
     return {
         robot
@@ -64,19 +65,19 @@ def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set
 
 
 def owner(robot: str, instances: Iterable[str]) -> str:
-    """Return whose a robot is, of instances: whose digest together with it is the highest; empty without any."""
+    """Return the instance whose digest together with the robot is the highest; empty without instances."""
     return max(instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one), default="")
 
 
 class Seen(NamedTuple):
-    """Who is there: the instances, and of each robot who serves it."""
+    """The announced instances, and the instances that serve each robot."""
 
     instances: frozenset[str]
     serving: dict[str, frozenset[str]]
 
     @classmethod
     def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
-        """Read keys at which somebody is seen; what no instance of ours says is left out."""
+        """Parse the keys of liveliness tokens; a key of another form is left out."""
         found = [
             re.fullmatch(rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?", key)
             for key in keys
@@ -131,17 +132,17 @@ class _Kept(NamedTuple):
 
 
 class _Served:
-    """A robot that is this instance's: it is seen there, and when nobody else is, a thread runs its node."""
+    """A robot that is assigned to this instance: its token is declared, and later a thread runs its node."""
 
     def __init__(self, go: Callable[[], None]) -> None:
-        self.go = go  # Nobody is seen here any more.
+        self.go = go  # Withdraws the token.
         self.since_s = time.monotonic()
         self.node: Node | None = None
         self.thread: threading.Thread | None = None
         self.leaving = False
 
     def leave(self) -> bool:
-        """Have the node end; return whether it has, and nobody is seen here any more."""
+        """Ask the node to end; return whether it has ended and its token is withdrawn."""
         self.leaving = True
         if self.node is not None:
             self.node.stop()
@@ -155,7 +156,7 @@ class _Served:
 class Group(Generic[S]):
     """One instance of a service: it runs a node for each robot that is its own, by ``serve``, until it is stopped.
 
-    Raises BusError where there is no router or a lane stays deaf, and whatever JobError a node ends by.
+    Raises BusError without a router or when a lane stays deaf, and the JobError of a node that fails.
     """
 
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
@@ -193,14 +194,14 @@ class Group(Generic[S]):
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
                 while not self._stopped and self._failure is None:
                     self._bus.check()
-                    # Who was frozen for so long is taken for dead, though it has not heard of it yet.
+                    # After so long a freeze the others take this instance for dead, and it has not received that yet.
                     frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
                     self._looked_s = time.monotonic()
                     self._ask()
                     self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix), self._answering())
                     self._news.wait(LOOK_S)
                     self._news.clear()
-                go()  # First, so that who is next knows at once.
+                go()  # First, so that the next instance learns of it at once.
             finally:
                 self._end()
                 if http is not None:
@@ -213,7 +214,7 @@ class Group(Generic[S]):
         (self._seen.add if there else self._seen.discard)(key)
         self._news.set()
 
-    # -- proof of life ----------------------------------------------------------------------------------------------
+    # -- proof of life ------------------------------------------------------------------------------------------------
 
     def _tell(self) -> Answer | None:
         """Answer another instance, while the main loop runs or the nodes end."""
@@ -253,7 +254,7 @@ class Group(Generic[S]):
         self._stopped = True
 
     def _settle(self, announced: Seen, answering: frozenset[str]) -> None:
-        """Let go of what is another's, and take what is one's own, as far as others have let go of it."""
+        """Release the robots of other instances, and take the own ones that the others have released."""
         seen = announced.among(answering)
         self._here = here = self.instance in seen.instances
         others = {robot for robot, serving in seen.serving.items() if serving - {self.instance}}
@@ -262,7 +263,7 @@ class Group(Generic[S]):
             self._others = len(seen.instances) > 1
             wanted = share(self.instance, self.robots, seen.instances)
         else:
-            # Nobody else can be asked: who was alone goes on, so that its robot does not wait for the router's return.
+            # No other instance can be asked. One that was alone goes on: its robot does not wait for the router.
             wanted = set() if self._others else set(self._served)
         for robot, served in [*self._served.items()]:
             if (robot not in wanted or served.leaving) and served.leave():
@@ -298,7 +299,7 @@ class Group(Generic[S]):
         self.log.info("instance %s serves %s", self.instance, robot)
 
     def _end(self) -> None:
-        """Have all nodes end, and be seen nowhere."""
+        """End all nodes, and withdraw all tokens."""
         self._ending = True
         until_s = time.monotonic() + _STUCK_S
         for served in self._served.values():
@@ -309,11 +310,11 @@ class Group(Generic[S]):
             served.leave()
 
     def _handed_on(self, robot: str) -> bool:
-        """Whether what is handed on with a robot has come; it travels by another link than who is seen."""
+        """Return whether the snapshot of a robot has arrived; it travels by another link than the tokens."""
         since_s = time.monotonic() - self._elsewhere_s.get(robot, -math.inf)
         return self._name not in SNAPSHOTS or robot in self._kept or since_s > 2.0 * SNAPSHOT_S
 
-    # -- what is handed on ------------------------------------------------------------------------------------------
+    # -- snapshots ----------------------------------------------------------------------------------------------------
 
     def _keep_snapshots(self, until: ExitStack) -> None:
         topics = [SNAPSHOTS[self._name]] if self._name in SNAPSHOTS else []
@@ -326,7 +327,7 @@ class Group(Generic[S]):
             until.enter_context(closing(self._bus.of_robot(robot))).subscribe(topic, keep)
 
     def _inherited(self, robot: str) -> Snapshot | None:
-        """Return what was handed on with a robot, without a belief that is too old; None where it is no snapshot."""
+        """Return the snapshot of a robot, without a belief that is too old; None if there is no valid one."""
         kept = self._kept.get(robot)
         if kept is None:
             return None
@@ -335,7 +336,7 @@ class Group(Generic[S]):
             if key_of(snapshot) != SNAPSHOTS[self._name].key(robot):
                 raise DecodeError(f"it is of {snapshot.robot} and {snapshot.service}")
         except DecodeError as error:
-            self.log.warning("what was handed on of %s is refused: %s", robot, error)
+            self.log.warning("the snapshot of %s is refused: %s", robot, error)
             return None
         old = time.monotonic() - kept.arrived_s > OLD_S
         return snapshot.model_copy(update={"state": None}) if old else snapshot
@@ -349,7 +350,7 @@ class Group(Generic[S]):
         return [node.metrics.registry for node in self._nodes()]
 
     def _ailment(self) -> str | None:
-        """Return what ails it: a silent link, a robot that no instance serves, or the first of its unhealthy nodes."""
+        """Return the first fault: a silent link, a robot that no instance serves, or an unhealthy node."""
         if silent := self._bus.silent():
             return silence(silent)
         longest_s = time.monotonic() - UNSERVED_S

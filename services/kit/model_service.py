@@ -220,7 +220,7 @@ def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_con
         if handed.checksum == handed.state.model == service.loaded.identity:
             service.resume(handed.state, handed.wheels)
         else:
-            node.log.warning("what was handed on of %s belongs to model %s", node.robot, handed.checksum)
+            node.log.warning("the snapshot of %s belongs to model %s", node.robot, handed.checksum)
 
     def hand_on() -> None:
         node.publish(_snapshot(node, service))

@@ -126,14 +126,19 @@ def _failure_row(simulation: Simulation, model: Model, lie: Lie, searches: int) 
 
     runs = _each(searches, f"{simulation.name}, {lie.name}", run)
     limit_m = MOST_S * simulation.speed_m_s
-    stood = [one for one in runs if one.driven_m <= limit_m and math.isfinite(one.stood_s) and not one.touched]
+    before_m = [one.driven_m - one.moved_later_m for one in runs]
+    stood = [
+        one for one, way_m in zip(runs, before_m, strict=True)
+        if way_m <= limit_m and math.isfinite(one.stood_s) and not one.touched
+    ]  # fmt: skip
     return {
         "world": simulation.name,
         "failure": lie.name,
         "stood": len(stood),
         "drove on": len(runs) - len(stood),
-        "driven, at most (m)": max(one.driven_m for one in runs),
+        "driven until it stood, at most (m)": max(before_m),
         "allowed (m)": limit_m,
+        "later, at most (m)": max(one.moved_later_m for one in runs),
     }
 
 
