@@ -19,7 +19,7 @@ from services.importers.run import MOST_MEMORY
 from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
-from smal.files.confined import Bounds, ConfinedError, confined, size_of
+from smal.files.confined import ConfinedError, WorkLimits, confined, size_of
 
 _WORK: Final = "services.importers.run:work"
 
@@ -92,14 +92,14 @@ def import_recordings(
 
 def _run(job: Job) -> tuple[list[str], Report]:
     """Do the job in a process of its own; see `services.importers.run`."""
-    bounds = Bounds.of_size(size_of(Path(job.path)), MOST_MEMORY)
+    limits = WorkLimits.of_size(size_of(Path(job.path)), MOST_MEMORY)
     with closing(Bars("frame")) as bars:
 
         def show(progress: dict[str, int]) -> None:
             bars("importing", progress["done"], progress["total"])
 
         try:
-            done = confined(_WORK, job.model_dump(mode="json"), bounds, job.path, progress=show)
+            done = confined(_WORK, job.model_dump(mode="json"), limits, job.path, progress=show)
         except ConfinedError as error:
             raise JobError(printable(str(error), 700)) from None
     return list(done["remarks"]), Report.model_validate_json(json.dumps(done["report"]))

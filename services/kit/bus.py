@@ -17,7 +17,7 @@ from schemas.rpc import Failure
 from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.connection import Connection, Declared, Entity
 from services.kit.credentials import Credentials
-from services.kit.echo import DEAF_S, SILENT_S, Echo
+from services.kit.echo import DEAF_S, SILENT_S, LaneEcho
 from services.kit.errors import JobError
 from services.kit.history import in_order, subscribe_whole
 from services.kit.replay import Budget
@@ -106,7 +106,7 @@ class Bus:
         self._lanes: dict[Lane, Connection] = (
             of._lanes if of else {lane: Connection(open_session, patience_s) for lane in LANES}
         )
-        self._echo: Echo = of._echo if of else Echo(role, self._lanes)
+        self._echo: LaneEcho = of._echo if of else LaneEcho(role, self._lanes)
         #: By topic, with when something was last sent, monotonic seconds.
         self._publishers: dict[str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]] = {}
         self._matching: dict[str, Declared[zenoh.Publisher]] = {}

@@ -32,7 +32,7 @@ Way = tuple[Lane, Lane]  # The lane that sends and the lane that receives.
 _WAYS: Final[tuple[Way, ...]] = tuple(permutations(LANES, 2))
 
 
-class Echo:
+class LaneEcho:
     """Measures how old the last echo of each lane is, with a thread of its own, until it is closed.
 
     Parameters

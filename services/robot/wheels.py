@@ -19,8 +19,7 @@ STARTS_S: Final = 1.0
 #: what a base drives before a command is expected to show, it stands within a second of driving.
 UNFOLLOWED_S: Final = 0.25
 LAG: Final = 0.5  # Share of the expected way at which the wheels follow: loads, slopes and worn tyres take some.
-#: Share of the full turn rate below which no turn is expected: a skid-steered base that drives ahead slips sideways, and
-#: turns half as fast as it is told in gentle bends.
+#: Share of the full turn rate below which no turn is expected: a skid-steered base slips in gentle bends.
 SLIPS: Final = 0.5
 #: Frames without odometry after which it is compared anew. Its silence is no contradiction: the body notices that.
 SILENT_FRAMES: Final = 3

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from smal.features.detectors import Detection, of_boxes
 from smal.features.modality import Modality, detector, unit_length
 from smal.features.resizing import resized
-from smal.files.confined import Bounds, ConfinedError, Work, confined
+from smal.files.confined import ConfinedError, Work, WorkLimits, confined
 from smal.files.container import open_regular
 
 if TYPE_CHECKING:
@@ -130,14 +130,14 @@ def open_network(file: str, kind: str = PREFIX) -> str:
 
 
 def _proven(file: str, kind: str, data: bytes) -> int:
-    """Run a network in a child process with bounds; return the size of its embedding, or raise ValueError.
+    """Run a network in a child process with limits; return the size of its embedding, or raise ValueError.
 
     A few bytes can describe a loop without an end, or a matrix that fills all memory.
     """
     request = {"file": str(Path(file).absolute()), "called": file, "kind": kind, "longest_s": LONGEST_S}
-    bounds = Bounds.of_size(len(data), MOST_MEMORY + _COPIES * len(data))
+    limits = WorkLimits.of_size(len(data), MOST_MEMORY + _COPIES * len(data))
     try:
-        proven = confined("smal.features.onnx:prove", request, bounds, file)
+        proven = confined("smal.features.onnx:prove", request, limits, file)
     except ConfinedError as error:
         raise ValueError(str(error)) from None
     if proven["digest"] != hashlib.sha256(data).hexdigest():

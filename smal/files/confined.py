@@ -1,4 +1,4 @@
-"""Work with the files of strangers in a child process with bounds of memory and time, which can be cancelled.
+"""Work with the files of strangers in a child process with limits of memory and time, which can be cancelled.
 
 Libraries in C read these files. A hostile file can make them crash, loop, or take all memory. That ends the child
 process, and becomes an error of one line here.
@@ -23,7 +23,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Final
 
-#: Variable of the environment: factor by which all bounds are raised.
+#: Variable of the environment: factor by which all limits are raised.
 FACTOR: Final = "SMAL_LIMITS"
 #: Processor time of a step, seconds, and of each megabyte that it may read. Of sound files a map of 40,000 houses
 #: needed most: 37 s for its 17 MB.
@@ -39,15 +39,15 @@ class ConfinedError(Exception):
 
 
 @dataclass(frozen=True)
-class Bounds:
+class WorkLimits:
     """Most memory in bytes, and most processor time of the first step in seconds."""
 
     memory: int
     cpu_s: float
 
     @classmethod
-    def of_size(cls, size: int, memory: int) -> "Bounds":
-        """Return the bounds of work with a source of so many bytes."""
+    def of_size(cls, size: int, memory: int) -> "WorkLimits":
+        """Return the limits of work with a source of so many bytes."""
         return cls(memory, LEAST_S + S_A_MEGABYTE * size / 1e6)
 
 
@@ -60,7 +60,7 @@ class Work:
         self._renew()
 
     def step(self, name: str, cpu_s: float) -> None:
-        """Begin a step with a bound of its own."""
+        """Begin a step with a limit of its own."""
         self._cpu_s = cpu_s * _factor()
         self.reply(step=name, cpu_s=self._cpu_s)
         self._renew()
@@ -84,7 +84,7 @@ class Work:
 def confined(
     function: str,
     request: object,
-    bounds: Bounds,
+    limits: WorkLimits,
     source: object,
     *,
     progress: Callable[[Any], None] = lambda _: None,
@@ -100,7 +100,7 @@ def confined(
         is raised here.
     request : object
         JSON.
-    bounds : Bounds
+    limits : WorkLimits
         Most memory and time.
     source : object
         Name of the file for errors.
@@ -114,11 +114,11 @@ def confined(
     Raises
     ------
     ConfinedError
-        The function raised it, broke down, or exceeded a bound.
+        The function raised it, broke down, or exceeded a limit.
     """
     factor = _factor()
-    bounds = Bounds(int(bounds.memory * factor), bounds.cpu_s * factor)
-    order = {"function": function, "request": request, "memory": bounds.memory, "cpu_s": bounds.cpu_s}
+    limits = WorkLimits(int(limits.memory * factor), limits.cpu_s * factor)
+    order = {"function": function, "request": request, "memory": limits.memory, "cpu_s": limits.cpu_s}
     # Each thread of OpenBLAS takes memory of the bound.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(  # noqa: S603 - our own
@@ -130,7 +130,7 @@ def confined(
             with suppress(BrokenPipeError):
                 child.stdin.write(json.dumps(order).encode())
                 child.stdin.close()
-            return _Listener(child, bounds, source).listen(progress, go_on)
+            return _Listener(child, limits, source).listen(progress, go_on)
         finally:
             child.kill()
 
@@ -138,14 +138,14 @@ def confined(
 class _Listener:
     """Reads what a child process replies."""
 
-    def __init__(self, child: subprocess.Popen[bytes], bounds: Bounds, source: object) -> None:
+    def __init__(self, child: subprocess.Popen[bytes], limits: WorkLimits, source: object) -> None:
         assert child.stdout is not None
         self._child = child
         self._replies = child.stdout.fileno()
-        self._bounds = bounds
+        self._limits = limits
         self._source = source
         self._step = "it"
-        self._cpu_s = bounds.cpu_s
+        self._cpu_s = limits.cpu_s
         self._last: dict[str, Any] = {}
 
     def listen(self, progress: Callable[[Any], None], go_on: Callable[[], None]) -> Any:  # noqa: ANN401 - JSON
@@ -182,13 +182,13 @@ class _Listener:
         if "error" in self._last:
             raise ConfinedError(self._last["error"])
         if "memory" in self._last:
-            raise self._exceeded(f"{self._bounds.memory / 2**30:.3g} GiB of memory")
+            raise self._exceeded(f"{self._limits.memory / 2**30:.3g} GiB of memory")
         if status == -signal.SIGXCPU:
             raise self._exceeded(f"{self._cpu_s:.3g} s of processor time")
         raise ConfinedError(f"{self._source}: reading it broke down (status {status}); the file is damaged, or hostile")
 
     def _exceeded(self, bound: str) -> ConfinedError:
-        raised = f"{FACTOR}={2 * _factor():g} doubles the bound"
+        raised = f"{FACTOR}={2 * _factor():g} doubles the limit"
         return ConfinedError(f"{self._source}: reading {self._step} takes more than {bound}; if it is sound, {raised}")
 
 

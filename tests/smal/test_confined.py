@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from smal.files import confined as module
-from smal.files.confined import Bounds, ConfinedError, confined, size_of
+from smal.files.confined import ConfinedError, WorkLimits, confined, size_of
 
 ROOT = Path(__file__).parents[2]
-SMALL = Bounds(2**28, 2.0)
+SMALL = WorkLimits(2**28, 2.0)
 
 
 @pytest.fixture(autouse=True)
@@ -23,8 +23,8 @@ def found_by_the_child(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_WAITING", 1e3)  # On a loaded machine the clock runs far ahead.
 
 
-def does(work: str, request: object = None, bounds: Bounds = SMALL, **how: Any) -> Any:
-    return confined(f"tests.confined_work:{work}", request, bounds, "some.file", **how)
+def does(work: str, request: object = None, limits: WorkLimits = SMALL, **how: Any) -> Any:
+    return confined(f"tests.confined_work:{work}", request, limits, "some.file", **how)
 
 
 def failure(work: str, request: object = None) -> str:
@@ -40,7 +40,7 @@ def test_work_returns_its_result_when_it_prints() -> None:
 def test_work_ends_when_it_takes_too_much_time() -> None:
     said = failure("loop")
     assert "takes more than 2 s of processor time" in said
-    assert "SMAL_LIMITS=2 doubles the bound" in said
+    assert "SMAL_LIMITS=2 doubles the limit" in said
 
 
 def test_step_ends_when_it_takes_too_much_time() -> None:
@@ -71,7 +71,7 @@ def test_refusal_of_the_work_is_raised_when_it_refuses() -> None:
         does("refuse", "this")
 
 
-def test_bounds_grow_when_the_user_raises_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_grow_when_the_user_raises_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SMAL_LIMITS", "1.5")
     assert "takes more than 3 s of processor time" in failure("loop")
     monkeypatch.setenv("SMAL_LIMITS", "much")
@@ -96,8 +96,9 @@ def test_child_ends_when_the_work_is_cancelled() -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_child_ends_when_its_parent_is_ended(number: signal.Signals) -> None:
     program = (
-        "from smal.files.confined import Bounds, confined\n"
-        "confined('tests.confined_work:sleep', None, Bounds(2**28, 60.0), 'x', progress=lambda n: print(n, flush=True))"
+        "from smal.files.confined import WorkLimits, confined\n"
+        "limits = WorkLimits(2**28, 60.0)\n"
+        "confined('tests.confined_work:sleep', None, limits, 'x', progress=lambda n: print(n, flush=True))"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as parent:
         assert parent.stdout is not None

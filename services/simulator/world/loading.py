@@ -23,7 +23,7 @@ from services.simulator.world.route import lane_graph, obstacles_of, plan_route
 from services.simulator.world.survey import terrain_from
 from services.simulator.world.task import choose_roles
 from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
-from smal.files.confined import Bounds, ConfinedError, Work, confined, size_of
+from smal.files.confined import ConfinedError, Work, WorkLimits, confined, size_of
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _SUFFIXES: Final = (".osm", ".json")
@@ -65,7 +65,7 @@ def load_world(name_or_path: str | Path) -> World:
 
 
 def load_foreign_world(name_or_path: str | Path) -> World:
-    """Load a world as `load_world` does; the file of a user is loaded in a child process with bounds before."""
+    """Load a world as `load_world` does; the file of a user is loaded in a child process with limits before."""
     path = _find(name_or_path)
     if path.parent != WORLDS_FOLDER:
         bounded("services.simulator.world.loading:prove", str(path), path)
@@ -82,9 +82,9 @@ def prove(path: str, _work: Work) -> None:
 
 def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int] = ()) -> Any:  # noqa: ANN401 - JSON
     """Work with a map or a world file in a child process; WorldError where it is of no use, or takes too much."""
-    bounds = Bounds.of_size(size_of(source), MOST_MEMORY)
+    limits = WorkLimits.of_size(size_of(source), MOST_MEMORY)
     try:
-        return confined(function, request, bounds, source, go_on=go_on, pass_fds=pass_fds)
+        return confined(function, request, limits, source, go_on=go_on, pass_fds=pass_fds)
     except ConfinedError as error:
         raise WorldError(printable(str(error), 700)) from None
 

@@ -75,7 +75,7 @@ def test_a_failed_import_leaves_nothing_behind(mistake: Mistake, tmp_path: Path)
     [
         ("crash", "the file is damaged, or hostile"),
         ("fill", "takes more than 2 GiB of memory"),
-        ("loop", "s of processor time; if it is sound, SMAL_LIMITS=2 doubles the bound"),
+        ("loop", "s of processor time; if it is sound, SMAL_LIMITS=2 doubles the limit"),
     ],
 )
 def test_a_decoder_that_breaks_down_is_one_line(

@@ -38,7 +38,7 @@ def test_world_is_refused_when_it_takes_too_much_time(town: Path, monkeypatch: p
         WorldError, match=r"\A[^\n]*town.osm: reading it takes more than 0.1 s of processor time"
     ) as why:
         load_foreign_world(town)
-    assert "SMAL_LIMITS=2 doubles the bound" in str(why.value)
+    assert "SMAL_LIMITS=2 doubles the limit" in str(why.value)
 
 
 def test_world_is_refused_in_one_line_when_it_is_of_no_use(town: Path) -> None:
