@@ -43,7 +43,9 @@ def main(arguments: list[str]) -> None:
     searches = flags.searches or (QUICK if flags.quick else SEARCHES)
     rows: list[Record] = []
     for world in flags.world:
-        rows += _of_world(world, places, searches, flags.only)
+        for row in _of_world(world, places, searches, flags.only):
+            rows.append(row)
+            tqdm.write("; ".join(f"{name}: {value}" for name, value in row.items()))
     depth = [row for row in rows if "touched" in row]
     fails = [row for row in rows if "stood" in row]
     found = [row for row in rows if "found" in row]
