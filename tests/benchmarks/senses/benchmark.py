@@ -73,14 +73,14 @@ def _of_world(world: str, places: int, searches: int, only: list[str] | None) ->
     def wanted(name: str) -> bool:
         return only is None or any(text in name for text in only)
 
-    lies = [(lie.name, lie, own) for lie in DEPTH_LIES]
+    lies: list[tuple[str, Lie | None, Mount]] = [(lie.name, lie, own) for lie in DEPTH_LIES]
     lies += [(name, None, change(own)) for name, change in MOUNT_LIES.items()]
     for name, lie, mount in lies:
         if wanted(name):
             yield _depth_row(simulation, model, (name, lie, mount), places)
-    for lie in (*CAMERA_LIES, *WHEEL_LIES):
-        if wanted(lie.name):
-            yield _failure_row(simulation, model, lie, searches)
+    for failure in (*CAMERA_LIES, *WHEEL_LIES):
+        if wanted(failure.name):
+            yield _failure_row(simulation, model, failure, searches)
     for depth in (True, False):
         name = f"honest, {'with' if depth else 'without'} depth"
         if wanted(name):
