@@ -17,6 +17,7 @@ LOG: Final = ",".join(
     f"zenoh::net::{target}=debug"
     for target in ("primitives::demux", "routing::dispatcher::face", "routing::dispatcher::resource")
 )
+_ROOM_BYTES: Final = 1 << 22  # Room for entries that wait to be counted: some thousands, a second of a flood.
 _WAIT_US: Final = 100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
 _logger = logging.getLogger("router")
 
@@ -33,6 +34,7 @@ def take_log() -> socket.socket:
         The socket to read the log from.
     """
     read, write = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM_BYTES)  # The system may grant less.
     write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, _WAIT_US))
     os.dup2(write.fileno(), 1)
     write.close()
