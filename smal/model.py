@@ -66,6 +66,7 @@ class VisualMap:
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     #: (e,) keyframe of each further look (`smal.teaching.living`), the oldest first.
     looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    size: tuple[int, int] | None = None  # Width and height of the first taught image, pixels; None in older files.
 
     def __post_init__(self) -> None:
         check_map(self)

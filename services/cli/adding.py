@@ -55,7 +55,8 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     model = options.loaded(path, "--out ", "; with --add it is the model that learns more")
     if not isinstance(model, Model):
         raise UsageError(f"--out {path}: a model of the paper's scheme does not learn from runs")
-    teaching = Teacher(model.feature_settings, 2, include_runs=True).read_all(files, bar)
+    teacher = Teacher(model.feature_settings, 2, include_runs=True, taught=model.mapped.size)
+    teaching = teacher.read_all(files, bar)
     remark(teaching.remarks)
     every, goals = whole_runs(teaching.demonstrations), model.mapped.goals
     remark(f"{run.name} is left out: the model has no goal {run.goal}" for run in every if run.goal not in goals)

@@ -16,7 +16,7 @@ from schemas.observation import Observation
 from schemas.topics import OBSERVATION
 from services.kit.cameras import camera_of
 from services.kit.errors import UsageError
-from services.kit.jpeg import is_jpeg
+from services.kit.jpeg import is_jpeg, jpeg_size
 from services.recordings.encoding import decode_image, stamped_jpeg
 from services.recordings.reader import read_recording
 from services.recordings.recorded import Piece, RecordedEpisode, piece_name
@@ -30,6 +30,9 @@ from smal.teaching.demonstration import Demonstration, Made
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
+#: Ratio of two images' width over height from which they show different views: 1 % is a row in a hundred, by rounding.
+_OTHER_SHAPE: Final = 1.01
+Size = tuple[int, int]  # Width and height of an image, pixels.
 
 
 @dataclass
@@ -46,13 +49,21 @@ class Teacher:
     """Collects the demonstrations of one recording after the other, of some ``episodes`` only, if these are given.
 
     Frames without the wanted features have them computed from their image, unless that takes depth. A piece needs
-    ``shortest`` frames. Successful runs of the robot by itself teach only with ``include_runs``.
+    ``shortest`` frames. Successful runs of the robot by itself teach only with ``include_runs``. Images may have any
+    size, and the shape of the ``taught`` ones, if given, or else of the first: features of another shape are stretched.
     """
 
     def __init__(
-        self, features: FeatureSettings, shortest: int, *, include_runs: bool = False, episodes: Collection[str] = ()
+        self,
+        features: FeatureSettings,
+        shortest: int,
+        *,
+        include_runs: bool = False,
+        episodes: Collection[str] = (),
+        taught: Size | None = None,
     ) -> None:
         self.teaching = Teaching()
+        self._sizes: dict[Size, str] = {} if taught is None else {taught: "the model"}  # With who has it, first.
         self._episodes = episodes
         self._features = features
         self._shortest = shortest
@@ -101,6 +112,8 @@ class Teacher:
             del episode.images[tick]
         if damaged:
             self._remark(f"{here}: {len(damaged)} damaged images are left out")
+        if episode.images and not self._fits(_size(next(iter(episode.images.values()))), here):
+            return
         if not episode.features and "depth" in self._features.needs:
             lack = f"it lacks the features {','.join(self._features.modalities)}, and no image has the depth for them"
             self._remark(f"{here} is left out: {lack}")
@@ -126,6 +139,21 @@ class Teacher:
             return unusable(episode, include_runs=self._include_runs)
         first, second = sorted((other, path), key=lambda one: len(one.name))
         return f"it is in {other} too{f'; {_joined(first, second)}' if first == first_of(second) else ''}"
+
+    def _fits(self, size: Size, here: str) -> bool:
+        """Return whether images of a size can be compared with those before; a new size becomes a remark."""
+        if size in self._sizes or not self._sizes:
+            self._sizes.setdefault(size, here)
+            return True
+        other, where = next(iter(self._sizes.items()))
+        sizes = f"images of {size[0]}x{size[1]}, and {where} has {other[0]}x{other[1]}"
+        ratio = size[0] * other[1] / (size[1] * other[0])
+        if not 1.0 / _OTHER_SHAPE <= ratio <= _OTHER_SHAPE:
+            self._remark(f"{here} is left out: {sizes}: another shape shows another view")
+            return False
+        self._sizes[size] = here
+        self._remark(f"{here}: {sizes}; all are resized")
+        return True
 
     def _remark(self, text: str) -> None:
         self.teaching.remarks.append(text)
@@ -156,6 +184,11 @@ def _is_image(payload: memoryview) -> bool:
         return is_jpeg(stamped_jpeg(copied(payload))[1])
     except ValueError:
         return False
+
+
+def _size(payload: memoryview) -> Size:
+    """Return the size of a recorded image whose header was checked."""
+    return cast("Size", jpeg_size(stamped_jpeg(copied(payload))[1]))
 
 
 def _complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
@@ -224,8 +257,11 @@ def _decoded(
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the recordings among files and in folders, unfinished ones too; UsageError where a path has none."""
-    found: list[Path] = []
+    """Return the recordings among files and in folders, unfinished ones too, each file once, whatever its names.
+
+    UsageError where a path has none.
+    """
+    found: dict[object, Path] = {}
     for path in paths:
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
@@ -234,8 +270,18 @@ def find_recordings(paths: Iterable[Path]) -> list[Path]:
             here = sorted(p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.partial")))
             if not here:
                 raise UsageError(f"{path}: no recording (*.mcap) in this folder")
-        found.extend(p for p in here if p not in found)
-    return found
+        for one in here:
+            found.setdefault(_identity(one), one)
+    return list(found.values())
+
+
+def _identity(path: Path) -> object:
+    """Return what the names of a file have in common, links included; of a dangling link its own name."""
+    try:
+        told = path.stat()
+    except OSError:
+        return path
+    return told.st_dev, told.st_ino
 
 
 def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:

@@ -77,9 +77,14 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "stitched": one.stitched.shape == (joined, 2)
         and _within(one.stitched, count)
         and len(np.unique(one.stitched, axis=0)) == joined,
+        "size": one.size is None or _is_size(one.size),
         "looks": _within(one.looks, count) and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
         "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
     }
+
+
+def _is_size(size: tuple[object, ...]) -> bool:
+    return len(size) == 2 and all(type(side) is int and 0 < side <= _LONGEST for side in size)
 
 
 def _within(numbers: NDArray[Any], count: int) -> bool:
@@ -99,7 +104,11 @@ def parts_of_map(numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> di
     goals, names = numbers["goals"], numbers["names"]
     if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
         raise TypeError("the goals of the map must be a list, and the names of its drives lists")
-    return arrays | numbers | {"goals": tuple(goals), "names": tuple(map(tuple, names))}
+    size = numbers.get("size")
+    if not isinstance(size, list | None):
+        raise TypeError("the size of the taught images must be a list")
+    told = {"goals": tuple(goals), "names": tuple(map(tuple, names)), "size": None if size is None else tuple(size)}
+    return arrays | numbers | told
 
 
 def _sound(array: object, axes: int, kind: str) -> bool:

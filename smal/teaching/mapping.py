@@ -115,6 +115,7 @@ def learn(
         scene=np.array([camera.field_deg, scene.height, scene.distance]),
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
+        size=(frames.images[0].shape[1], frames.images[0].shape[0]),
     )
     boxes = [one.box for one in taught]
     visual_map = stitched(visual_map)

@@ -18,13 +18,14 @@ from tests.services.recordings.recorded_messages import applied, event, header, 
 from tests.services.recordings.test_recorder_files import record
 
 
-def run(name: str, new: float, goal: str = "victim") -> Iterator[Message]:
+def run(name: str, new: float, goal: str = "victim", scale: int = 1, rows: int | None = None) -> Iterator[Message]:
     """Give a run along the corridor, so much of whose paint is another one."""
     yield event(name, 0, "started", purpose="run").model_copy(update={"goal": goal})
-    yield camera_info(header(name, 0), Camera(0.7), corridor.WIDTH, corridor.HEIGHT)
+    yield camera_info(header(name, 0), Camera(0.7), scale * corridor.WIDTH, scale * corridor.HEIGHT)
     for frame in range(corridor.FRAMES):
         x_m, y_m, heading_rad = corridor.pose(frame)
-        pixels = (1.0 - new) * corridor.view(x_m, y_m, heading_rad) + new * corridor.view(x_m + 5.0, y_m, heading_rad)
+        views = [corridor.view(x, y_m, heading_rad, scale)[:rows] for x in (x_m, x_m + 5.0)]
+        pixels = (1.0 - new) * views[0] + new * views[1]
         yield from seen(header(name, frame), pixels.astype(np.uint8), (x_m, y_m, heading_rad))
         yield applied(name, frame, atom="forward")
     end = event(name, corridor.FRAMES - 1, "ended", "found", purpose="run")
@@ -53,6 +54,40 @@ def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal
     status, out, _ = smal("model", "back", file)
     assert (status, file.read_bytes()) == (0, before)
     assert "0 earlier versions are left" in out
+
+
+def test_model_learns_when_runs_have_images_of_another_size(tmp_path: Path, smal: Smal) -> None:
+    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
+    folder.mkdir()
+    for number in range(4):
+        record(folder, list(run(f"run-{number}", 0.6, scale=2)))
+    status, _, err = smal("learn", folder, "--add", "--out", file)
+    assert status == 0, err
+    assert "images of 128x96, and the model has 64x48; all are resized" in err
+    assert "the map has more looks now" in err
+
+
+def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal: Smal) -> None:
+    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
+    folder.mkdir()
+    for number in range(2):
+        record(folder, list(run(f"run-{number}", 0.6, rows=36)))
+    before = file.read_bytes()
+    status, _, err = smal("learn", folder, "--add", "--out", file)
+    assert status == 1
+    assert err.count("images of 64x36, and the model has 64x48: another shape shows another view") == 2
+    assert file.read_bytes() == before
+
+
+def test_model_learns_each_file_once_when_links_lead_to_it(runs: Path, tmp_path: Path, smal: Smal) -> None:
+    file, report = corridor.save_model(tmp_path / "way.smal"), tmp_path / "report.json"
+    for number, one in enumerate([*runs.iterdir()] * 1000):
+        (runs / f"link-{number}.mcap").symlink_to(one)
+        (runs / f"name-{number}.mcap").hardlink_to(one)
+    status, _, err = smal("learn", runs, "--add", "--out", file, "--json", report)
+    assert status == 0, err
+    assert json.loads(report.read_text())["runs"] == 4
+    assert "is left out" not in err
 
 
 def test_a_model_that_nothing_surprised_stays(tmp_path: Path, smal: Smal) -> None:
