@@ -10,7 +10,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from services.cli.grouping import STYLE, grouped
 from services.cli.interrupts import interrupted_by_signals
-from services.kit.errors import JobError, UsageError, describe_os_error
+from services.kit.errors import JobError, UsageError, describe_os_error, out_of_memory
 from services.kit.version import program_version
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
@@ -110,6 +110,8 @@ def _told(error: BaseException) -> tuple[str, int]:
             return str(error), _EXIT_USAGE
         case JobError():
             return str(error), _EXIT_FAILED
+        case Exception() if out_of_memory(error):
+            return "out of memory; free some, or allow more (ulimit -v), and run the command again", _EXIT_FAILED
         case OSError():
             return describe_os_error(error), _EXIT_FAILED
         case KeyboardInterrupt() | typer.Abort():

@@ -1,5 +1,13 @@
 """Errors that end a command or a service: one line, and an exit status that scripts can rely on."""
 
+import errno
+from typing import Final
+
+#: What a process logs when it cannot get memory: it would fail again and again, and a new one begins with none in use.
+NO_MEMORY: Final = "out of memory; this process ends and must be started again"
+_NO_THREAD: Final = "can't start new thread"  # Of Python, when the system has no memory for its stack.
+_OPENCV_NO_MEMORY: Final = -4  # `cv2.Error.STS_NO_MEM`.
+
 
 class UsageError(Exception):
     """The command was used wrongly; exit status 2."""
@@ -13,3 +21,11 @@ def describe_os_error(error: OSError) -> str:
     """Say in one line what the system refused, and of which file."""
     reason = error.strerror or str(error) or type(error).__name__
     return reason if error.filename is None else f"{error.filename}: {reason}"
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Return whether an error tells that the process cannot get memory, of Python, the system or OpenCV."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
+    return isinstance(error, MemoryError) or opencv or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD)

@@ -27,7 +27,7 @@ from schemas.rpc import Failure, Nothing, Status
 from schemas.snapshot import Snapshot
 from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Bus, Refused
-from services.kit.errors import JobError
+from services.kit.errors import JobError, out_of_memory
 from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import MOST_BYTES, Inbox, Item
 from services.kit.settings import FleetSettings, ServiceSettings
@@ -108,6 +108,7 @@ class Node:
         self._apart: list[threading.Thread] = []
         self._closed = threading.Event()
         self._stop = threading.Event()
+        self._failure: Exception | None = None  # What ends the process, of any thread.
         self._state: Literal["starting", "ready", "stopping"] = "starting"
         self._started_s = self._worked_s = time.monotonic()
         self._began_s: float | None = None
@@ -267,7 +268,7 @@ class Node:
     def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
         """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False).
 
-        Raises BusError when a lane of the bus stays deaf.
+        Raises BusError when a lane of the bus stays deaf, and the error of a handler that cannot get memory.
         """
         self._state = "ready"
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
@@ -281,6 +282,8 @@ class Node:
             dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
             self._handle(self._inbox.take(max(0.0, min([*dues, now + LOOK_S]) - now)))
         self._state = "stopping"
+        if self._failure is not None:
+            raise self._failure
         return False
 
     def drain(self) -> None:
@@ -321,6 +324,10 @@ class Node:
         try:
             yield
         except Exception as error:
+            if out_of_memory(error):
+                self._failure = error
+                self.stop()
+                return
             with self._counting:
                 self._failed += 1
                 due = self._complaints["failed", name].due()

@@ -1,20 +1,26 @@
 """How the process of a service starts, and ends where it cannot."""
 
 import logging
+import os
 import sys
-from collections.abc import Callable
-from typing import Final, TypeVar
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Final, NoReturn, TypeVar
 
 from pydantic import ValidationError
 
 from schemas.codec import describe
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import NO_MEMORY, JobError, UsageError, out_of_memory
 from services.kit.group import Group
 from services.kit.node import Node, on_signals
 from services.kit.settings import FleetSettings, ServiceSettings
 
 EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
+#: Loggers of those that catch whatever a callback of ours raises.
+_CATCHERS: Final = ("zenoh.handlers", "bus", "asyncio", "uvicorn.error")
 S = TypeVar("S", bound=ServiceSettings)
 F = TypeVar("F", bound=FleetSettings)
 
@@ -63,9 +69,58 @@ def run_group(name: str, settings: type[F], serve: Callable[[Node, F], None]) ->
 
 
 def run_service(name: str, serve: Callable[[], None]) -> None:
-    """Run a service's main function; a failure to start is one line and an exit status."""
+    """Run a service's main function; a failure is one line and an exit status.
+
+    A thread that fails ends the process, and so does a callback that lacks memory: their work would be missing from
+    then on, and a new process does it again.
+    """
     try:
-        serve()
+        with _ended_by_threads(name):
+            serve()
     except (JobError, UsageError) as error:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
         raise SystemExit(EXIT_FAILED if isinstance(error, JobError) else EXIT_USAGE) from None
+    except Exception as error:
+        if not out_of_memory(error):
+            raise
+        logging.getLogger(name).error(NO_MEMORY)  # noqa: TRY400 - as above
+        raise SystemExit(EXIT_FAILED) from None
+
+
+@contextmanager
+def _ended_by_threads(name: str) -> Iterator[None]:
+    """End the process when a thread fails, or a callback lacks memory."""
+    passes = partial(_passes, name)
+    before = threading.excepthook
+    threading.excepthook = partial(_end_by_thread, name)
+    for catcher in _CATCHERS:
+        logging.getLogger(catcher).addFilter(passes)
+    try:
+        yield
+    finally:
+        for catcher in _CATCHERS:
+            logging.getLogger(catcher).removeFilter(passes)
+        threading.excepthook = before
+
+
+def _end_by_thread(name: str, failed: threading.ExceptHookArgs) -> None:
+    error, thread = failed.exc_value, "a thread" if failed.thread is None else failed.thread.name
+    if error is None or out_of_memory(error):
+        _end(name, NO_MEMORY)
+    _end(name, f"the thread {thread!r} failed; this process ends and must be started again", error)
+
+
+def _passes(name: str, record: logging.LogRecord) -> bool:
+    """End the process for the error of a callback that lacks memory; have every other one logged."""
+    error = record.exc_info[1] if record.exc_info else None
+    if error is not None and out_of_memory(error):
+        _end(name, NO_MEMORY)
+    return True
+
+
+def _end(name: str, why: str, error: BaseException | None = None) -> NoReturn:
+    """End the process at once, as by SIGKILL: to tidy up takes memory, and threads that are gone."""
+    try:
+        logging.getLogger(name).critical(why, exc_info=error)
+    finally:
+        os._exit(EXIT_FAILED)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from schemas.base import STANDING
+from services.kit.errors import out_of_memory
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.robot.body import Body, Stops, View
@@ -84,8 +85,11 @@ class ActuatorLoop:
         """Carry out what the gate lets through now."""
         try:
             self._carry_out()
-        except Exception as error:  # noqa: BLE001 - whatever it is, the robot stands
+        except Exception as error:
             self._gate.stop("fault")
+            if out_of_memory(error):
+                self._stand()
+                raise  # It ends the process.
             if self._complaints.due():
                 expected = isinstance(error, ServiceError)
                 _log.error("the body has failed: it stands until it is armed again: %s", error, exc_info=not expected)
