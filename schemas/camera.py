@@ -34,7 +34,7 @@ class Mounting(Strict):
     """Of the camera, above the ground."""
     ahead_m: Annotated[float, Field(ge=-10, le=10)]
     """Of the camera, ahead of the middle of the robot."""
-    radius_m: Annotated[float, Field(gt=0, le=10)]
+    radius_m: Annotated[float, Field(ge=0.01, le=10)]
     """Of the robot."""
     top_m: Annotated[float, Field(gt=0, le=10)]
     """Height of the robot's highest point."""

@@ -33,6 +33,7 @@ class Observation(Message):
     reads: ClassVar[tuple[int, ...]] = (1, 2, 3)
     topic: ClassVar[str] = "observation"
     max_bytes: ClassVar[int] = 4 * 1_000_000 + 16_384
+    max_containers: ClassVar[int] = 8 + 2 * MOST_DETECTED
 
     fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
     """Which modalities, settings and code version made the vector; a model refuses another's."""

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
+_FAR_M = 1e6  # A place further away counts as so far: nobody drives there, but odometry may jump.
 
 
 class Place(Strict):
@@ -17,9 +18,9 @@ class Place(Strict):
 
     keyframe: Annotated[int, Field(ge=0, le=1_000_000)]
     """Its number in the model's map of views."""
-    ahead_m: Annotated[float, Field(ge=-1e6, le=1e6)]
+    ahead_m: Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
     """How far ahead of the keyframe the robot is, along its heading."""
-    left_m: Annotated[float, Field(ge=-1e6, le=1e6)]
+    left_m: Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
     """How far to the left of it."""
     turned_rad: Annotated[float, Field(ge=-3.2, le=3.2)]
     """How far the robot is turned against it, counter-clockwise."""
@@ -97,7 +98,7 @@ class State(Message):
         places = tuple(
             Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
             for keyframe, (ahead, left, turned), weight in zip(
-                keyframes.tolist(), offsets.tolist(), weights.tolist(), strict=True
+                keyframes.tolist(), offsets.clip(-_FAR_M, _FAR_M).tolist(), weights.tolist(), strict=True
             )
         )
         lost = min(of_all.pop("lost"), 1.0)

@@ -53,7 +53,8 @@ class Learned:
 
     def belief(self, state: State) -> dict[str, object]:
         """Return where a state says that the robot is, most likely."""
-        if state.model != self.identity or not state.places:
+        known = all(place.keyframe < len(self.poses) for place in state.places)
+        if state.model != self.identity or not state.places or not known:
             return {}
         first = state.places[0]
         x, y, heading = placed(np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe])

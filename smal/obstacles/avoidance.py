@@ -38,7 +38,7 @@ def way_round(
 
 def hit_m(around: Surroundings, way: Floats) -> float:
     """Return after how far a robot that goes along places (s, 2), ahead and left of it, touches something, or inf."""
-    hits = np.flatnonzero(around.clearance_m[around.cells(_dense(way, around.cell_m))] < around.body_m)
+    hits = np.flatnonzero(around.clearance_m[around.cells(_dense(way, around))] < around.body_m)
     return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
@@ -72,7 +72,7 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
 
     Cells are numbered row by row. Where nothing leads there it is infinite, and the cell itself is next.
     """
-    dense = _dense(way, around.cell_m)
+    dense = _dense(way, around)
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
     dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
     # If something stands at the end of the way, it plans to the last free place before that.
@@ -108,9 +108,15 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
     return np.asarray(to_go_m).reshape(may.shape), np.asarray(following, dtype=np.intp)
 
 
-def _dense(way: Floats, apart_m: float) -> Floats:
-    """Return a way (s, 2) from the robot on, with places no further apart."""
-    corners = np.concatenate([np.zeros((1, 2)), way])
+def _dense(way: Floats, around: Surroundings) -> Floats:
+    """Return a way (s, 2) from the robot on, with places no further apart than half a cell.
+
+    A place far outside of the grid is moved nearer, in its direction: a belief may lie a thousand kilometres off.
+    """
+    apart_m = around.cell_m
+    most_m = 2.0 * around.reach_m
+    nearer = most_m / np.maximum(np.hypot(*way.T), most_m)
+    corners = np.concatenate([np.zeros((1, 2)), way * nearer[:, None]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     places = np.arange(0.0, along[-1] + apart_m / 2.0, apart_m / 2.0)
     return np.stack([np.interp(places, along, column) for column in corners.T], axis=1)

@@ -56,6 +56,8 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     """
     every = max(1, math.ceil(depth_m.shape[1] / SETTINGS.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
+    if ahead.shape[0] < max(SETTINGS.least_pixels, SETTINGS.gap_rows + 1) or ahead.shape[1] < 2:
+        return None  # Too few rows to tell ground from things.
     valid = np.isfinite(ahead) & (ahead > 0.0)
     below, across = (
         (np.arange(count) * every + every // 2 + 0.5 - size / 2) / (mount.focal * depth_m.shape[1])

@@ -38,13 +38,14 @@ class Word:
             return Said(float(self.log_ratio[0]), 0.0, 0.0)
         left, _, right, _ = one.box
         near = math.sqrt(area(one) / self.size)
-        return Said(float(np.interp(score, SCORES, self.log_ratio)), near, 0.5 - (left + right) / 2.0)
+        middle = min(max((left + right) / 2.0, 0.0), 1.0)
+        return Said(float(np.interp(score, SCORES, self.log_ratio)), near, 0.5 - middle)
 
 
 def area(one: Detection) -> float:
-    """Return how much of the view its box takes."""
+    """Return how much of the view its box takes; nothing if its sides are in the wrong order."""
     left, top, right, bottom = one.box
-    return (right - left) * (bottom - top)
+    return max(right - left, 0.0) * max(bottom - top, 0.0)
 
 
 def best(detections: Iterable[Detection], label: str) -> tuple[float, Detection | None]:

@@ -16,7 +16,7 @@ from schemas.codec import DecodeError, decode, encode, encoding_of
 from schemas.command import Command
 from schemas.episode import Episode
 from schemas.motion import MAX_SAMPLES, Imu, ImuSample
-from schemas.observation import Observation
+from schemas.observation import MOST_DETECTED, Detected, Observation
 from schemas.state import MAX_PLACES, Place, State
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
@@ -204,3 +204,9 @@ def test_episodes_of_the_versions_before_are_read_and_lead_to_the_victim() -> No
         without = {"judge": None, "goal": "victim", "right": None, "box": None}
         assert read == event.model_copy(update={name: without[name] for name in lacks})
     assert "expected" in refusal(Episode, encode(event), encoding_of(Episode).replace("/5", "/6"))
+
+
+def test_an_observation_is_read_when_it_is_full_of_detections() -> None:
+    found = tuple(Detected(label=f"boxes {k}", score=0.5, box=(0.0, 0.0, 1.0, 1.0)) for k in range(MOST_DETECTED))
+    full = EXAMPLES[Observation].model_copy(update={"detected": found})
+    assert decode(Observation, encode(full), encoding_of(Observation)) == full

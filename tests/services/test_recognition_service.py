@@ -203,3 +203,27 @@ def test_a_model_of_the_papers_scheme_needs_no_odometry(tmp_path: Path) -> None:
     reply = service.load(LoadedModel.read(save_model(tmp_path / "paper.smal")))
     assert (reply.scheme, reply.keyframes) == ("paper", 0)
     assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [False] * 3
+
+
+def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionService) -> None:
+    for tick in range(40):
+        far = tick % 2 == 1 and tick < 20
+        service.see(wheels(tick, (1e6, 1e6, 3.0) if far else (0.2 * (tick - 20), 0.0, 0.0)))
+        state = service.handle(seen(tick, (0.2 * max(tick - 20, 0), 0.0, 0.0)))
+        assert state is not None
+        assert all(abs(place.ahead_m) <= 1e6 for place in state.places)
+    assert state.status == "recognized"
+    assert placed(state) == (pytest.approx(3.8, abs=0.2), pytest.approx(0.0, abs=0.2))
+
+
+@pytest.mark.parametrize("box", [(0.5, 0.5, 0.4, 0.6), (1.4, 0.0, 1.5, 1.0), (-0.5, -0.5, -0.4, 1.5)])
+def test_recognition_answers_when_a_box_is_impossible(tmp_path: Path, box: tuple[float, float, float, float]) -> None:
+    tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
+    replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
+    service = RecognitionService()
+    service.load(LoadedModel.read(tmp_path / "way.smal"))
+    service.see(wheels(0))
+    picture = np.random.default_rng(0).integers(0, 256, 14_400, dtype=np.uint8).tobytes()
+    detected = (Detected(label="apriltag 7", score=1.0, box=box),)
+    state = service.handle(seen(0).model_copy(update={"picture": picture, "detected": detected}))
+    assert state is not None

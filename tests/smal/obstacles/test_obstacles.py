@@ -1,6 +1,7 @@
 """What a depth camera says of the ground about the robot, and the way round what stands there."""
 
 import math
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -187,3 +188,19 @@ def test_it_waits_where_nothing_leads_round() -> None:
     poses, blocked = drive([(6.0, -8.0, 6.3, 8.0, 1.0)], ticks=200)
     assert blocked > 100
     assert poses[-1, 0] < 6.0
+
+
+@pytest.mark.parametrize("far_m", [1e4, 1e6])
+def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
+    """A belief may lie that far off: of a wrong state, or when the odometry has jumped."""
+    way = np.stack([far_m + np.arange(0.0, 7.0, 0.35), np.full(20, -far_m)], axis=1)
+    tracemalloc.start()
+    assert hit_m(around(), way) == math.inf
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 2_000_000
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 80), (2, 80), (60, 1)])
+def test_a_look_shows_nothing_when_it_has_few_pixels(shape: tuple[int, int]) -> None:
+    assert not Surroundings(MOUNT.radius_m).look(HERE, np.ones(shape, dtype=np.float32), MOUNT)
