@@ -38,6 +38,7 @@ from schemas.codec import DecodeError, decode
 from schemas.snapshot import Snapshot
 from schemas.topics import KEPT_S, SNAPSHOTS, group_key, key_of
 from services.kit.bus import MOVE_S
+from services.kit.ending import check_memory, ends_soon
 from services.kit.health import Together, ailment, serve_http, silence
 from services.kit.node import LOOK_S, SNAPSHOT_S, Node
 from services.kit.settings import FleetSettings, fleet
@@ -192,21 +193,28 @@ class Group(Generic[S]):
                 self._served_s = dict.fromkeys(self.robots, self._looked_s)
                 self._bus.answer(f"{self._prefix}/{self.instance}", self._tell)
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
-                while not self._stopped and self._failure is None:
-                    self._bus.check()
-                    # After so long a freeze the others take this instance for dead, and it has not received that yet.
-                    frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
-                    self._looked_s = time.monotonic()
-                    self._ask()
-                    self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix), self._answering())
-                    self._news.wait(LOOK_S)
-                    self._news.clear()
-                go()  # First, so that the next instance learns of it at once.
+                try:
+                    with ends_soon():
+                        self._serve_until_stopped()
+                finally:
+                    go()  # First, so that the next instance learns of it at once.
             finally:
                 self._end()
                 if http is not None:
                     http.shutdown()
                     http.server_close()
+
+    def _serve_until_stopped(self) -> None:
+        while not self._stopped and self._failure is None:
+            self._bus.check()
+            check_memory()
+            # After so long a freeze the others take this instance for dead, and it has not received that yet.
+            frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
+            self._looked_s = time.monotonic()
+            self._ask()
+            self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix), self._answering())
+            self._news.wait(LOOK_S)
+            self._news.clear()
         if self._failure is not None:
             raise self._failure
 

@@ -27,6 +27,7 @@ from schemas.rpc import Failure, Nothing, Status
 from schemas.snapshot import Snapshot
 from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Bus, Refused
+from services.kit.ending import check_memory, ends_soon
 from services.kit.errors import JobError, out_of_memory
 from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import MOST_BYTES, Inbox, Item
@@ -268,12 +269,17 @@ class Node:
     def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
         """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False).
 
-        Raises BusError when a lane of the bus stays deaf, and the error of a handler that cannot get memory.
+        Raises BusError when a lane of the bus stays deaf, and MemoryError or OSError when there is no memory left.
         """
+        with ends_soon():
+            return self._spin(until, timeout_s)
+
+    def _spin(self, until: Callable[[], bool], timeout_s: float | None) -> bool:
         self._state = "ready"
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while not self._stop.is_set():
             self.bus.check()
+            check_memory()
             if until():
                 return True
             now = time.monotonic()

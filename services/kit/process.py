@@ -12,6 +12,7 @@ from typing import Final, NoReturn, TypeVar
 from pydantic import ValidationError
 
 from schemas.codec import describe
+from services.kit.ending import service_process
 from services.kit.errors import NO_MEMORY, JobError, UsageError, out_of_memory
 from services.kit.group import Group
 from services.kit.node import Node, on_signals
@@ -75,16 +76,22 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
     then on, and a new process does it again.
     """
     try:
-        with _ended_by_threads(name):
+        with _ended_by_threads(name), service_process():
             serve()
     except (JobError, UsageError) as error:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
         raise SystemExit(EXIT_FAILED if isinstance(error, JobError) else EXIT_USAGE) from None
-    except Exception as error:
-        if not out_of_memory(error):
-            raise
-        logging.getLogger(name).error(NO_MEMORY)  # noqa: TRY400 - as above
-        raise SystemExit(EXIT_FAILED) from None
+    except BaseException as error:
+        # A panic of Zenoh, in tidying up, hides the error that came first.
+        if any(map(out_of_memory, _with_causes(error))):
+            _end(name, NO_MEMORY)
+        raise
+
+
+def _with_causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__context__
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """How the process of a service ends when it cannot go on: soon, with one line, and by itself."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -82,3 +83,10 @@ def test_process_ends_when_one_of_its_threads_fails(router_endpoint: str) -> Non
     assert status == 1
     assert lines[0].endswith(" sample: the thread 'worker' failed; this process ends and must be started again")
     assert lines[-1] == "KeyError: 'a bug'"
+
+
+@pytest.mark.zenoh
+def test_process_is_killed_when_it_cannot_tidy_up(router_endpoint: str) -> None:
+    stuck = "node.bus.close = threading.Event().wait; from services.kit import ending; ending._ENDING_S = 1"
+    status, lines = ended(router_endpoint, f"{stuck}; node.every(0.01, allocate)")
+    assert (status, lines) == (-signal.SIGALRM, [])
