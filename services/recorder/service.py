@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +13,14 @@ from schemas.base import Message
 from schemas.codec import encode, printable
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
-from schemas.topics import TOPICS
+from schemas.topics import EPISODE, TOPICS
 from services.kit.inbox import Inbox
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import RootSettings, below
 from services.recorder.disk import LOOK_S, Disk
 from services.recordings.leftover import LeftoverError, Sealed, seal_leftover
 from services.recordings.sink import leftovers
+from services.recordings.stream import RecordingError, messages_of
 from services.recordings.writer import EpisodeWriter
 
 #: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
@@ -93,6 +94,7 @@ class RecorderService:
         self._files: list[Path] = []
         #: Episodes of which a killed recorder left the beginning. The rest is sent again, soon after this time.
         self._cut: set[str] = set()
+        self._done: set[str] = set()  # Episodes whose recordings go as far as they are meant to go.
         self._began_s = 0.0
         self._given_up: set[Path] = set()  # What it left that cannot be sealed.
         self._sealed: Counter[str] = Counter()
@@ -245,8 +247,16 @@ class RecorderService:
                     self._finish(recording)
 
     def _is_recorded(self, episode: str, folder: Path) -> bool:
-        """Whether there is a recording of a whole episode: what is replayed of it is in that."""
-        return episode not in self._cut and (folder / f"{episode}.mcap").exists()
+        """Whether there is a recording of a whole episode: what is replayed of it is in that.
+
+        A recorder that was ended amid an episode has sealed the beginning.
+        """
+        path = folder / f"{episode}.mcap"
+        if episode in self._cut or not path.exists():
+            return False
+        if episode not in self._done:
+            (self._done if _has_end(path) else self._cut).add(episode)
+        return episode in self._done
 
     def _begin(self, started: Episode, folder: Path) -> None:
         if started.episode in self._open or self._is_recorded(started.episode, folder):
@@ -287,6 +297,7 @@ class RecorderService:
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
         self._cut.discard(episode)
+        self._done.add(episode)
 
     def _finish(self, recording: _Recording) -> None:
         writer, recording.writer = recording.writer, None
@@ -328,6 +339,20 @@ class RecorderService:
             "disk": self._disk.warning,
             "last_error": self._last_error,
         }
+
+
+def _has_end(path: Path) -> bool:
+    """Whether a recording goes to the end of its episode; one that cannot be read counts as whole."""
+    events = (one.event for one in _events_in(path))
+    with suppress(RecordingError):
+        return "ended" in events
+    return True
+
+
+def _events_in(path: Path) -> Iterator[Episode]:
+    for stored in messages_of(path, (EPISODE,)):
+        with suppress(ValueError):
+            yield cast("Episode", stored.message())
 
 
 def _figures(writer: EpisodeWriter) -> Counter[str]:

@@ -258,6 +258,19 @@ def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode
     assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
+def test_recording_goes_on_when_the_recorder_is_restarted(settings: ServiceSettings, tmp_path: Path) -> None:
+    sent, over = list(episode("e", frames=4)), list(episode("over", frames=2))
+    for messages in ((*over, *sent[:20]), (*over, *sent)):
+        with Node("recorder", settings) as node:
+            recorder = RecorderService(node, tmp_path, tmp_path)
+            for message in messages:
+                recorder.handle(message)
+            recorder.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["e-2.mcap", "e.mcap", "over.mcap"]
+    assert contents(tmp_path / "e.mcap") == wanted(sent[:20])
+    assert contents(tmp_path / "e-2.mcap") == wanted(sent)
+
+
 IMAGE = 100_000  # Of the image that a robot sends in a second, bytes.
 
 
