@@ -90,3 +90,12 @@ def test_process_is_killed_when_it_cannot_tidy_up(router_endpoint: str) -> None:
     stuck = "node.bus.close = threading.Event().wait; from services.kit import ending; ending._ENDING_S = 1"
     status, lines = ended(router_endpoint, f"{stuck}; node.every(0.01, allocate)")
     assert (status, lines) == (-signal.SIGALRM, [])
+
+
+def test_process_ends_with_one_line_when_little_memory_is_allowed() -> None:
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (90 << 20, 90 << 20)); import services.kit.bus"
+    done = subprocess.run(
+        [sys.executable, "-c", limited], cwd=ROOT, capture_output=True, text=True, timeout=100.0, check=False
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("out of memory: less than 150 MB can be used")
