@@ -15,9 +15,11 @@ from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import recording
 from services.cli.stack import Access, flags, stack_for
+from services.experiments.html import png
 from services.experiments.words import counted
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, ExpertService
 from services.kit.errors import UsageError
+from smal.files.container import write_whole
 
 
 def demonstrate(
@@ -83,7 +85,7 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str 
 def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> None:
     from services.cli.episodes.report import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
 
-    draw_routes(world, records).savefig(picture, dpi=110)
+    write_whole(picture, png(draw_routes(world, records)))
     tqdm.write(f"picture of {counted(len(records), 'drive')}: {picture}")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from services.kit.errors import JobError, UsageError
-from smal.files.container import replacing
+from smal.files.container import FULL, replacing
 
 
 def make_folder(path: Path, option: str) -> None:
@@ -50,7 +50,9 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
     try:
         with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder) as made:
             yield Path(made)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.errno in FULL:
+            error.filename = str(folder)  # Not that of a file which is gone.
         if new:
             with suppress(OSError):
                 folder.rmdir()

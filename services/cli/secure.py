@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import typer
 from typer import Argument, Option
 
-from services.cli import certificates, options
+from services.cli import certificates, options, outputs
 from services.cli.certificates import DAYS, HOSTS
 from services.cli.grouping import STYLE
 from services.kit.bus import zenohd_configuration
@@ -50,11 +50,13 @@ def init(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
     hosts, names = _hosts(host), options.fleet_of(robot, robots)
-    certificates.begin(folder, robot)
-    certificates.issue(folder, hosts, days)
     settings = zenohd_configuration("tls/0.0.0.0:7447", names, ZENOHD_SEES)
-    (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
-    (folder / ".gitignore").write_text("*\n")  # A folder in a checkout must not be committed.
+    with outputs.new_folder(folder, "DIR") as made:
+        made.chmod(0o700)
+        certificates.begin(made, robot)
+        certificates.issue(made, hosts, days)
+        (made / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
+        (made / ".gitignore").write_text("*\n")  # A folder in a checkout must not be committed.
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")
 
 

@@ -17,6 +17,7 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.cli.grouping import STYLE, grouped
+from services.experiments.html import png
 from services.experiments.progress import bar_of
 from services.experiments.words import counted, table
 from services.kit.errors import UsageError
@@ -27,6 +28,7 @@ from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
+from smal.files.container import replacing, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,14 +170,15 @@ def render(
     from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
 
     places = viewpoints(world, views)
-    world_map(world, places).savefig(out / "map.png", dpi=150)
+    write_whole(out / "map.png", png(world_map(world, places), dpi=150))
     seen = _Seen(world, CameraSettings(size.width, size.height))
     poses = [pose for _, pose in places]
     with at_work.engine() as engine:
         pictures = map(seen, poses) if at_work == options.HERE else engine.map(seen, poses)
         bar = bar_of(zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture")
         for number, ((metres, _), picture) in enumerate(bar):
-            imsave(out / f"view-{number:02d}-{metres:.0f}m.png", picture)
+            with replacing(out / f"view-{number:02d}-{metres:.0f}m.png") as file:
+                imsave(file, picture, format="png")
     typer.echo(f"wrote the map and {counted(views, 'view')} in {out}")
 
 

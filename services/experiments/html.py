@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from services.kit.jpeg import encode_jpeg, shrunk
+from smal.files.container import write_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,7 +29,7 @@ def page(title: str, body: str, width_rem: int = 60) -> str:
 def write_page(folder: Path, title: str, parts: Iterable[str], width_rem: int = 72) -> Path:
     """Write ``index.html`` of parts, which are HTML, into a folder that is there; return its path."""
     path = folder / "index.html"
-    path.write_text(page(title, "\n".join(parts), width_rem), encoding="utf-8")
+    write_whole(path, page(title, "\n".join(parts), width_rem).encode())
     return path
 
 

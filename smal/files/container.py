@@ -34,6 +34,7 @@ _DIGEST = 32  # Bytes of the checksum.
 LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
 LARGEST_HEADER = 2**24  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
 _MOST_AXES = 8
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Errors of a disk without room, a quota, and a limit of a process.
 _DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|u1", "|b1")}
 
 
@@ -62,9 +63,17 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
             # A temporary file is its owner's alone; services of another user must be able to read a model.
             Path(file.name).chmod(0o644)
             Path(file.name).replace(path)
-        except BaseException:
+        except BaseException as error:
             Path(file.name).unlink(missing_ok=True)
+            if isinstance(error, OSError) and error.errno in FULL:
+                error.filename = str(path)  # The system names no file when there is no room.
             raise
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file as `replacing` does."""
+    with replacing(path) as file:
+        file.write(content)
 
 
 def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -12,6 +12,7 @@ from services.experiments import html
 from services.experiments.drawing import COLOURS, MUTED, figure, legend, styled
 from services.experiments.laps.asking import LOST, WITHIN, Judged
 from services.experiments.laps.finding import Lap
+from smal.files.container import write_whole
 from smal.teaching.demonstration import Demonstration
 
 _METHOD = (
@@ -33,7 +34,7 @@ def write_page(
     truth = np.concatenate([lap.shows for _, lap in asked])
     facts = {"source": str(source), "laps": len(laps), "taught": taught.name, "asked frames": len(truth)}
     written = facts | {"methods": {name: one.figures for name, one in judged.items()}}
-    (folder / "results.json").write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / "results.json", (json.dumps(written, indent=1) + "\n").encode())
     columns = [name for name in max((one.figures for one in judged.values()), key=len) if "95 %" not in name]
     rows = ([name, *(_said(one.figures, column) for column in columns)] for name, one in judged.items())
     body = [

@@ -42,6 +42,7 @@ from services.robot.clock import TICK_S
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 from smal.evaluation.precision_recall import wilson_interval
+from smal.files.container import write_whole
 
 _DPI: Final = 130
 #: How searches end that do not find the victim, and what that is called.
@@ -70,7 +71,7 @@ def write_page(plan: Plan, results: Results) -> Path:
         "machine_seconds": round(_seconds(results), 1),
         "worlds": {one.world.title: one.as_json() for one in found},
     }
-    (results.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    write_whole(results.folder / "results.json", (json.dumps(numbers, indent=1) + "\n").encode())
     put = partial(embed, results.folder / "figures")
     body = list(_introduction(plan, results))
     if len(findings) < len(planned):
@@ -93,7 +94,7 @@ def embed(folder: Path, name: str, figure: Figure, caption: str) -> str:
     """Write a figure as ``NAME.png``, and return it as HTML with its caption, which is HTML too."""
     data = html.png(figure, _DPI)
     folder.mkdir(exist_ok=True)
-    (folder / f"{name}.png").write_bytes(data)
+    write_whole(folder / f"{name}.png", data)
     return f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
 
 
