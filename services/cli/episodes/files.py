@@ -7,6 +7,7 @@ from typing import Final
 
 from tqdm import tqdm
 
+from schemas.codec import printable
 from schemas.rpc import Nothing, RecordReply, RecordRequest, Status
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import UsageError
@@ -44,4 +45,6 @@ def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
     reply = bus.call("recorder", "stop", Nothing(), RecordReply, STOP_TIMEOUT_S)
     files.extend(reply.files)
     if reply.dropped:
-        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages; smal learn cuts recordings at gaps")
+        told = bus.call("recorder", "status", Nothing(), Status).detail.get("last_error")
+        why = "" if told is None else f" ({printable(str(told))})"
+        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages{why}; smal learn cuts recordings at gaps")
