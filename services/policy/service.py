@@ -101,10 +101,10 @@ class PolicyService:
         self._last = None
         self._foreign += 1
         if self._complaints.due():
-            _log.warning(
-                "stopping: recognition has model %s, policy has %s (%s); load the same into both (%d states so far)",
-                state.model, loaded.identity, loaded.name, self._foreign,
-            )  # fmt: skip
+            why = f"recognition has model {state.model}, policy has {loaded.identity}; load the same into both"
+            if state.model == loaded.identity:
+                why = f"a state has no place in model {state.model}, of which it is; check who publishes states"
+            _log.warning("stopping: %s (%s, %d states so far)", why, loaded.name, self._foreign)
         return Command.after(state, source="policy", atom="stop")
 
     def detail(self) -> Detail:

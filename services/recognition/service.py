@@ -17,6 +17,7 @@ from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import AnyModel, LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
+from smal.features import FeaturesError
 from smal.features.detectors import Detection
 from smal.filter import Belief
 from smal.model import Model, in_common_axes
@@ -137,7 +138,10 @@ class RecognitionService:
         since = 0 if last is None else last.tick
         atoms = [] if self._localizer.by_odometry else self._atoms(observation.episode, since, observation.tick)
         odometry = self._odometry.get((observation.episode, observation.tick))
-        found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
+        try:
+            found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
+        except FeaturesError as error:
+            raise ServiceError(f"episode {observation.episode}, frame {observation.tick}: {error}") from None
         if found is None:
             return None
         if last is None:

@@ -19,6 +19,10 @@ _NOISE = 1e-6
 _LARGEST = 1e6
 
 
+class FeaturesError(ValueError):
+    """The features of a frame are of another size, or not finite."""
+
+
 @dataclass(frozen=True, eq=False)
 class Centering:
     """Turns raw features into the columns of X and Y."""
@@ -49,16 +53,17 @@ class Centering:
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
         """Centre and normalize raw features (..., m) of `extract`: float32 (..., m), of norm 1, all modalities alike.
 
-        A modality that is equal to its mean stays zero. ValueError where the last axis is not m, or a value not finite.
+        A modality that is equal to its mean stays zero. FeaturesError where the last axis is not m, or a value not
+        finite.
         """
         if raw.ndim == 0 or raw.shape[-1] != self.settings.size:
-            raise ValueError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")
+            raise FeaturesError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")
         centred = np.asarray(raw - self.mean, dtype=np.float32)
         share = 1.0 / math.sqrt(len(self.settings.modalities))
         for where in self.settings.slices:
             norm = np.linalg.norm(centred[..., where], axis=-1, keepdims=True)
             if not np.isfinite(norm).all():
-                raise ValueError("features contain NaN or infinity")
+                raise FeaturesError("features contain NaN or infinity")
             scale = np.divide(share, norm, out=np.zeros_like(norm), where=norm > _NOISE)
             centred[..., where] *= scale
         return centred

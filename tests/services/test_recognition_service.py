@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from schemas.array import Float32Array
 from schemas.observation import Detected
@@ -227,3 +228,14 @@ def test_recognition_answers_when_a_box_is_impossible(tmp_path: Path, box: tuple
     detected = (Detected(label="apriltag 7", score=1.0, box=box),)
     state = service.handle(seen(0).model_copy(update={"picture": picture, "detected": detected}))
     assert state is not None
+
+
+@pytest.mark.parametrize("features", [np.full(corridor.FEATURES.size, 3e38), np.ones(3)], ids=["huge", "few"])
+def test_recognition_refuses_features_when_they_are_impossible(
+    service: RecognitionService, features: NDArray[np.float64]
+) -> None:
+    service.see(wheels(0))
+    forged = seen(0).model_copy(update={"features": Float32Array.from_numpy(features.astype(np.float32))})
+    with pytest.raises(ServiceError, match=r"^episode e, frame 0: features "):
+        service.handle(forged)
+    assert at(service, 1).status in {"recognized", "unknown"}
