@@ -5,8 +5,8 @@ from typing import Final
 
 #: What a process logs when it cannot get memory: it would fail again and again, and a new one begins with none in use.
 NO_MEMORY: Final = "out of memory; this process ends and must be started again"
-#: Messages of Python, when the system has no memory for a thread's stack, and of C++, as OpenCV passes it on.
-_TOLD: Final = ("can't start new thread", "std::bad_alloc")
+#: Messages of Python, when the system has no memory for a thread's stack; of C++, as OpenCV passes it on; of the loader.
+_TOLD: Final = ("can't start new thread", "std::bad_alloc", "failed to map segment from shared object")
 _OPENCV_NO_MEMORY: Final = -4  # `cv2.Error.STS_NO_MEM`.
 
 
@@ -29,4 +29,4 @@ def out_of_memory(error: BaseException) -> bool:
     if isinstance(error, OSError):
         return error.errno == errno.ENOMEM
     opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
-    return isinstance(error, MemoryError) or opencv or str(error) in _TOLD
+    return isinstance(error, MemoryError) or opencv or str(error).endswith(_TOLD)
