@@ -5,6 +5,7 @@ import re
 import time
 from collections.abc import Iterable
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -28,7 +29,7 @@ from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
-from smal.files.container import replacing, write_whole
+from smal.files.container import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,8 +178,9 @@ def render(
         pictures = map(seen, poses) if at_work == options.HERE else engine.map(seen, poses)
         bar = bar_of(zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture")
         for number, ((metres, _), picture) in enumerate(bar):
-            with replacing(out / f"view-{number:02d}-{metres:.0f}m.png") as file:
-                imsave(file, picture, format="png")
+            content = BytesIO()
+            imsave(content, picture, format="png")
+            write_whole(out / f"view-{number:02d}-{metres:.0f}m.png", content.getvalue())
     typer.echo(f"wrote the map and {counted(views, 'view')} in {out}")
 
 

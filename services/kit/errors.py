@@ -5,7 +5,7 @@ from typing import Final
 
 #: What a process logs when it cannot get memory: it would fail again and again, and a new one begins with none in use.
 NO_MEMORY: Final = "out of memory; this process ends and must be started again"
-#: Messages of Python, when the system has no memory for a thread's stack; of C++, as OpenCV passes it on; of the loader.
+#: Messages of Python, without memory for a thread's stack; of C++, as OpenCV passes it on; and of the loader.
 _TOLD: Final = ("can't start new thread", "std::bad_alloc", "failed to map segment from shared object")
 _OPENCV_NO_MEMORY: Final = -4  # `cv2.Error.STS_NO_MEM`.
 
