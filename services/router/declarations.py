@@ -25,51 +25,27 @@ _OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispa
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
-#: A session is new for this time, seconds: longer than a process takes to declare all it needs. A flooder that connects
-#: again is new each time, so all new sessions share a bound as well: a whole stack may begin at once, then a process
-#: every few seconds.
-NEW_S: Final = 10.0
-NEW_SESSIONS: Final = 16
-NEW_RATE_HZ: Final = 50.0
 MOST_SESSIONS: Final = 10_000  # Sessions whose declarations are counted at a time, ended ones among them.
 _TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
-class Bucket:
-    """A token bucket: so many declarations at once, then so many a second."""
-
-    def __init__(self, burst: float, rate_hz: float, now_s: float) -> None:
-        self._burst = self._left = burst
-        self._rate_hz = rate_hz
-        self._at_s = now_s
-
-    def take(self, now_s: float) -> bool:
-        """Count a declaration; return whether it is within the bound."""
-        self._left = min(self._burst, self._left + self._rate_hz * (now_s - self._at_s))
-        self._at_s = now_s
-        within = self._left >= 1.0
-        self._left -= within
-        return within
-
-
-class Session:
-    """The declarations of a session: a bucket of its own, and how many of them stand."""
+class Allowance:
+    """A token bucket: ``burst`` declarations at once, then `RATE_HZ`; and at most ``burst`` that stand."""
 
     def __init__(self, burst: int, now_s: float) -> None:
         self._burst = burst
-        self._bucket = Bucket(burst, RATE_HZ, now_s)
+        self._left = float(burst)
         self._standing = 0
-        self._since_s = now_s
-
-    def new(self, now_s: float) -> bool:
-        """Return whether the session declared for the first time lately."""
-        return now_s - self._since_s < NEW_S
+        self._at_s = now_s
 
     def take(self, now_s: float, standing: int) -> bool:
-        """Count a declaration, and how many more stand by it; return whether it is within the bound."""
+        """Count a declaration, and how many more stand by it; return whether it is within the allowance."""
         self._standing = max(0, self._standing + standing)
-        return self._bucket.take(now_s) and self._standing <= self._burst
+        regained = RATE_HZ * (now_s - self._at_s)
+        self._at_s = now_s
+        self._left = min(self._burst, self._left + regained) - 1.0
+        return self._left >= 0.0 and self._standing <= self._burst
 
 
 class Declarations:
@@ -89,8 +65,7 @@ class Declarations:
         self._burst = BURST + BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        self._sessions: dict[bytes, Session] = {}
-        self._new: Bucket | None = None  # Of all new sessions together.
+        self._allowances: dict[bytes, Allowance] = {}
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
@@ -100,18 +75,13 @@ class Declarations:
         mode, face, session = match.groups()
         if mode == b"router" and self._linked:
             return
-        if self._new is None:
-            self._new = Bucket(NEW_SESSIONS * self._burst, NEW_RATE_HZ, now_s)
-        one = self._sessions.get(face)
-        if one is None:
-            if len(self._sessions) >= MOST_SESSIONS:  # the oldest one has ended
-                del self._sessions[next(iter(self._sessions))]
-            one = self._sessions[face] = Session(self._burst, now_s)
-        within = one.take(now_s, _standing(line))
-        if within and one.new(now_s):
-            within = self._new.take(now_s)
-        if not within:
-            del self._sessions[face]
+        allowance = self._allowances.get(face)
+        if allowance is None:
+            if len(self._allowances) >= MOST_SESSIONS:  # the oldest one has ended
+                del self._allowances[next(iter(self._allowances))]
+            allowance = self._allowances[face] = Allowance(self._burst, now_s)
+        if not allowance.take(now_s, _standing(line)):
+            del self._allowances[face]
             self._disconnect(session.decode())
 
 

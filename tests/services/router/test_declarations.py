@@ -6,7 +6,7 @@ import pytest
 import zenoh
 
 from services.kit.bus import Bus
-from services.router.declarations import BURST, BURST_A_ROBOT, NEW_RATE_HZ, NEW_SESSIONS, RATE_HZ, Declarations
+from services.router.declarations import BURST, BURST_A_ROBOT, RATE_HZ, Declarations
 from tests.services.chain import process
 from tests.services.secured import open_session
 from tests.services.waiting import eventually
@@ -39,28 +39,6 @@ def test_a_session_is_disconnected_when_it_declares_too_much() -> None:
 def test_sessions_are_counted_apart() -> None:
     other = entry(face=b"6715b33e:2")
     assert counted(*[(entry(), 0.0), (other, 0.0)] * MOST) == []
-
-
-def test_new_sessions_share_a_bound_when_a_flooder_returns() -> None:
-    """It connects again as soon as it is disconnected; a session that has run for long declares as before."""
-    seconds, a_second = 60, 1000
-    ended: list[str] = []
-    declarations = Declarations(1, linked=False, disconnect=ended.append)
-    declarations.count(entry(face=b"aaaa:1"), 0.0)
-    accepted = 0
-    for number in range(seconds * a_second):
-        now_s = 20.0 + number / a_second
-        before = len(ended)
-        declarations.count(entry(face=b"%x:2" % (0xBBBB + len(ended))), now_s)
-        accepted += len(ended) == before
-        if number % a_second == 0:
-            declarations.count(entry(face=b"aaaa:1"), now_s)
-    assert accepted <= NEW_SESSIONS * MOST + NEW_RATE_HZ * seconds
-    assert "aaaa" not in ended
-    before = len(ended)  # The flood has ended: a process may begin.
-    for _ in range(100):
-        declarations.count(entry(face=b"cccc:3"), 20.0 + seconds + 3.0)
-    assert len(ended) == before
 
 
 def test_declarations_are_bounded_when_they_are_taken_back() -> None:
