@@ -11,8 +11,9 @@ of cores makes times long.
 The cells "floods" and "floods with certificates" flood each key and call of each role in turn as fast as Zenoh takes
 it, by one process. In each flood one emergency stop is put, a single time (the stop's own key is not flooded: whatever
 comes on it stops the robot): how many stops the robot stood for within 0.5 s of the put, by a note of its own process,
-and the longest time that it took. The cells "floods of declarations" and "floods of declarations with certificates"
-do so 100 times in each flood of tokens, subscribers and queryables.
+and the longest time that it took. It may have stood already for another reason: deaf lanes, or commands that are late.
+The cells "floods of declarations" and "floods of declarations with certificates" do so 100 times in each flood of
+tokens, subscribers and queryables.
 """
 
 import sys

@@ -144,6 +144,8 @@ def _stops_in(rig: Rig, flood: Flood, flooder: Connection, first: int, chance: r
 
 def _late_s(rig: Rig, number: int, after_s: float) -> float | None:
     """Put a stop after some time; return when the robot stood for it, seconds, or None if it was lost."""
+    if rig.ended():
+        rig.begin(_BEGIN_S)
     rig.hold(after_s)
     put_s = time.monotonic()
     rig.bus.publish(
@@ -154,7 +156,7 @@ def _late_s(rig: Rig, number: int, after_s: float) -> float | None:
     rig.until(lambda: "stood_s" in _noted(rig, number), _LOST_S)
     # While no episode runs the robot stands anyway.
     at_s = _noted(rig, number).get("stood_s", _noted(rig, number).get("latched_s"))
-    return None if at_s is None else at_s - put_s
+    return None if at_s is None else max(0.0, at_s - put_s)  # It may have stood before, for another reason.
 
 
 def _noted(rig: Rig, stop: int) -> dict[str, float]:

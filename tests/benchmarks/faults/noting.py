@@ -4,6 +4,7 @@ What its bus tells of a stop would come late where the bus is flooded, as a call
 """
 
 import json
+import math
 import os
 import time
 from functools import partial
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Final
 from unittest.mock import patch
 
+from schemas.base import STANDING
 from schemas.command import Command
 from services.kit.process import run_service
 from services.robot.gate import MAX_AGE_S, Applied, CommandGate, Refusal
@@ -22,27 +24,34 @@ _STANDS_S: Final = 0.1  # The robot stands for so long, seconds, then it drives 
 
 
 class NotingGate(CommandGate):
-    """A gate that writes a line when a stop is latched, and one when the actuator stands for it."""
+    """A gate that writes a line when a stop is latched, and one when the actuator stands for it.
+
+    It stands since the stop, or since before, for another reason: its lanes are deaf, or its commands are too old.
+    """
 
     def __init__(self, notes: Path, max_age_s: float = MAX_AGE_S, *, attended: bool) -> None:
         super().__init__(max_age_s, attended=attended)
         self._notes = notes.open("a", buffering=1)
         self._latched: int | None = None
         self._stood_s: float | None = None
+        self._stands_since_s = time.monotonic()
 
     def offer(self, command: Command, now_s: float) -> Refusal | None:
         """Take a command, and note a stop."""
         refusal = super().offer(command, now_s)
         if command.source == "emergency_stop":
-            self._note(command.sequence, "latched_s")
+            self._note(command.sequence, "latched_s", time.monotonic())
             self._latched = command.sequence
         return refusal
 
     def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
         """Tell the actuator what to do, and note that it stands for a stop."""
         told = super().applied(now_s, deaf=deaf)
+        if told.velocity != STANDING:
+            self._stands_since_s = math.inf
+        self._stands_since_s = min(self._stands_since_s, time.monotonic())
         if told.source == "emergency_stop" and self._latched is not None:
-            self._note(self._latched, "stood_s")
+            self._note(self._latched, "stood_s", self._stands_since_s)
             self._latched, self._stood_s = None, now_s
         elif self._stood_s is not None and now_s - self._stood_s > _STANDS_S:
             self._stood_s = None
@@ -53,8 +62,8 @@ class NotingGate(CommandGate):
         """Release a stop, and have the policy drive on."""
         return super().arm(stop, session) or self.resume(None, 0, session)
 
-    def _note(self, stop: int, what: str) -> None:
-        self._notes.write(json.dumps([stop, what, time.monotonic()]) + "\n")
+    def _note(self, stop: int, what: str, at_s: float) -> None:
+        self._notes.write(json.dumps([stop, what, at_s]) + "\n")
 
 
 if __name__ == "__main__":
