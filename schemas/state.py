@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
-_FAR_M = 1e6  # A place further away counts as so far: nobody drives there, but odometry may jump.
+_FAR_M = 1e6  # Farther places are moved to this distance: no robot drives there, but odometry may jump.
 
 
 class Place(Strict):

@@ -3,7 +3,7 @@
 import errno
 from typing import Final
 
-#: What a process logs when it cannot get memory: it would fail again and again, and a new one begins with none in use.
+#: Logged by a process that cannot get memory: it would fail again, while a new process begins with little in use.
 NO_MEMORY: Final = "out of memory; this process ends and must be started again"
 #: Messages of Python, without memory for a thread's stack; of C++, as OpenCV passes it on; and of the loader.
 _TOLD: Final = ("can't start new thread", "std::bad_alloc", "failed to map segment from shared object")

@@ -109,7 +109,7 @@ class Node:
         self._apart: list[threading.Thread] = []
         self._closed = threading.Event()
         self._stop = threading.Event()
-        self._failure: Exception | None = None  # What ends the process, of any thread.
+        self._failure: Exception | None = None  # The error, of any thread, that ends the process.
         self._state: Literal["starting", "ready", "stopping"] = "starting"
         self._started_s = self._worked_s = time.monotonic()
         self._began_s: float | None = None

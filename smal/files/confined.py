@@ -47,7 +47,7 @@ class WorkLimits:
 
     @classmethod
     def of_size(cls, size: int, memory: int) -> "WorkLimits":
-        """Return the limits of work with a source of so many bytes."""
+        """Return the limits of work with a source of ``size`` bytes."""
         return cls(memory, LEAST_S + S_A_MEGABYTE * size / 1e6)
 
 
@@ -119,7 +119,7 @@ def confined(
     factor = _factor()
     limits = WorkLimits(int(limits.memory * factor), limits.cpu_s * factor)
     order = {"function": function, "request": request, "memory": limits.memory, "cpu_s": limits.cpu_s}
-    # Each thread of OpenBLAS takes memory of the bound.
+    # Each thread of OpenBLAS counts towards the limit of memory.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(  # noqa: S603 - our own
         [sys.executable, "-P", "-m", "smal.files.confined", str(os.getpid())], stdin=subprocess.PIPE,

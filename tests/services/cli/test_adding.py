@@ -32,13 +32,17 @@ def run(name: str, new: float, goal: str = "victim", scale: int = 1, rows: int |
     yield end.model_copy(update={"goal": goal})
 
 
+def recorded(folder: Path, many: int, scale: int = 1, rows: int | None = None) -> Path:
+    """Make a folder of recorded runs."""
+    folder.mkdir()
+    for number in range(many):
+        record(folder, list(run(f"run-{number}", 0.6, scale=scale, rows=rows)))
+    return folder
+
+
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
-    folder = tmp_path / "runs"
-    folder.mkdir()
-    for number in range(4):
-        record(folder, list(run(f"run-{number}", 0.6)))
-    return folder
+    return recorded(tmp_path / "runs", 4)
 
 
 def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal: Smal) -> None:
@@ -57,23 +61,17 @@ def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal
 
 
 def test_model_learns_when_runs_have_images_of_another_size(tmp_path: Path, smal: Smal) -> None:
-    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
-    folder.mkdir()
-    for number in range(4):
-        record(folder, list(run(f"run-{number}", 0.6, scale=2)))
-    status, _, err = smal("learn", folder, "--add", "--out", file)
+    file = corridor.save_model(tmp_path / "way.smal")
+    status, _, err = smal("learn", recorded(tmp_path / "runs", 4, scale=2), "--add", "--out", file)
     assert status == 0, err
     assert "images of 128x96, and the model has 64x48; all are resized" in err
     assert "the map has more looks now" in err
 
 
 def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal: Smal) -> None:
-    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
-    folder.mkdir()
-    for number in range(2):
-        record(folder, list(run(f"run-{number}", 0.6, rows=36)))
+    file = corridor.save_model(tmp_path / "way.smal")
     before = file.read_bytes()
-    status, _, err = smal("learn", folder, "--add", "--out", file)
+    status, _, err = smal("learn", recorded(tmp_path / "runs", 2, rows=36), "--add", "--out", file)
     assert status == 1
     assert err.count("images of 64x36, and the model has 64x48: another shape shows another view") == 2
     assert file.read_bytes() == before

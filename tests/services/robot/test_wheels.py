@@ -68,7 +68,7 @@ def test_wheels_agree_when_a_base_is_slow(starts_s: float, report: float) -> Non
 
 @pytest.mark.parametrize("seed", range(5))
 def test_wheels_agree_when_a_base_slips_in_bends(seed: int) -> None:
-    """A skid-steered base that drives ahead turns a third as fast as it is told; its odometry is noisy."""
+    """A skid-steered base that drives ahead turns at a third of the commanded rate; its odometry is noisy."""
     rng, wheels, heading = np.random.default_rng(seed), WheelCheck(FULL), 0.0
     for tick in range(600):
         assert wheels.read((0.2 * tick, 0.0, heading), tick * TICK_S) is None
