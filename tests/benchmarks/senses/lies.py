@@ -112,7 +112,7 @@ DEPTH_LIES: Final = tuple(
         "saturated": lambda honest, _: np.full_like(honest[-1], SATURATED_M),
         "far plane": lambda honest, _: np.full_like(honest[-1], FAR_PLANE_M),
         "far plane beyond 1.5 m": _far_plane,
-        "frozen": lambda honest, since: honest[since],
+        "depth frozen": lambda honest, since: honest[since],
         "0.5 s late": lambda honest, since: honest[max(len(honest) - 1 - LATE_FRAMES, min(since, len(honest) - 1))],
         "ten times": lambda honest, _: honest[-1] * np.float32(TOO_LARGE),
         "half NaN": _half,
