@@ -258,15 +258,18 @@ class Bus:
     # -- who is there ---------------------------------------------------------------------------------------------
 
     def stand(self, key: str) -> Callable[[], None]:
-        """Be seen at a key until what is returned is called, or this process is gone."""
-        lane = self._lanes["ordinary"]
+        """Declare a liveliness token, until what is returned is called or this process is gone.
+
+        It comes from another session than that of `watch`: a process sees its own token only when the router has it,
+        and after all tokens that the router had before.
+        """
+        lane = self._lanes["urgent"]
         return partial(lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key)))
 
     def watch(self, keys: str, take: Callable[[str, bool], None]) -> None:
-        """Call ``take(key, whether_there)``, on the bus's thread, for who is seen at the keys, comes, and leaves.
+        """Call ``take(key, whether_there)``, on the bus's thread, for each liveliness token that comes or goes.
 
-        By another session than the one that stands: so one hears of oneself what the router has heard, and after all
-        that it had heard before. Without a router nobody is there.
+        Without a router no token is there. A flood of tokens delays the ordinary lane only.
         """
         there: set[str] = set()
 
@@ -275,12 +278,12 @@ class Bus:
             take(key, put)
 
         def look(session: zenoh.Session) -> zenoh.Subscriber[None]:
-            for key in [*there]:  # as the session before had heard it
+            for key in [*there]:  # The tokens that the session before had received.
                 note(key, put=False)
             on_token = in_order(lambda token: note(str(token.key_expr), token.kind == _PUT))
             return session.liveliness().declare_subscriber(keys, on_token, history=True)
 
-        self._declare("urgent", look)
+        self._declare("ordinary", look)
 
     def answer(self, key: str, tell: Callable[[], Strict | None]) -> None:
         """Answer every question at a key, on the bus's thread; with None the question stays without an answer."""

@@ -76,24 +76,50 @@ class Seen(NamedTuple):
     instances: frozenset[str]
     serving: dict[str, frozenset[str]]
 
-    @classmethod
-    def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
-        """Parse the keys of liveliness tokens; a key of another form is left out."""
-        found = [
-            re.fullmatch(rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?", key)
-            for key in keys
-        ]
-        pairs = {(match[1], match[2]) for match in found if match}
-        robots = {robot for _, robot in pairs if robot is not None}
-        return cls(
-            frozenset(one for one, robot in pairs if robot is None),
-            {robot: frozenset(one for one, of in pairs if of == robot) for robot in sorted(robots)},
-        )
-
     def among(self, answering: frozenset[str]) -> "Seen":
         """Return what is seen of instances that answer."""
         serving = {robot: instances & answering for robot, instances in self.serving.items()}
         return Seen(self.instances & answering, {robot: instances for robot, instances in serving.items() if instances})
+
+
+class Announcements:
+    """The liveliness tokens of the instances of a service.
+
+    Parameters
+    ----------
+    prefix
+        Key of the service; the keys of the tokens are below it.
+    robots
+        The robots whose tokens count.
+    """
+
+    def __init__(self, prefix: str, robots: Iterable[str]) -> None:
+        serves = "|".join(map(re.escape, robots))
+        self._pattern = re.compile(
+            rf"{re.escape(prefix)}/(?P<instance>[0-9a-f]{{8}}-[1-9]\d?)(?:/(?P<robot>{serves}))?"
+        )
+        self._standing: set[tuple[str, str | None]] = set()
+
+    def instance(self, key: str) -> str | None:
+        """Return the instance that an answer is of; None for a key of another form."""
+        match = self._pattern.fullmatch(key)
+        return None if match is None else match["instance"]
+
+    def note(self, key: str, there: bool) -> str | None:
+        """Note that a token has come or gone; return its instance, or None for a key of another form."""
+        match = self._pattern.fullmatch(key)
+        if match is None:
+            return None
+        (self._standing.add if there else self._standing.discard)((match["instance"], match["robot"]))
+        return match["instance"]
+
+    def seen(self) -> Seen:
+        """Return whom the standing tokens announce."""
+        serving: dict[str, set[str]] = {}
+        instances: set[str] = set()
+        for instance, robot in self._standing.copy():  # Another thread notes.
+            (instances if robot is None else serving.setdefault(robot, set())).add(instance)
+        return Seen(frozenset(instances), {robot: frozenset(serves) for robot, serves in serving.items()})
 
 
 class Answer(Strict):
@@ -166,13 +192,14 @@ class Group(Generic[S]):
         self.instance = f"{secrets.token_hex(4)}-{settings.robots}"
         self.robots = fleet(settings.robot, settings.robots)
         self._prefix = group_key(settings.robot, name)
-        self._seen: set[str] = set()
+        self._announcements = Announcements(self._prefix, self.robots)
         self._served: dict[str, _Served] = {}
         self._kept: dict[str, _Kept] = {}
         self._failure: Exception | None = None
         self._here = self._others = self._stopped = False
         self._ending = False
         self._answers = Answers()
+        self._answering: frozenset[str] = frozenset()
         self._answered = threading.Lock()  # Held to keep an answer, and to look at all.
         self._looked_s = self._asked_s = -math.inf
         self._served_s = dict.fromkeys(self.robots, math.inf)  # When each robot was last served by an instance.
@@ -212,15 +239,17 @@ class Group(Generic[S]):
             frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
             self._looked_s = time.monotonic()
             self._ask()
-            self._settle(Seen.of(() if frozen else self._seen.copy(), self._prefix), self._answering())
+            self._look_at_answers()
+            self._settle(Seen(frozenset(), {}) if frozen else self._announcements.seen())
             self._news.wait(LOOK_S)
             self._news.clear()
         if self._failure is not None:
             raise self._failure
 
     def _note(self, key: str, there: bool) -> None:
-        (self._seen.add if there else self._seen.discard)(key)
-        self._news.set()
+        # A token changes nothing before its instance answers: a flood of tokens does not keep the main loop busy.
+        if self._announcements.note(key, there) in self._answering:
+            self._news.set()
 
     # -- proof of life ------------------------------------------------------------------------------------------------
 
@@ -242,28 +271,29 @@ class Group(Generic[S]):
             answer = Answer.model_validate_json(payload)
         except ValidationError:
             return
-        for instance in Seen.of([key], self._prefix).instances:
-            with self._answered:
-                changed = self._answers.note(instance, answer.robots, time.monotonic())
-            if changed:
-                self._news.set()
+        instance = self._announcements.instance(key)
+        if instance is None:
+            return
+        with self._answered:
+            changed = self._answers.note(instance, answer.robots, time.monotonic())
+        if changed:
+            self._news.set()
 
-    def _answering(self) -> frozenset[str]:
-        """Return the instances that answer, and note when each robot was served."""
+    def _look_at_answers(self) -> None:
+        """Note which instances answer, and when each robot was served."""
         now_s = time.monotonic()
         with self._answered:
-            answering = self._answers.answering(now_s)
+            self._answering = self._answers.answering(now_s)
             served = self._answers.served()
         self._served_s |= {robot: now_s for robot in self.robots if robot in served}
-        return answering
 
     def stop(self) -> None:
         """Make ``run`` return, soon; it takes no lock."""
         self._stopped = True
 
-    def _settle(self, announced: Seen, answering: frozenset[str]) -> None:
+    def _settle(self, announced: Seen) -> None:
         """Release the robots of other instances, and take the own ones that the others have released."""
-        seen = announced.among(answering)
+        seen = announced.among(self._answering)
         self._here = here = self.instance in seen.instances
         others = {robot for robot, serving in seen.serving.items() if serving - {self.instance}}
         self._elsewhere_s |= dict.fromkeys(others, time.monotonic())

@@ -26,7 +26,8 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.cli.stack import free_endpoint
 from services.kit.bus import MOVE_S, Bus
-from services.kit.group import ANSWER_S, Answer, Answers, Seen, owner, share
+from services.kit.group import ANSWER_S, Announcements, Answer, Answers, Group, Seen, owner, share
+from services.kit.node import LOOK_S
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
 from tests import corridor
@@ -74,13 +75,16 @@ def test_instances_get_about_as_many_robots() -> None:
 
 
 @given(st.lists(st.text(max_size=40)))
-def test_what_no_instance_says_is_left_out(rests: list[str]) -> None:
-    told = {f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"}
-    wrong = {
-        f"{PREFIX}/{rest}" for rest in (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0")
-    }
-    found = Seen.of({*told, *wrong, "smal/other/@group/features/0123abcd-2"}, PREFIX)
-    assert found == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
+def test_tokens_of_another_form_are_left_out(rests: list[str]) -> None:
+    announcements = Announcements(PREFIX, fleet("rescuebot", 2))
+    for key in (f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"):
+        assert announcements.note(key, there=True) == "0123abcd-2"
+    wrong = (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0", "0123abcd-2/another")
+    for key in (*(f"{PREFIX}/{rest}" for rest in wrong), "smal/other/@group/features/0123abcd-2"):
+        assert announcements.note(key, there=True) is None
+    assert announcements.seen() == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
+    announcements.note(f"{PREFIX}/0123abcd-2", there=False)
+    assert announcements.seen() == (frozenset(), {"rescuebot-2": frozenset({"0123abcd-2"})})
 
 
 def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
@@ -105,8 +109,10 @@ def test_an_instance_counts_while_its_answers_are_recent() -> None:
 
 
 def test_announcements_without_an_answer_are_left_out() -> None:
-    announced = Seen.of([f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX)
-    assert announced.among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
+    announcements = Announcements(PREFIX, ["rescuebot"])
+    for token in ("0123abcd-1", "ffffffff-1", "ffffffff-1/rescuebot"):
+        announcements.note(f"{PREFIX}/{token}", there=True)
+    assert announcements.seen().among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
 
 
 # -- at a router ------------------------------------------------------------------------------------------------------
@@ -358,6 +364,30 @@ def test_an_announcement_does_not_take_a_robot(client: Bus, router_endpoint: str
     assert time.monotonic() - began_s - lost_s(began_s) < 2.0 * (ANSWER_S + MOVE_S)
     assert robots.instances("features") == {"rescuebot": instance}
     eventually(lambda: health(address) == "ok\n")
+
+
+class Looking(Group[FleetSettings]):
+    """An instance that counts how often it looks at the announcements."""
+
+    looks = 0
+
+    def _settle(self, announced: Seen) -> None:
+        self.looks += 1
+        super()._settle(announced)
+
+
+def test_a_flood_of_announcements_keeps_no_instance_busy(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+    instance = Looking("features", FleetSettings(router=router_endpoint), lambda _node, _settings: None)
+    thread = threading.Thread(target=instance.run)
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(instance.stop)
+    eventually(lambda: instance.instance in instance._answering)
+    before, began_s = instance.looks, time.monotonic()
+    for number in range(300):
+        stack.callback(client.stand(f"{PREFIX}/{number:08x}-1"))
+    eventually(lambda: len(instance._announcements.seen().instances) == 301)
+    assert instance.looks - before <= (time.monotonic() - began_s) / LOOK_S + 3
 
 
 def test_a_robot_that_no_instance_serves_is_reported(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
