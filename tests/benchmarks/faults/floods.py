@@ -9,15 +9,17 @@ flooder, the flooder connects again and goes on.
 """
 
 import json
+import math
 import random
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import zenoh
+from tqdm import tqdm
 
 from schemas.base import NO_EPISODE
 from schemas.command import Command
@@ -118,23 +120,28 @@ def flooded(rig: Rig, floods: dict[str, list[Flood]]) -> list[Stop]:
     """Flood, and stop the robot in each flood, by who floods."""
     chance = random.Random(1)  # noqa: S311 - when a stop comes
     stops: list[Stop] = []
-    for role, of_it in floods.items():
-        with child(f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role) as flooder:
-            for flood in of_it:
-                stops += _stops_in(rig, flood, flooder.pipe, len(stops) + 1, chance)
+    count = sum(flood.stops for of_it in floods.values() for flood in of_it)
+    with tqdm(total=count, desc="stops in floods", unit="stop", dynamic_ncols=True) as bar:
+        for role, of_it in floods.items():
+            with child(f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role) as flooder:
+                for flood in of_it:
+                    stops += _stops_in(rig, flood, flooder.pipe, len(stops) + 1, chance, bar)
     return stops
 
 
-def _stops_in(rig: Rig, flood: Flood, flooder: Connection, first: int, chance: random.Random) -> list[Stop]:
+def _stops_in(
+    rig: Rig, flood: Flood, flooder: Connection, first: int, chance: random.Random, bar: "tqdm[Any]"
+) -> list[Stop]:
     """Put stops into a flood one after another, and wait each time until the robot stands."""
     rig.hold(_BETWEEN_S)
-
-    if "stood_s" not in _noted(rig, first - 1):
-        with suppress(RpcError):
-            rig.resume()
-        rig.begin(_BEGIN_S)
+    _have_it_drive(rig, first - 1)
     flooder.send(flood)
-    late = [_late_s(rig, first + number, chance.uniform(*_FLOODED_S)) for number in range(flood.stops)]
+    late: list[float | None] = []
+    for number in range(flood.stops):
+        late.append(_late_s(rig, first + number, chance.uniform(*_FLOODED_S)))
+        if not Stop(str(flood), math.nan, late[-1]).in_time:
+            tqdm.write(f"{flood}: stop {number + 1} took {late[-1]} s")
+        bar.update()
     flooder.send(None)
     if not flooder.poll(_LOST_S):
         raise JobError(f"the {flood} hangs")
@@ -142,10 +149,19 @@ def _stops_in(rig: Rig, flood: Flood, flooder: Connection, first: int, chance: r
     return [Stop(str(flood), rate_hz, late_s) for late_s in late]
 
 
+def _have_it_drive(rig: Rig, stop: int) -> None:
+    """Have the robot drive, after the stop of this number; the end of an episode may get lost in a flood."""
+    stood = "stood_s" in _noted(rig, stop)
+    if not stood:
+        with suppress(RpcError):
+            rig.resume()
+    if not stood or rig.ended():
+        rig.begin(_BEGIN_S)
+
+
 def _late_s(rig: Rig, number: int, after_s: float) -> float | None:
     """Put a stop after some time; return when the robot stood for it, seconds, or None if it was lost."""
-    if rig.ended():
-        rig.begin(_BEGIN_S)
+    _have_it_drive(rig, number - 1)
     rig.hold(after_s)
     put_s = time.monotonic()
     rig.bus.publish(
