@@ -4,12 +4,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.settings import SETTINGS
+
+#: What a robot is told: linear velocity, ahead, and angular velocity, to the left, as shares of its own, -1 to 1.
+Motion = tuple[float, float]
+STANDS: Final[Motion] = 0.0, 0.0
 
 
 class Atom(IntEnum):

@@ -1,4 +1,4 @@
-"""`Robot` takes an image and returns an atom; `Localizer` (the filter and the wheels) and `Planner` do the work."""
+"""`Robot` takes an image and returns a motion; `Localizer` (the filter and the wheels) and `Planner` do the work."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,8 @@ from smal.features.extraction import detect
 from smal.features.resizing import small
 from smal.filter import Belief, Filter
 from smal.model import Model, beside, way_from
-from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
+from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement
 from smal.obstacles.clearance import Mount, Surroundings
-from smal.obstacles.motions import Share
 from smal.obstacles.strange import swept
 from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.settings import SETTINGS
@@ -103,7 +102,7 @@ class Localizer:
         self,
         raw_features: NDArray[Any],
         odometry: Sequence[float] | None = None,
-        atoms: Sequence[Atom | Share] = (),
+        atoms: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
         """Take the features (m,) of one frame, of `smal.features.extract`.
@@ -141,11 +140,11 @@ class Localizer:
 
 
 class Robot:
-    """Finds the goal, which may be left out where all drives lead to one: takes an image, gives the atom to make next.
+    """Finds the goal: takes an image, gives the motion to make next.
 
-    The seed is of the filter's noise; who `watches` stops before ground that looks strange, where it has no depth.
-    ValueError where the model has not this goal, or several and none is named, or does not know
-    the ground.
+    The goal may be left out where all drives lead to one. The seed is of the filter's noise. A robot that `watches`
+    stops before ground that looks strange, where it has no depth. ValueError where the model has not this goal, or
+    several and none is named, or does not know the ground.
     """
 
     belief: Belief  # After the last image.
@@ -163,8 +162,8 @@ class Robot:
         """Forget everything, for a new episode."""
         self._localizer.reset()
         self._planner.reset()
-        #: What it has made since the last image: the atom of `step`, or what its owner says, such as `decision.motion`.
-        self.made: Atom | Share = Atom.STOP
+        #: What it has made since the last image: the motion of `step`, unless its owner sets another one, or an atom.
+        self.made: Atom | Motion = STANDS
         self._around: Surroundings | None = None
 
     def step(
@@ -173,11 +172,12 @@ class Robot:
         odometry: Sequence[float] | None = None,
         elapsed_s: float | None = None,
         depth: tuple[NDArray[np.float32], Mount] | None = None,
-    ) -> Atom:
-        """Take one image (height, width, 3), RGB; return the atom to make until the next one.
+    ) -> Motion:
+        """Take one image (height, width, 3), RGB; return the motion to make until the next one.
 
-        Odometry is the pose by the wheels at the image, x, y and heading in radians; without it the robot is taken to
-        have made the last atom, as usual. `elapsed_s` is the time since the image before, as between taught images if
+        A motion is a linear velocity, ahead, and an angular velocity, to the left, as shares of the robot's own, -1 to
+        1. Odometry is the pose by the wheels at the image, x, y and heading in radians; without it the robot is taken
+        to have made the last motion. `elapsed_s` is the time since the image before, as between taught images if
         not given. `depth` is what a depth camera measures (height, width), metres, 0 where nothing, and how it sits:
         with it, and odometry, the robot goes round what stands in its way.
         """
@@ -194,8 +194,8 @@ class Robot:
         told = self.belief.summary()
         strange = self._localizer.strange(small(image), told) if self._watches else math.inf
         self.decision = self._planner.decide(told, elapsed_s, seen=seen, around=self._around, strange=strange)
-        self.made = self.decision.atom
-        return self.decision.atom
+        self.made = self.decision.motion
+        return self.decision.motion
 
     @property
     def where(self) -> Place:

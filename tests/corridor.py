@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smal.features import FeatureSettings
 from smal.model import Model
-from smal.movement import Atom
+from smal.movement import Atom, Motion
 from smal.paper import learning
 from smal.paper.model import Model as PaperModel
 from smal.teaching.mapping import demonstrations_of, fit
@@ -56,11 +56,11 @@ def pose(frame: int) -> Pose:
     return STEP_M * min(frame, FRAMES - 1), 0.0, 0.0
 
 
-def moved(here: Pose, atom: Atom) -> Pose:
-    """Return the pose after an atom: a step ahead, or a turn of 4.5 degrees."""
+def moved(here: Pose, motion: Motion) -> Pose:
+    """Return the pose after a frame of a motion: a step ahead and a turn of 4.5 degrees at most."""
     x_m, y_m, heading_rad = here
-    heading_rad += math.radians(4.5) * ((atom is Atom.LEFT) - (atom is Atom.RIGHT))
-    ahead_m = STEP_M * (atom is Atom.FORWARD)
+    heading_rad += math.radians(4.5) * motion[1]
+    ahead_m = STEP_M * motion[0]
     return x_m + ahead_m * math.cos(heading_rad), y_m + ahead_m * math.sin(heading_rad), heading_rad
 
 

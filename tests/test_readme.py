@@ -88,7 +88,7 @@ def test_the_example_of_the_library_finds_its_way(tmp_path: Path, monkeypatch: p
         "atoms": [Atom.FORWARD] * (corridor.FRAMES - 1) + [Atom.STOP],
         "odometry": way,
         "camera_and_wheels": camera_and_wheels(),
-        "move": lambda atom: here.append(corridor.moved(here[-1], atom)),
+        "drive": lambda *motion: here.append(corridor.moved(here[-1], motion)),
     }
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(example, "README.md", "exec"), known)  # noqa: S102 - our own

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
 from smal.features.resizing import SHAPE
-from smal.obstacles.motions import Floats
+from smal.obstacles.clearance import Floats
 from smal.settings import SETTINGS
 from smal.sought.sight import cells_of
 

@@ -139,7 +139,7 @@ def fit(
 
     >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
     >>> robot = smal.Robot(model)  # doctest: +SKIP
-    >>> atom = robot.step(image)  # doctest: +SKIP
+    >>> linear, angular = robot.step(image)  # doctest: +SKIP
     """
     features = FeatureSettings() if features is None else features
     return learn(demonstrations_of(drives, features, goals, camera), features, tick_s, parallel=parallel)

@@ -1,7 +1,6 @@
 """A car, which cannot turn on the spot: one lap that is all one bend is learned, recognized and driven again."""
 
 import math
-from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +10,7 @@ import pytest
 from smal.features import Centering, extract
 from smal.filter import Filter
 from smal.model import VisualMap
-from smal.movement import STILL, Atom, Movement, dead_reckoning
+from smal.movement import STILL, Atom, Motion, Movement, dead_reckoning
 from smal.planning import Planner
 from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, from_beside, taught
 
@@ -39,8 +38,9 @@ def learned(odometry: bool) -> tuple[VisualMap, Centering]:
     return taught(ROOM, lap(), odometry=odometry, scene=scene, ahead=ahead)
 
 
-def moved(pose: Pose, atom: Atom) -> Pose:
-    ahead, turn = CAR[atom]
+def moved(pose: Pose, motion: Motion) -> Pose:
+    ahead = STEP * motion[0]
+    turn = TURN * motion[1]
     return np.array(from_beside(pose, ahead * math.cos(turn / 2.0), ahead * math.sin(turn / 2.0), turn))
 
 
@@ -60,27 +60,28 @@ def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
 
 @pytest.mark.parametrize("odometry", [True, False])
 def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -> None:
-    """Begun 10 cm outside and turned a little; without odometry the filter goes by what atoms usually do."""
+    """Begun 10 cm outside and turned a little; without odometry the filter goes by what it was told to do."""
     found, centering = learned(odometry)
     follower, planner = Filter(found, centering), Planner(found)
     pose, movement, made = np.array([START[0], START[1] - 0.1, 0.1]), STILL, []
     for frame in range(2 * len(found.poses)):
         belief = follower.observe(extract(ROOM.look(pose), COLOR), movement)
-        atom = planner.decide(belief).atom
+        motion = planner.decide(belief).motion
         if planner.said:
             break
         assert belief.lost < 0.5
         off = abs(int(found.keyframes[belief.summary(1).keyframes[0]]) - frame)
         # Where a lap ends it begins again.
         assert min(off, len(found.poses) - off) <= 3
-        after = moved(pose, atom)
-        movement = Movement.between(pose, after) if odometry else Movement(*found.movements[atom])
+        after = moved(pose, motion)
+        usual = Movement(motion[0] * found.speed * found.tick_s, motion[1] * found.turn_rad)
+        movement = Movement.between(pose, after) if odometry else usual
         pose = after
         assert abs(math.hypot(pose[0] - 6.0, pose[1] - 6.0) - RADIUS) < 0.4
-        made.append(atom)
+        made.append(motion)
     assert planner.said
     assert len(made) == pytest.approx(len(found.poses), abs=4)
-    assert Counter(made)[Atom.LEFT] > 0.9 * len(made)
+    assert sum(angular > 0.5 for _, angular in made) > 0.9 * len(made)
 
 
 def test_who_turned_all_the_time_went_ahead_in_it_unless_the_wheels_say_that_they_did_not() -> None:

@@ -63,5 +63,5 @@ def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
 def test_who_pauses_teaches_no_longer_way() -> None:
     usual = drive(START, ((2.5, 0.0),))
     stands = Drive(np.insert(usual.poses, 20, usual.poses[[20] * 100], axis=0), np.insert(usual.atoms, 20, [0] * 100))
-    costs = [Planner(taught(Room(), each, scene=SCENE)[0])._to_go_s[0] for each in (usual, stands)]
+    costs = [Planner(taught(Room(), each, scene=SCENE)[0]).route.to_go_s[0] for each in (usual, stands)]
     assert costs[1] == pytest.approx(costs[0], rel=0.05)

@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from schemas.base import Velocity
 from smal.camera import TURNS_DEG
 from smal.filter import Belief, Filter
 from smal.likelihood import GRID, SHARES
 from smal.model import VisualMap
-from smal.movement import Atom
-from smal.planning import Planner, cost_to_go
+from smal.movement import Atom, Motion
+from smal.planning import Decision, Planner, cost_to_go
+from smal.planning.steering import Chassis, Intent, Steering
 from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_beside, usual_map
@@ -62,6 +64,11 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
 STRAIGHT = map_of(5.0)
 
 
+def key(decision: Decision) -> Atom:
+    """Return the key of teleoperation that is nearest to a decision."""
+    return Atom[Velocity(*decision.motion).atom().upper()]
+
+
 def belief(
     *places: tuple[int, float, float, float],
     weights: tuple[float, ...] = (1.0,),
@@ -83,23 +90,23 @@ SPLIT = belief((10, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 180.0), weights=(0.5, 0.5))
 )
 def test_turned_or_aside_it_turns_back_to_the_way(left: float, turned_deg: float, atom: Atom) -> None:
     decision = Planner(STRAIGHT).decide(belief((10, 0.0, left, turned_deg)))
-    assert (decision.kind, decision.atom) == ("follow", atom)
+    assert (decision.kind, key(decision)) == ("follow", atom)
     # It aims at the way 0.35 m ahead.
     aim = -math.degrees(math.atan2(left, 0.35)) - turned_deg
-    assert math.degrees(decision.heading_error_rad) == pytest.approx(aim, abs=6.0)
+    assert math.degrees(decision.heading_rad) == pytest.approx(aim, abs=6.0)
 
 
 def test_at_the_end_it_stops_for_good() -> None:
     planner = Planner(STRAIGHT)
     end = len(STRAIGHT.keyframes) - 1
-    assert planner.decide(belief((end, -0.1, 0.0, 0.0))).atom is Atom.FORWARD
+    assert key(planner.decide(belief((end, -0.1, 0.0, 0.0)))) is Atom.FORWARD
     assert not planner.said
     decision = planner.decide(belief((end, 0.0, 0.0, 0.0)))
-    assert (decision.kind, decision.atom, planner.said) == ("goal", Atom.STOP, "found")
+    assert (decision.kind, key(decision), planner.said) == ("goal", Atom.STOP, "found")
     assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "goal"
     planner.reset()
     assert not planner.said
-    assert planner.decide(belief((10, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
+    assert key(planner.decide(belief((10, 0.0, 0.0, 0.0)))) is Atom.FORWARD
 
 
 END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
@@ -109,8 +116,8 @@ def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> Non
     planner = Planner(STRAIGHT)
     decision = planner.decide(END, seen=Glimpse(0.5, near=0.0))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
-    assert decision.atom is Atom.LEFT
-    assert planner.decide(END, seen=Glimpse(0.99, near=1.1)).atom is Atom.STOP
+    assert key(decision) is Atom.LEFT
+    assert key(planner.decide(END, seen=Glimpse(0.99, near=1.1))) is Atom.STOP
     assert planner.said == "found"
 
 
@@ -124,10 +131,10 @@ def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
 
 def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
     planner = Planner(STRAIGHT)
-    atoms = [planner.decide(END, seen=Glimpse(0.99, 0.5, left)).atom for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
+    atoms = [key(planner.decide(END, seen=Glimpse(0.99, 0.5, left))) for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
     assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
     assert planner.said is None
-    assert planner.decide(END, seen=Glimpse(0.99, near=1.1)).atom is Atom.STOP
+    assert key(planner.decide(END, seen=Glimpse(0.99, near=1.1))) is Atom.STOP
     assert planner.said == "found"
 
 
@@ -136,7 +143,7 @@ def test_it_does_not_go_far_for_what_never_comes_near() -> None:
     made = Counter[Atom]()
     while planner.said is None:
         assert made.total() < 200, "it never says anything"
-        made[planner.decide(END, seen=Glimpse(0.99, near=0.0)).atom] += 1
+        made[key(planner.decide(END, seen=Glimpse(0.99, near=0.0)))] += 1
     assert planner.said == "not_here"
     assert made[Atom.FORWARD] * STRAIGHT.tick_s <= SETTINGS.goal_s + STRAIGHT.tick_s
 
@@ -147,7 +154,7 @@ def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
     while planner.said is None:
         assert turned_rad < 8.0, "it never says anything"
         turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
-            planner.decide(END, seen=Glimpse(0.0, near=0.0)).atom, 0.0
+            key(planner.decide(END, seen=Glimpse(0.0, near=0.0))), 0.0
         )
     assert planner.said == "not_here"
     assert turned_rad > 2.0 * math.pi
@@ -182,25 +189,38 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
         assert counted["look_around"] == pytest.approx(look, abs=2)
         assert counted["guess"] == pytest.approx(guess, abs=2)
     # It looks to one side, turns round the other way, and drives when it guesses.
-    turns = [decision.atom for decision in decisions[:look]]
+    turns = [key(decision) for decision in decisions[:look]]
     aside = turns.index(Atom.RIGHT if turns[0] is Atom.LEFT else Atom.LEFT)
     assert aside == pytest.approx(SETTINGS.look_aside_deg / 4.5, abs=1)
     assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
-    assert decisions[0].atom in (Atom.LEFT, Atom.RIGHT)
+    assert key(decisions[0]) in (Atom.LEFT, Atom.RIGHT)
     if lost:
-        assert decisions[look + 2].atom is Atom.FORWARD
+        assert key(decisions[look + 2]) is Atom.FORWARD
+
+
+def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
+    """Return the motions of a robot among things, at the headings of one frame after the other."""
+    steering = Steering(Chassis.of(STRAIGHT), STRAIGHT.turn_rad, STRAIGHT.tick_s)
+    intents = [Intent("follow", heading_rad=math.radians(one), stepwise=True) for one in headings_deg]
+    return [steering.steer(intent, elapsed_s, 0.0) for intent in intents]
+
+
+LEFT, RIGHT, AHEAD = (0.0, 1.0), (0.0, -1.0), (1.0, 0.0)
+
+
+def test_among_things_it_turns_until_a_smaller_turn_would_not_help() -> None:
+    assert steps([4.0, 8.0, 4.0, 2.0]) == [AHEAD, LEFT, LEFT, AHEAD]
+    assert steps([-4.0, -8.0, -4.0, -2.0]) == [AHEAD, RIGHT, RIGHT, AHEAD]
 
 
 def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
     """A quarter of a second of turning is 11 degrees: from 6 to one side it would lead to 5 on the other."""
-    planner = Planner(STRAIGHT)
-    atoms = [planner.decide(belief((10, 0.0, 0.0, turned)), 0.25).atom for turned in (-6.0, 5.25, -5.25)]
-    assert atoms == [Atom.LEFT, Atom.FORWARD, Atom.FORWARD]
+    assert steps([6.0, -5.25, 5.25], 0.25) == [LEFT, AHEAD, AHEAD]
 
 
 def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_on() -> None:
     planner, before = Planner(STRAIGHT), belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
-    atoms = [planner.decide(before, seen=Glimpse(0.99, 0.9, left)).atom for left in (0.4, 0.0)]
+    atoms = [key(planner.decide(before, seen=Glimpse(0.99, 0.9, left))) for left in (0.4, 0.0)]
     assert atoms == [Atom.LEFT, Atom.FORWARD]
     kinds = [planner.decide(before, seen=Glimpse(0.99, 0.9, 0.0)).kind for _ in range(30)]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
@@ -211,7 +231,7 @@ def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_
 
 def test_it_drives_up_to_nothing_that_it_does_not_see() -> None:
     planner = Planner(STRAIGHT)
-    atoms = {planner.decide(END, seen=Glimpse(0.99, 0.5, None)).atom for _ in range(20)}
+    atoms = {key(planner.decide(END, seen=Glimpse(0.99, 0.5, None))) for _ in range(20)}
     assert atoms == {Atom.LEFT}
 
 
@@ -222,14 +242,6 @@ def test_where_nothing_leads_on_after_it_has_looked_it_says_so() -> None:
     for _ in range(200):
         planner.decide(other if planner.arrived else end, seen=Glimpse(0.0, 0.0))
     assert planner.said == "not_here"
-
-
-def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
-    planner = Planner(STRAIGHT)
-    assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.FORWARD
-    assert planner.decide(belief((10, 0.0, 0.0, -8.0))).atom is Atom.LEFT
-    assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.LEFT
-    assert planner.decide(belief((10, 0.0, 0.0, -2.0))).atom is Atom.FORWARD
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -269,8 +281,8 @@ def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) 
     two = map_of(2.0, 3.0)
     first = int(np.flatnonzero(two.drives[two.keyframes] == 1)[0])
     decision = Planner(two).decide(belief((first, ahead, 0.0, 0.0)))
-    assert (decision.kind, decision.atom) == ("follow", Atom.FORWARD)
-    assert decision.heading_error_rad == pytest.approx(0.0, abs=1e-6)
+    assert (decision.kind, key(decision)) == ("follow", Atom.FORWARD)
+    assert decision.heading_rad == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
@@ -370,7 +382,7 @@ def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None
     kinds = [planner.decide(belief((30, 0.0, 0.0, 0.0))) for _ in range(300)]
     look = math.ceil(SETTINGS.look_deg / 4.5)
     assert [one.kind for one in kinds] == ["look_around"] * look + ["dead_end"] * (300 - look)
-    assert {one.atom for one in kinds[look:]} == {Atom.STOP}
+    assert {key(one) for one in kinds[look:]} == {Atom.STOP}
     # As soon as it believes otherwise it goes on.
     assert planner.decide(belief((70, 0.0, 0.0, 0.0))).kind == "follow"
 
@@ -381,7 +393,7 @@ def test_a_fork_of_even_chances_is_not_left_right_left_right() -> None:
     for k in range(60):
         share = 0.52 if k % 2 else 0.48
         places = ((10, 0.0, 0.0, 60.0), (10, 0.0, 0.0, -60.0))
-        atoms.append(planner.decide(belief(*places, weights=(share, 1.0 - share))).atom)
+        atoms.append(key(planner.decide(belief(*places, weights=(share, 1.0 - share)))))
     # It turns to look, to one side and then to the other.
     assert sum(one is not other for one, other in itertools.pairwise(atoms)) == 1
 

@@ -12,6 +12,7 @@ import pytest
 from smal import Atom, Model, Robot
 from smal.features import extract
 from smal.files.container import ModelError
+from smal.movement import Motion
 from smal.paper.robot import Robot as PaperRobot
 from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
@@ -19,8 +20,8 @@ from smal.teaching.mapping import learn
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, paper_model, pose, view
 
 
-def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Atom]]:
-    """Let the robot drive through the corridor, turning 4.5 degrees an atom, until it says that it is done."""
+def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Motion]]:
+    """Let the robot drive through the corridor, until it says that it is done."""
     here, made = start, []
     while len(made) < frames and not (made and robot.done):
         made.append(robot.step(view(*here), here if odometry else None))
@@ -103,7 +104,7 @@ def test_who_only_follows_features_needs_no_opencv(tmp_path: Path) -> None:
         "from smal.robot import Localizer\n"
         "model = Model.load('way.smal')\n"
         "belief = Localizer(model).observe(np.load('seen.npy'), (0.0, 0.0, 0.0))\n"
-        "print(Planner(model.mapped).decide(belief.summary()).atom.name)\n"
+        "print(Planner(model.mapped).decide(belief.summary()).motion)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.stdout == "FORWARD\n", done.stderr
+    assert done.stdout == "(1.0, 0.0)\n", done.stderr

@@ -26,7 +26,7 @@ from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
-from smal.movement import Atom, placed, seen_from
+from smal.movement import Atom, Motion, placed, seen_from
 from smal.robot import Place, Robot
 
 PICTURE_TICKS: Final = 10  # Frames from one kept picture of an example route to the next.
@@ -38,7 +38,7 @@ class Driver(Protocol):
     def reset(self) -> None:
         """Forget everything of the last episode."""
 
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
+    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom | Motion:
         """Take one image, RGB, and the pose by the wheels; return the movement until the next one."""
 
 
@@ -115,15 +115,13 @@ def search(
         sees: dict[str, Any] = {}
         if isinstance(driver, Robot) and view.depth is not None and not waits:
             sees = {"depth": (view.depth, simulation.mount)}
-        atom = driver.step(image, rounded(view.odometry)[:3], **sees)
+        told = driver.step(image, rounded(view.odometry)[:3], **sees)
         if tells:
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
         if says and (said := _said(driver)) is not None:
             ended = episode.end(said)
             break
-        asked = KEYS[cast(AtomName, atom.name.lower())]
-        if isinstance(driver, Robot):
-            driver.made = asked = Velocity(*driver.decision.motion)
+        asked = KEYS[cast(AtomName, told.name.lower())] if isinstance(told, Atom) else Velocity(*told)
         poses.append(episode.step(asked).pose)
         clearance_m.append(simulation.clearance_m)
         atoms.append(Atom[asked.atom().upper()])

@@ -91,9 +91,7 @@ class _Policy:
     def asks(self, episode: LockstepEpisode) -> Velocity:
         view = episode.view
         depth = None if view.depth is None or self._mount is None else (view.depth, self._mount)
-        self._robot.step(view.image, rounded(view.odometry)[:3], depth=depth)
-        self._robot.made = asked = Velocity(*self._robot.decision.motion)
-        return asked
+        return Velocity(*self._robot.step(view.image, rounded(view.odometry)[:3], depth=depth))
 
     @property
     def said(self) -> str | None:

@@ -108,7 +108,6 @@ def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]
         elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
         image = decode_image(bytes(recorded.images[tick]))
         robot.step(image, recorded.wheels(tick), elapsed_s)
-        robot.made = robot.decision.motion
         last_ns = stamps[tick]
         decisions.append((Velocity(*robot.made), robot.decision.kind, robot.belief))
     return decisions

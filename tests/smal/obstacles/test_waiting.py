@@ -54,13 +54,13 @@ def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() 
     other = 161
     planner = Planner(map_of(16.0, 17.0, stitches=(((HERE, other), (0.0, 0.0, -math.pi / 2.0)),)))
     before = planner.decide(belief((HERE, 0.0, 0.0, 0.0)))
-    assert abs(before.heading_error_rad) < 0.1
+    assert abs(before.heading_rad) < 0.1
     kinds = [one.kind for one in waits(planner, ticks=400)]
     assert (kinds[-1], kinds.count("blocked") > 90, len(kinds) < 400) == ("follow", True, True)
-    assert planner.decide(belief((HERE, 0.0, 0.0, 0.0))).heading_error_rad > 1.0
+    assert planner.decide(belief((HERE, 0.0, 0.0, 0.0))).heading_rad > 1.0
     for _ in range(round(SETTINGS.closed_s / 0.4)):
         later = planner.decide(belief((HERE, 0.0, 0.0, 0.0)), 0.5)
-    assert abs(later.heading_error_rad) < 0.1
+    assert abs(later.heading_rad) < 0.1
 
 
 @pytest.mark.parametrize(("side", "atom"), [(1.0, Atom.LEFT), (-1.0, Atom.RIGHT)])

@@ -1,0 +1,397 @@
+"""The behaviours of a robot that finds its goal, in their order of priority.
+
+Every frame each behaviour first notes what the robot did since the frame before: its clock. Then the first behaviour
+that proposes something decides: `Done`, `Search`, `Blind`, `Follow`, `LookAround`, `Guess`, `DeadEnd`. If something
+stands in the way of that, `Wait` changes it.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.filter import Belief
+from smal.model import VisualMap
+from smal.movement import STANDS, Motion
+from smal.obstacles.avoidance import way_round
+from smal.obstacles.clearance import Surroundings
+from smal.planning.route import Route
+from smal.planning.steering import Chassis, Intent, Kind
+from smal.settings import SETTINGS
+from smal.sought.sight import Glimpse
+
+Floats = NDArray[np.float64]
+Said = Literal["found", "not_here"]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a frame shows, and what the robot has done since the frame before.
+
+    Attributes
+    ----------
+    belief, seen, around, strange, elapsed_s
+        As in `Planner.decide`; ``around`` is None for a robot that cannot go round things.
+    doing, motion
+        Kind and motion of the decision before.
+    directions, weights
+        Direction (p,) to each particle's aim, and its weight (p,): 0 where no way leads to the goal.
+    heading_rad, underway_rad
+        Mean direction; and how far the robot still turns by the decision before, before this one moves it.
+    clear
+        Whether the directions agree, of a robot that is not lost.
+    at_goal, at_end
+        Probability that it is near the goal; and whether it is probably at the end of the way.
+    unseen
+        Whether it has driven too far without a view that spoke for its place.
+    """
+
+    belief: Belief
+    seen: Glimpse | None
+    around: Surroundings | None
+    strange: float
+    elapsed_s: float
+    doing: Kind | None
+    motion: Motion
+    directions: Floats
+    weights: Floats
+    heading_rad: float
+    underway_rad: float
+    has_way: bool
+    clear: bool
+    at_goal: float
+    at_end: bool
+    unseen: bool
+
+    @property
+    def lost(self) -> bool:
+        """Whether the robot is more likely lost than not."""
+        return self.belief.lost > 0.5
+
+    @property
+    def sees(self) -> bool:
+        """Whether the camera shows anything."""
+        return self.belief.camera == "sees"
+
+    def drive(self, kind: Kind) -> Intent:
+        """Return the intent to drive to where the particles aim."""
+        return Intent(kind, None, self.heading_rad, self.directions, self.weights)
+
+
+class Task:
+    """What the robot was sent to do: its route, and what it says of the goal when nothing is left to do."""
+
+    def __init__(self, route: Route) -> None:
+        self.route = route
+        self.said: Said | None = None
+
+
+class Behaviour:
+    """A way to act, with a clock of its own."""
+
+    def note(self, now: Situation) -> None:
+        """Note what the robot did since the frame before."""
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Return what to do until the next frame; None to leave that to the behaviours behind it."""
+        raise NotImplementedError
+
+
+class Done(Behaviour):
+    """Stand, having said something of the goal."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Stand for good."""
+        return None if self._task.said is None else Intent("goal", STANDS)
+
+
+class LookAround(Behaviour):
+    """Turn to one side, then to the other, and once round to where it began.
+
+    It is due again when the robot has followed the way for a correlation length, or guessed for `Settings.guess_s`: not
+    before, since a place that a few views look like would have it turn to and fro for ever. It is also due when no view
+    speaks for the robot's place any more.
+    """
+
+    def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
+        self._chassis = chassis
+        self._length = taught.correlation_length
+        self._side = 1.0
+        self._turned_rad = 0.0
+        self._followed = 0.0
+        self._guessed_s = 0.0
+
+    @property
+    def done(self) -> bool:
+        """Whether it has looked all around since it last drove."""
+        return self._turned_rad >= math.radians(SETTINGS.look_deg)
+
+    def again(self) -> None:
+        """Forget that it has looked around."""
+        self._turned_rad = 0.0
+        self._followed = 0.0
+        self._guessed_s = 0.0
+
+    def note(self, now: Situation) -> None:
+        """Count the turn, and what the robot drove since it looked around."""
+        if now.doing == "look_around":
+            self._turn(abs(now.motion[1]) * self._chassis.turn_rad_s * now.elapsed_s)
+        ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
+        self._followed = self._followed + ahead if now.doing == "follow" else 0.0
+        self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
+        due = self._followed > self._length or self._guessed_s >= SETTINGS.guess_s
+        if due or (now.unseen and now.sees and max(self._followed, self._guessed_s) > 0.0):
+            self.again()
+
+    def _turn(self, turned_rad: float) -> None:
+        before = self._turned_rad
+        self._turned_rad += turned_rad
+        if before < math.radians(SETTINGS.look_aside_deg) <= self._turned_rad:
+            self._side = -self._side
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Turn, unless it has looked around."""
+        if self.done:
+            return None
+        if self._turned_rad == 0.0:
+            self._side = math.copysign(1.0, now.heading_rad - now.underway_rad)
+        return Intent("look_around", self._chassis.turn(self._side), now.heading_rad)
+
+
+class Search(Behaviour):
+    """At the end of the way look for what was sought, go up to it, and say whether it is there.
+
+    Before it has arrived, the robot goes up to what it sees as near as where the ways ended.
+    """
+
+    def __init__(self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround) -> None:
+        self._taught = taught
+        self._chassis = chassis
+        self._task = task
+        self._look = look
+        #: Whether the robot takes itself to be where it was taught that the goal is.
+        self.arrived = False
+        self._ends = frozenset[int]()
+        self._searched_s = 0.0
+        self._neared_s = 0.0
+        self._came_s = 0.0
+        self._nears = False  # Whether the decision before went up to what it saw.
+
+    def note(self, now: Situation) -> None:
+        """Count the time of going up to something, and that of looking."""
+        if now.doing == "search" and self._nears:
+            # It may turn twice as long as it may drive.
+            self._neared_s += now.elapsed_s * (1.0 + max(now.motion[0], 0.0)) / 2.0
+        elif now.doing == "search" and not self._came_s:
+            self._searched_s += now.elapsed_s
+        # A thing that has come where it was free only looks like what is sought, and may hide it.
+        self._came_s = max(self._came_s - now.elapsed_s, 0.0)
+        left = None if now.seen is None else now.seen.left
+        if left is not None and now.around is not None and now.around.has_come(self._off_rad(left)):
+            self._came_s = SETTINGS.same_moment_s
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Say what it is sure of, or go up to what it sees, or look on."""
+        self._nears = False
+        if now.unseen and not now.sees:
+            return None
+        followed = now.belief.tracked > SETTINGS.tracked * self._taught.correlation_length
+        sure = (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > SETTINGS.arrived
+        if not self.arrived and now.at_end and sure:
+            self._arrive(now.belief)
+        near = math.inf if now.seen is None else now.seen.near
+        # From where nobody drove, less of it may show.
+        about_as_near = near > 1.0 / SETTINGS.as_near
+        beside = now.seen is not None and sure and about_as_near
+        if self._in_view(now.seen):
+            if (self.arrived and about_as_near) or (beside and near > 1.0):
+                self._task.said = "found"
+                return Intent("goal", STANDS)
+            if (self.arrived or beside) and self._neared_s < SETTINGS.goal_s and now.seen and now.seen.left is not None:
+                return self._go_up_to(now.seen.left)
+        return self._look_on(now.belief) if self.arrived else None
+
+    def _arrive(self, belief: Belief) -> None:
+        self.arrived = True
+        self._ends = self._task.route.ends_near(belief, 2.0 * SETTINGS.goal_s * self._taught.speed)
+        self._neared_s = 0.0
+        self._searched_s = 0.0
+
+    def _in_view(self, seen: Glimpse | None) -> bool:
+        """Return whether what is sought is in view; without a way to tell it is taken to be."""
+        least = SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        return seen is None or (seen.probability > least and not self._came_s)
+
+    def _off_rad(self, left: float) -> float:
+        """Return how far to the left of ahead something in view is, radians."""
+        return left * math.radians(self._taught.scene[0])
+
+    def _go_up_to(self, left: float) -> Intent:
+        self._nears = True
+        heading_rad = self._off_rad(left)
+        return Intent("search", None, heading_rad, np.array([heading_rad]), np.ones(1))
+
+    def _look_on(self, belief: Belief) -> Intent | None:
+        """Look all around, whatever other place that looks like; then go to another end, or say "not here"."""
+        around_s = math.radians(SETTINGS.search_deg) / self._chassis.turn_rad_s
+        # A car would leave the place by turning.
+        if self._searched_s < (SETTINGS.stands_s if self._chassis.car else around_s):
+            return Intent("search", STANDS if self._chassis.car else self._chassis.turn(1.0))
+        self.arrived = False
+        self._task.route = self._task.route.beyond(self._ends)
+        if self._task.route.has_way(belief):
+            return None
+        self._task.said = "not_here"
+        return Intent("goal", STANDS)
+
+
+class Blind(Behaviour):
+    """Stand where no view has spoken for the robot's place for too long, once it has looked around.
+
+    So a robot never drives far without a view that it knows.
+    """
+
+    def __init__(self, look: LookAround) -> None:
+        self._look = look
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Stand, unless looking around may help."""
+        return Intent("blind", STANDS, now.heading_rad) if now.unseen and (self._look.done or not now.sees) else None
+
+
+class Follow(Behaviour):
+    """Drive along the taught way, where it is clear in which direction that leads."""
+
+    def __init__(self, look: LookAround, wait: "Wait") -> None:
+        self._look = look
+        self._wait = wait
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Drive, unless the robot is to look around first."""
+        doubts = now.at_end or self._wait.in_vain
+        goes = now.clear and not now.unseen and (self._look.done or not doubts)
+        return now.drive("follow") if goes else None
+
+
+class Guess(Behaviour):
+    """Drive in the mean direction, since looking around has not shown which one is right."""
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Drive all the same."""
+        return now.drive("guess") if now.has_way or now.lost else None
+
+
+class DeadEnd(Behaviour):
+    """Stand, since no taught way leads on to the goal."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Stand; if all ends were tried that a way led to, the goal is not here."""
+        self._task.said = "not_here" if self._task.route.tried else None
+        return Intent("dead_end", STANDS, now.heading_rad)
+
+
+class Wait:
+    """Go round what stands in the way, or wait before it.
+
+    People wait for a robot as it waits for them, so one has to give way: after `Settings.waits_s` the robot backs up.
+    A robot that has waited in vain may be elsewhere than it believes: after twice that time it looks around, once.
+    After three times it takes another taught way, if there is one, for `Settings.closed_s`.
+    """
+
+    def __init__(self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround) -> None:
+        self._taught = taught
+        self._chassis = chassis
+        self._task = task
+        self._look = look
+        self._ahead = SETTINGS.lookahead_s * chassis.speed
+        self._blocked_s = 0.0
+        self._closed_s = 0.0
+
+    @property
+    def in_vain(self) -> bool:
+        """Whether it has waited for so long that it may be elsewhere than it believes."""
+        return self._periods >= 2
+
+    @property
+    def _periods(self) -> int:
+        return int(self._blocked_s // SETTINGS.waits_s)
+
+    def note(self, now: Situation) -> None:
+        """Count how long the way has been blocked; look around, or take another way, when it is time to."""
+        self._closed_s -= now.elapsed_s
+        if self._closed_s < 0.0 and self._task.route.closed.any():
+            self._task.route = self._task.route.reopened()
+        before = self._periods
+        if now.doing == "blocked":
+            self._blocked_s += now.elapsed_s
+        elif now.motion[0] > 0.0:
+            self._blocked_s = 0.0
+        if before == 1 < self._periods:
+            self._look.again()
+        elif before == 2 < self._periods:
+            self._take_another_way(now)
+
+    def _take_another_way(self, now: Situation) -> None:
+        reach = now.around.reach_m if now.around else SETTINGS.slows_s * self._chassis.speed
+        other = self._task.route.around(now.belief, reach)
+        if other is not None:
+            self._task.route = other
+            self._closed_s = SETTINGS.closed_s
+            self._blocked_s = 0.0
+
+    def instead_of(self, intent: Intent, now: Situation) -> Intent:
+        """Return the intent as far as nothing stands in the way; else what to do in its place."""
+        if now.around is None:
+            return self._before_strange_ground(intent, now)
+        return self._among_things(intent, now, now.around) if intent.motion is None else intent
+
+    def _among_things(self, intent: Intent, now: Situation, around: Surroundings) -> Intent:
+        """Go round what stands in the way; near to things turn on the spot, and drive only straight."""
+        if intent.kind != "search" and now.has_way:
+            round_rad = self._round_rad(intent.heading_rad, now.belief, around)
+            if round_rad is None:
+                return self._wait(now)
+            if round_rad != intent.heading_rad:
+                intent = replace(intent, heading_rad=round_rad, stepwise=True)
+        free_m = around.free_m(ahead=True)
+        if free_m > 0.0:
+            return replace(intent, stepwise=intent.stepwise or free_m <= self._ahead)
+        to_turn_rad = intent.heading_rad - now.underway_rad
+        if abs(to_turn_rad) < self._taught.turn_rad / 2.0:
+            return self._wait(now)
+        return replace(intent, motion=self._chassis.turn(math.copysign(1.0, to_turn_rad)))
+
+    def _round_rad(self, heading_rad: float, belief: Belief, around: Surroundings) -> float | None:
+        taught = self._taught
+        way = self._task.route.way_ahead(belief, self._ahead, around.reach_m)
+        step_m = self._chassis.speed * taught.tick_s
+        return way_round(around, way, taught.turn_rad, step_m, taught.correlation_length, heading_rad)
+
+    def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
+        """Slow down before ground that looks strange, and stand before it; what is sought is not in the way."""
+        ahead = intent.kind != "search" if intent.motion is None else intent.motion[0] > 0.0
+        if not ahead or (now.seen is not None and now.seen.probability > 0.5):
+            return intent
+        if now.strange < SETTINGS.stops_s * self._chassis.speed:
+            # It turns to its way, and looks there before it waits.
+            aside = abs(intent.heading_rad) > math.radians(SETTINGS.spacing_deg) and not self._chassis.car
+            return replace(intent, pace=0.0) if aside else self._wait(now)
+        return replace(intent, pace=SETTINGS.slowly if now.strange < SETTINGS.slows_s * self._chassis.speed else 1.0)
+
+    def _wait(self, now: Situation) -> Intent:
+        """Keep in view who moves before the robot; then make room."""
+        aside_rad = now.around.moving_rad if now.around else 0.0
+        motion = STANDS
+        if abs(aside_rad) > math.radians(self._taught.scene[0]) / 4.0:
+            motion = self._chassis.turn(math.copysign(1.0, aside_rad))
+        elif self._periods and now.around and now.around.crowded and now.around.free_m(ahead=False) > 0.0:
+            motion = -1.0, 0.0
+        return Intent("blocked", motion, now.heading_rad)
