@@ -81,9 +81,9 @@ class Localizer:
         return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s, detected)
 
     def strange(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float:
-        """Return how far ahead the ground looks as none of the taught one, in the map's unit; see `Settings.slows_s`.
+        """Return how far ahead the ground looks like none of the taught ground, in the map's unit (`PlannerConfig`).
 
-        It is infinity where nothing does, and where nobody knows.
+        It is infinity where nothing does, and where the model does not know the ground.
         """
         best = int(belief.weights.argmax())
         if self._ground is None or picture is None or belief.lost > 0.5:

@@ -112,33 +112,6 @@ class Settings:
     # -- planning
     #: Places that a decision is made of, the heaviest.
     places: int = 64
-    #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
-    lookahead_s: float = 0.7
-    restless_s: float = 0.01  # Cost of changing the turn rate by the full rate, against swinging to and fro.
-    wide_deg: float = 25.0  # Directions that differ by more about their mean are none to drive in.
-    #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
-    #: and once round to where it began, where it knows best where it is. Then it drives by its best guess, before it
-    #: looks again.
-    look_aside_deg: float = 45.0
-    look_deg: float = 450.0
-    look_speed: float = 0.5  # Share of its speed at which a car does so, in as sharp a bend as it can.
-    guess_s: float = 2.0
-    #: Time of driving after which a robot stands if no view has spoken for its place: so it stands within a second of
-    #: driving after its camera has failed, with what its decision and its brakes take.
-    blind_s: float = 0.5
-    #: What going over to another drive must save: how two drives stand to each other is less certain than either.
-    go_over_s: float = 2.0
-    #: Probability with which it says that it has arrived, and the time of driving within which it is then of the goal:
-    #: half of what is usually called found.
-    arrived: float = 0.99
-    #: It must have been followed for this way before, or have looked all around: a few views may show another place.
-    tracked: float = 2.0
-    goal_s: float = 1.25
-    #: It waits so long before what nothing leads round: people have walked on by then; so long it makes room for them;
-    #: again when it has looked around; then another taught way is taken, if there is one, for so long.
-    waits_s: float = 5.0
-    closed_s: float = 60.0
-    stands_after_s: float = 0.5  # Without a decision it stands after this time: it has not gone on turning since.
 
     # -- what is sought (`smal.sought`)
     #: Time of driving before the end of a drive in which what it ends before may be seen well; and within which views
@@ -162,9 +135,6 @@ class Settings:
     false_seen: float = 40.0
     low: float = 0.1  # How low in the view it is tells how near it is, where that is so much at the end of the way.
     as_near: float = 1.3  # What is seen is found nearer than this many times how near the taught ways ended.
-    #: It looks once round and a view more before it says that it is not here; one that cannot turn on the spot stands.
-    search_deg: float = 410.0
-    stands_s: float = 1.0
 
     # -- what stands in the way (`smal.obstacles`), in radii of the robot
     depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
@@ -209,11 +179,6 @@ class Settings:
     # -- what is strange on the ground, without depth (`smal.obstacles.strange`)
     #: Half the width of what a robot sweeps, in heights of its camera: robots are about as wide as that is high.
     swept: float = 0.7
-    #: Time of driving ahead within which something strange slows it, to a share of its speed, and stops it: indoors the
-    #: ground shows from 1.5 s on.
-    slows_s: float = 3.0
-    slowly: float = 0.5
-    stops_s: float = 2.0
     strange_s: float = 0.2  # For so long, at least, it must be seen.
     strange_keyframes: int = 3  # To either side whose ground is known here.
     strange_views: float = 1e4  # One of so many views would be called strange: a kilometre of keyframes indoors.

@@ -23,6 +23,7 @@ from smal.sought.sight import cells_of
 _HORIZON: Final = SHAPE[0] // 2 + 3  # Row from which on there is ground; what is higher is too far.
 _STEP: Final = 2  # Rows and columns from one cell to the next; a patch is three cells wide.
 _KEPT: Final = 3  # And of the cells that a keyframe keeps.
+LOOKS_S: Final = 3.0  # Time of driving, seconds, within which the ground ahead is looked at.
 _FINE: Final = 200.0  # Values of a byte for a colour of 1; the brightest is 1.22.
 
 
@@ -50,7 +51,7 @@ class Ground:
 
 def swept(speed: float) -> Floats:
     """Return how far along its way a robot of this speed looks at the ground that it sweeps, (s,): every 0.1 s."""
-    return np.linspace(0.0, SETTINGS.slows_s * speed, 32)
+    return np.linspace(0.0, LOOKS_S * speed, 32)
 
 
 def colours_of(picture: Image) -> NDArray[np.uint8]:

@@ -17,6 +17,7 @@ from smal.model import VisualMap
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
+from smal.planning.config import PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.settings import SETTINGS
@@ -113,12 +114,13 @@ class Done(Behaviour):
 class LookAround(Behaviour):
     """Turn to one side, then to the other, and once round to where it began.
 
-    It is due again when the robot has followed the way for a correlation length, or guessed for `Settings.guess_s`: not
-    before, since a place that a few views look like would have it turn to and fro for ever. It is also due when no view
-    speaks for the robot's place any more.
+    It is due again when the robot has followed the way for a correlation length, or guessed for
+    `PlannerConfig.guess_s`: not before, since a place that a few views look like would have it turn to and fro for
+    ever. It is also due when no view speaks for the robot's place any more.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
+    def __init__(self, taught: VisualMap, chassis: Chassis, config: PlannerConfig) -> None:
+        self._config = config
         self._chassis = chassis
         self._length = taught.correlation_length
         self._side = 1.0
@@ -129,7 +131,7 @@ class LookAround(Behaviour):
     @property
     def done(self) -> bool:
         """Whether it has looked all around since it last drove."""
-        return self._turned_rad >= math.radians(SETTINGS.look_deg)
+        return self._turned_rad >= self._config.look_rad
 
     def again(self) -> None:
         """Forget that it has looked around."""
@@ -144,14 +146,14 @@ class LookAround(Behaviour):
         ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
         self._followed = self._followed + ahead if now.doing == "follow" else 0.0
         self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
-        due = self._followed > self._length or self._guessed_s >= SETTINGS.guess_s
+        due = self._followed > self._length or self._guessed_s >= self._config.guess_s
         if due or (now.unseen and now.sees and max(self._followed, self._guessed_s) > 0.0):
             self.again()
 
     def _turn(self, turned_rad: float) -> None:
         before = self._turned_rad
         self._turned_rad += turned_rad
-        if before < math.radians(SETTINGS.look_aside_deg) <= self._turned_rad:
+        if before < math.radians(self._config.look_aside_deg) <= self._turned_rad:
             self._side = -self._side
 
     def propose(self, now: Situation) -> Intent | None:
@@ -169,7 +171,10 @@ class Search(Behaviour):
     Before it has arrived, the robot goes up to what it sees as near as where the ways ended.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround) -> None:
+    def __init__(
+        self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround, config: PlannerConfig
+    ) -> None:
+        self._config = config
         self._taught = taught
         self._chassis = chassis
         self._task = task
@@ -200,8 +205,8 @@ class Search(Behaviour):
         self._nears = False
         if now.unseen and not now.sees:
             return None
-        followed = now.belief.tracked > SETTINGS.tracked * self._taught.correlation_length
-        sure = (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > SETTINGS.arrived
+        followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
+        sure = (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > self._config.arrived
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
         near = math.inf if now.seen is None else now.seen.near
@@ -210,15 +215,19 @@ class Search(Behaviour):
         beside = now.seen is not None and sure and about_as_near
         if self._in_view(now.seen):
             if (self.arrived and about_as_near) or (beside and near > 1.0):
-                self._task.said = "found"
-                return Intent("goal", STANDS)
-            if (self.arrived or beside) and self._neared_s < SETTINGS.goal_s and now.seen and now.seen.left is not None:
-                return self._go_up_to(now.seen.left)
+                return self._say("found")
+            left = None if now.seen is None else now.seen.left
+            if left is not None and (self.arrived or beside) and self._neared_s < self._config.goal_s:
+                return self._go_up_to(left)
         return self._look_on(now.belief) if self.arrived else None
+
+    def _say(self, what: Said) -> Intent:
+        self._task.said = what
+        return Intent("goal", STANDS)
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
-        self._ends = self._task.route.ends_near(belief, 2.0 * SETTINGS.goal_s * self._taught.speed)
+        self._ends = self._task.route.ends_near(belief, 2.0 * self._config.goal_s * self._taught.speed)
         self._neared_s = 0.0
         self._searched_s = 0.0
 
@@ -238,16 +247,15 @@ class Search(Behaviour):
 
     def _look_on(self, belief: Belief) -> Intent | None:
         """Look all around, whatever other place that looks like; then go to another end, or say "not here"."""
-        around_s = math.radians(SETTINGS.search_deg) / self._chassis.turn_rad_s
+        around_s = self._config.search_rad(float(self._taught.scene[0])) / self._chassis.turn_rad_s
         # A car would leave the place by turning.
-        if self._searched_s < (SETTINGS.stands_s if self._chassis.car else around_s):
+        if self._searched_s < (self._config.stands_s if self._chassis.car else around_s):
             return Intent("search", STANDS if self._chassis.car else self._chassis.turn(1.0))
         self.arrived = False
         self._task.route = self._task.route.beyond(self._ends)
         if self._task.route.has_way(belief):
             return None
-        self._task.said = "not_here"
-        return Intent("goal", STANDS)
+        return self._say("not_here")
 
 
 class Blind(Behaviour):
@@ -301,17 +309,20 @@ class DeadEnd(Behaviour):
 class Wait:
     """Go round what stands in the way, or wait before it.
 
-    People wait for a robot as it waits for them, so one has to give way: after `Settings.waits_s` the robot backs up.
-    A robot that has waited in vain may be elsewhere than it believes: after twice that time it looks around, once.
-    After three times it takes another taught way, if there is one, for `Settings.closed_s`.
+    People wait for a robot as it waits for them, so one has to give way: after `PlannerConfig.waits_s` the robot backs
+    up. A robot that has waited in vain may be elsewhere than it believes: after twice that time it looks around, once.
+    After three times it takes another taught way, if there is one, for `PlannerConfig.closed_s`.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround) -> None:
+    def __init__(
+        self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround, config: PlannerConfig
+    ) -> None:
+        self._config = config
         self._taught = taught
         self._chassis = chassis
         self._task = task
         self._look = look
-        self._ahead = SETTINGS.lookahead_s * chassis.speed
+        self._ahead = self._config.lookahead_s * chassis.speed
         self._blocked_s = 0.0
         self._closed_s = 0.0
 
@@ -322,7 +333,7 @@ class Wait:
 
     @property
     def _periods(self) -> int:
-        return int(self._blocked_s // SETTINGS.waits_s)
+        return int(self._blocked_s // self._config.waits_s)
 
     def note(self, now: Situation) -> None:
         """Count how long the way has been blocked; look around, or take another way, when it is time to."""
@@ -340,11 +351,11 @@ class Wait:
             self._take_another_way(now)
 
     def _take_another_way(self, now: Situation) -> None:
-        reach = now.around.reach_m if now.around else SETTINGS.slows_s * self._chassis.speed
+        reach = now.around.reach_m if now.around else self._config.slows_s * self._chassis.speed
         other = self._task.route.around(now.belief, reach)
         if other is not None:
             self._task.route = other
-            self._closed_s = SETTINGS.closed_s
+            self._closed_s = self._config.closed_s
             self._blocked_s = 0.0
 
     def instead_of(self, intent: Intent, now: Situation) -> Intent:
@@ -380,11 +391,12 @@ class Wait:
         ahead = intent.kind != "search" if intent.motion is None else intent.motion[0] > 0.0
         if not ahead or (now.seen is not None and now.seen.probability > 0.5):
             return intent
-        if now.strange < SETTINGS.stops_s * self._chassis.speed:
+        if now.strange < self._config.stops_s * self._chassis.speed:
             # It turns to its way, and looks there before it waits.
             aside = abs(intent.heading_rad) > math.radians(SETTINGS.spacing_deg) and not self._chassis.car
             return replace(intent, pace=0.0) if aside else self._wait(now)
-        return replace(intent, pace=SETTINGS.slowly if now.strange < SETTINGS.slows_s * self._chassis.speed else 1.0)
+        near = now.strange < self._config.slows_s * self._chassis.speed
+        return replace(intent, pace=self._config.slowly) if near else intent
 
     def _wait(self, now: Situation) -> Intent:
         """Keep in view who moves before the robot; then make room."""

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from smal.model import VisualMap
-from smal.settings import SETTINGS
+from smal.planning.config import PLANNER_CONFIG
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -27,13 +27,17 @@ def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
 
 
 def cost_to_go(
-    visual_map: VisualMap, goal: str, tried: Iterable[int] = (), closed: NDArray[np.bool_] | None = None
+    visual_map: VisualMap,
+    goal: str,
+    go_over_s: float = PLANNER_CONFIG.go_over_s,
+    tried: Iterable[int] = (),
+    closed: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Return the seconds to the goal from every keyframe (k,), and the keyframe to go to next (k,).
 
     The goal is the end of each drive that leads there, but of those drives whose end was tried. From keyframes that are
     `closed` (k,) no drive goes on. Going over to another
-    drive costs the time for the turn and the way between the two, and `Settings.go_over_s`. The robot changes drives at
+    drive costs the time for the turn and the way between the two, and ``go_over_s``. The robot changes drives at
     the first place from which the goal is nearer by the other: at the last one it would be torn between both. The cost
     to go falls with every step, so that nobody goes in circles. Where no way leads on, it is infinite and nothing next
     (-1), as at goals.
@@ -52,7 +56,7 @@ def cost_to_go(
     ahead, turn_rad = max(float(np.abs(visual_map.movements[:, 0]).max()), 1e-9), visual_map.turn_rad
     way, turns = np.append(steps[0], np.hypot(*aside.T)), np.abs(np.append(steps[1], turned))
     costs = (way / ahead + turns / turn_rad) * visual_map.tick_s
-    costs[on.size :] += SETTINGS.go_over_s
+    costs[on.size :] += go_over_s
     costs = np.maximum(np.append(costs, np.zeros(goals.size)), 1e-9)
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)

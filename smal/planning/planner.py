@@ -27,10 +27,10 @@ from smal.planning.behaviours import (
     Task,
     Wait,
 )
+from smal.planning.config import PLANNER_CONFIG, PlannerConfig
 from smal.planning.cost_to_go import chosen_goal
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Kind, Steering
-from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 
 
@@ -66,14 +66,17 @@ class Planner:
         What was taught.
     goal
         Where to go; it may be left out where all drives lead to one (`chosen_goal`).
+    config
+        The planner's numbers.
     """
 
-    def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
+    def __init__(self, visual_map: VisualMap, goal: str | None = None, config: PlannerConfig = PLANNER_CONFIG) -> None:
         self._taught = visual_map
-        self._chassis = Chassis.of(visual_map)
-        self._ahead = SETTINGS.lookahead_s * visual_map.speed
+        self._config = config
+        self._chassis = Chassis.of(visual_map, config)
+        self._ahead = self._config.lookahead_s * visual_map.speed
         self._steering = Steering(self._chassis, visual_map.turn_rad, visual_map.tick_s)
-        self._route = Route.plan(visual_map, chosen_goal(visual_map.goals, goal))
+        self._route = Route.plan(visual_map, chosen_goal(visual_map.goals, goal), config.go_over_s)
         self.reset()
 
     def reset(self) -> None:
@@ -81,9 +84,9 @@ class Planner:
         self._steering.reset()
         self._doing: Kind | None = None
         self._task = Task(self._route)
-        look = LookAround(self._taught, self._chassis)
-        self._search = Search(self._taught, self._chassis, self._task, look)
-        self._wait = Wait(self._taught, self._chassis, self._task, look)
+        look = LookAround(self._taught, self._chassis, self._config)
+        self._search = Search(self._taught, self._chassis, self._task, look, self._config)
+        self._wait = Wait(self._taught, self._chassis, self._task, look, self._config)
         follow = Follow(look, self._wait)
         self._behaviours: tuple[Behaviour, ...] = (
             Done(self._task), self._search, Blind(look), follow, look, Guess(), DeadEnd(self._task)
@@ -134,8 +137,8 @@ class Planner:
         """
         taught = self._taught
         # A robot without decisions stands after a while: it has not gone on turning since.
-        elapsed_s = min(taught.tick_s if elapsed_s is None else elapsed_s, SETTINGS.stands_after_s)
-        delay_s = min(delay_s, SETTINGS.stands_after_s)
+        elapsed_s = min(taught.tick_s if elapsed_s is None else elapsed_s, self._config.stands_after_s)
+        delay_s = min(delay_s, self._config.stands_after_s)
         if not taught.odometry or self._chassis.car:
             around = None
         now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
@@ -178,8 +181,8 @@ class Planner:
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,
-            clear=has_way and belief.lost <= 0.5 and abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg)),
-            at_goal=float(belief.weights @ (leads & (to_end < SETTINGS.goal_s * taught.speed))),
+            clear=has_way and belief.lost <= 0.5 and abs(mean) >= math.cos(math.radians(self._config.wide_deg)),
+            at_goal=float(belief.weights @ (leads & (to_end < self._config.goal_s * taught.speed))),
             at_end=float(belief.weights @ at_end) > 0.5,
-            unseen=belief.unseen > SETTINGS.blind_s * taught.speed,
+            unseen=belief.unseen > self._config.blind_s * taught.speed,
         )

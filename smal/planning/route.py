@@ -36,6 +36,8 @@ class Route:
 
     Attributes
     ----------
+    go_over_s
+        What going over to another drive must save, seconds.
     to_go_s
         Seconds to the goal from each keyframe (k,); infinite where no way leads there.
     guide
@@ -50,6 +52,7 @@ class Route:
 
     taught: VisualMap
     goal: str
+    go_over_s: float
     to_go_s: Floats
     guide: NDArray[np.intp]
     offset: Floats
@@ -62,15 +65,16 @@ class Route:
         cls,
         taught: VisualMap,
         goal: str,
+        go_over_s: float,
         tried: AbstractSet[int] = frozenset(),
         closed: NDArray[np.bool_] | None = None,
     ) -> "Route":
         """Plan the ways from all keyframes."""
         closed = np.zeros(len(taught.keyframes), dtype=np.bool_) if closed is None else closed
-        to_go_s, following = cost_to_go(taught, goal, tried, closed)
+        to_go_s, following = cost_to_go(taught, goal, go_over_s, tried, closed)
         guide, offset = _guides(taught, to_go_s, following)
         leads = (taught.key_goals[guide] == goal) & ~np.isin(taught.key_drives[guide], [*tried])
-        return cls(taught, goal, to_go_s, guide, offset, leads, frozenset(tried), closed)
+        return cls(taught, goal, go_over_s, to_go_s, guide, offset, leads, frozenset(tried), closed)
 
     def leads_on(self, belief: Belief) -> NDArray[np.bool_]:
         """Return from which particles (p,) a way leads to the goal."""
@@ -125,7 +129,7 @@ class Route:
 
     def beyond(self, tried: AbstractSet[int]) -> "Route":
         """Return the route to the ends that are left when those of some drives were tried."""
-        return Route.plan(self.taught, self.goal, self.tried | tried, self.closed)
+        return Route.plan(self.taught, self.goal, self.go_over_s, self.tried | tried, self.closed)
 
     def around(self, belief: Belief, reach: float) -> "Route | None":
         """Return the route without the next ``reach`` of the way; None if none leads on from where the robot is."""
@@ -133,12 +137,12 @@ class Route:
         here = self._guide_of(belief)
         along = taught.arc[taught.keyframes] - taught.arc[taught.keyframes[here]]
         ahead = (taught.key_drives == taught.key_drives[here]) & (along >= 0.0) & (along < reach)
-        other = Route.plan(taught, self.goal, self.tried, self.closed | ahead)
+        other = Route.plan(taught, self.goal, self.go_over_s, self.tried, self.closed | ahead)
         return other if other.has_way(belief) else None
 
     def reopened(self) -> "Route":
         """Return the route on which all keyframes are open again."""
-        return Route.plan(self.taught, self.goal, self.tried)
+        return Route.plan(self.taught, self.goal, self.go_over_s, self.tried)
 
     def _guide_of(self, belief: Belief) -> int:
         return int(self.guide[belief.keyframes[belief.weights.argmax()]])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smal.model import VisualMap
 from smal.movement import STANDS, Motion, placed, seen_from, turns_ahead
-from smal.settings import SETTINGS
+from smal.planning.config import PlannerConfig
 
 Floats = NDArray[np.float64]
 Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search", "blind"]
@@ -56,11 +56,12 @@ class Chassis(NamedTuple):
     speed: float
     turn_rad_s: float
     car: bool
+    config: PlannerConfig
 
     @classmethod
-    def of(cls, taught: VisualMap) -> "Chassis":
+    def of(cls, taught: VisualMap, config: PlannerConfig) -> "Chassis":
         """Return the chassis with which a map was taught."""
-        return cls(taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements))
+        return cls(taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements), config)
 
     def arc(self, linear: Floats | float, angular: Floats | float, time_s: float) -> Floats:
         """Return where velocities (v,) lead in a time: ahead, left, turned (v, 3)."""
@@ -70,7 +71,7 @@ class Chassis(NamedTuple):
 
     def turn(self, side: float) -> Motion:
         """Return the motion that turns to a side, 1 for left and -1 for right; a car drives slowly in a bend."""
-        return (SETTINGS.look_speed, SETTINGS.look_speed * side) if self.car else (0.0, side)
+        return (self.config.look_speed, self.config.look_speed * side) if self.car else (0.0, side)
 
     def best(self, directions: Floats, weights: Floats, last: Motion, delay_s: float) -> Motion:
         """Return the motion that leaves least to go for particles that aim in directions (p,), by their weights (p,).
@@ -78,7 +79,7 @@ class Chassis(NamedTuple):
         The aims lie ahead of where the robot is when this motion begins, also beyond the end of the way: nearer aims
         would make full speed lead too far.
         """
-        away = self.speed * (SETTINGS.lookahead_s + delay_s * abs(last[0]))
+        away = self.speed * (self.config.lookahead_s + delay_s * abs(last[0]))
         aims = np.stack([away * np.cos(directions), away * np.sin(directions)], axis=1)
         shares = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(-1.0, 1.0, 41))
         linear, angular = (share.ravel() for share in shares)
@@ -86,12 +87,12 @@ class Chassis(NamedTuple):
         can = (linear > 0.0) & (np.abs(angular) <= linear) if self.car else linear + np.abs(angular) >= 0.25
         linear = linear[can]
         angular = angular[can]
-        ends = placed(self.arc(linear, angular, SETTINGS.lookahead_s), self.arc(*last, delay_s))
+        ends = placed(self.arc(linear, angular, self.config.lookahead_s), self.arc(*last, delay_s))
         x, y, _ = np.moveaxis(seen_from(np.pad(aims, ((0, 0), (0, 1))), ends[:, None]), -1, 0)
         left_s = np.hypot(x, y) / self.speed
         # Near its aim a robot need not turn to it any more.
-        turn_s = np.abs(np.arctan2(y, x)) / self.turn_rad_s * np.minimum(left_s / (SETTINGS.lookahead_s / 2.0), 1.0)
-        cost_s = (left_s + turn_s) @ weights / weights.sum() + SETTINGS.restless_s * np.abs(angular - last[1])
+        turn_s = np.abs(np.arctan2(y, x)) / self.turn_rad_s * np.minimum(left_s / (self.config.lookahead_s / 2.0), 1.0)
+        cost_s = (left_s + turn_s) @ weights / weights.sum() + self.config.restless_s * np.abs(angular - last[1])
         best = int(cost_s.argmin())
         return float(linear[best]), float(angular[best])
 

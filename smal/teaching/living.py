@@ -25,6 +25,7 @@ from smal.likelihood import evenly, over, scale
 from smal.model import Model, VisualMap
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
+from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
 from smal.settings import SETTINGS
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
@@ -101,7 +102,7 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
         if run.camera is None:
             continue
         followed = follow(model, run)
-        for frame in np.flatnonzero(followed.sure > SETTINGS.arrived).tolist():
+        for frame in np.flatnonzero(followed.sure > PLANNER_CONFIG.arrived).tolist():
             key, offset = int(followed.keyframes[frame]), followed.offsets[frame]
             seen.setdefault(key, []).append(taught.described(model.centering.apply(run.features[frame])))
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
@@ -160,7 +161,7 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
         # Said where the way goes on for longer than twice the way within which a goal is near.
         too_early = [
             float(np.hypot(*(poses[min(one.arrived, len(poses) - 1), :2] - poses[-1, :2])))
-            > 2.0 * SETTINGS.goal_s * taught.speed
+            > 2.0 * PLANNER_CONFIG.goal_s * taught.speed
             for one in (before, after)
         ]
         false_goals += too_early == [False, True]

@@ -10,7 +10,7 @@ from smal.features import extract
 from smal.filter import Belief, CameraState, Filter
 from smal.movement import STILL, Movement
 from smal.planning import Planner
-from smal.settings import SETTINGS
+from smal.planning.config import PLANNER_CONFIG
 from tests.smal.synthetic_world import COLOR, Room, drive, usual_map
 
 ROOM = Room()
@@ -56,7 +56,7 @@ def test_unseen_grows_with_the_way_when_the_camera_fails(failure: str) -> None:
     state, fails = FAILURES[failure]
     one, beliefs = drive(way=((2.2, 0.0),)), seen_of(fails)
     way = np.cumsum([0.0, *(movement.ahead for movement in one.movements())])
-    blind = SETTINGS.blind_s * usual_map()[0].speed
+    blind = PLANNER_CONFIG.blind_s * usual_map()[0].speed
     stands = next(number for number, belief in enumerate(beliefs) if belief.unseen > blind)
     assert way[stands] - way[FAILS_AT] < 2.0 * blind
     if state is not None:

@@ -17,8 +17,8 @@ from smal.likelihood import GRID, SHARES
 from smal.model import VisualMap
 from smal.movement import Atom, Motion
 from smal.planning import Decision, Planner, cost_to_go
+from smal.planning.config import PLANNER_CONFIG
 from smal.planning.steering import Chassis, Intent, Steering
-from smal.settings import SETTINGS
 from smal.sought.sight import Glimpse
 from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_beside, usual_map
 
@@ -145,7 +145,7 @@ def test_it_does_not_go_far_for_what_never_comes_near() -> None:
         assert made.total() < 200, "it never says anything"
         made[key(planner.decide(END, seen=Glimpse(0.99, near=0.0)))] += 1
     assert planner.said == "not_here"
-    assert made[Atom.FORWARD] * STRAIGHT.tick_s <= SETTINGS.goal_s + STRAIGHT.tick_s
+    assert made[Atom.FORWARD] * STRAIGHT.tick_s <= PLANNER_CONFIG.goal_s + STRAIGHT.tick_s
 
 
 def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
@@ -181,7 +181,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
     decisions = [planner.decide(unsure) for _ in range(400)]
     kinds = [decision.kind for decision in decisions]
-    look, guess = math.ceil(SETTINGS.look_deg / 4.5), round(SETTINGS.guess_s / TICK)
+    look, guess = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5), round(PLANNER_CONFIG.guess_s / TICK)
     assert set(kinds) == {"look_around", "guess"}
     assert kinds[:look] == ["look_around"] * look
     for start in range(0, 400 - look - guess - 5, look + guess):
@@ -191,7 +191,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     # It looks to one side, turns round the other way, and drives when it guesses.
     turns = [key(decision) for decision in decisions[:look]]
     aside = turns.index(Atom.RIGHT if turns[0] is Atom.LEFT else Atom.LEFT)
-    assert aside == pytest.approx(SETTINGS.look_aside_deg / 4.5, abs=1)
+    assert aside == pytest.approx(PLANNER_CONFIG.look_aside_deg / 4.5, abs=1)
     assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
     assert key(decisions[0]) in (Atom.LEFT, Atom.RIGHT)
     if lost:
@@ -200,7 +200,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
 
 def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
     """Return the motions of a robot among things, at the headings of one frame after the other."""
-    steering = Steering(Chassis.of(STRAIGHT), STRAIGHT.turn_rad, STRAIGHT.tick_s)
+    steering = Steering(Chassis.of(STRAIGHT, PLANNER_CONFIG), STRAIGHT.turn_rad, STRAIGHT.tick_s)
     intents = [Intent("follow", heading_rad=math.radians(one), stepwise=True) for one in headings_deg]
     return [steering.steer(intent, elapsed_s, 0.0) for intent in intents]
 
@@ -307,7 +307,7 @@ def test_costs_to_go_satisfy_bellman_s_equation() -> None:
     cost, following = cost_to_go(two, "office")
     edges = {(k, k + 1): 0.2 for k in range(101) if k != 40}
     # Going over takes the time to drive 0.3 m aside as well.
-    edges |= dict.fromkeys(map(tuple, two.stitched.tolist()), SETTINGS.go_over_s + 0.6)
+    edges |= dict.fromkeys(map(tuple, two.stitched.tolist()), PLANNER_CONFIG.go_over_s + 0.6)
     for here in range(102):
         onward = {there: step + cost[there] for (one, there), step in edges.items() if one == here}
         if here == 101:
@@ -380,7 +380,7 @@ def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: st
 def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None:
     planner = Planner(fork(), "office")
     kinds = [planner.decide(belief((30, 0.0, 0.0, 0.0))) for _ in range(300)]
-    look = math.ceil(SETTINGS.look_deg / 4.5)
+    look = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5)
     assert [one.kind for one in kinds] == ["look_around"] * look + ["dead_end"] * (300 - look)
     assert {key(one) for one in kinds[look:]} == {Atom.STOP}
     # As soon as it believes otherwise it goes on.

@@ -39,6 +39,7 @@ from smal.filter import Belief, Filter, Newness
 from smal.model import Model
 from smal.movement import Atom, placed, seen_from
 from smal.particles import View
+from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
 from smal.settings import SETTINGS
 from smal.teaching.mapping import learn
@@ -150,7 +151,7 @@ class Judge:
         poses, said = placed(belief.offsets, mapped.key_poses[belief.keyframes]), best.offsets[0]
         centre = placed(said, mapped.poses[there])
         near = float(belief.weights[self._within(poses, centre)].sum()) * (1.0 - belief.lost)
-        goal_m = SETTINGS.goal_s * mapped.speed
+        goal_m = PLANNER_CONFIG.goal_s * mapped.speed
         at_goal = np.hypot(*(poses - mapped.poses[-1])[:, :2].T) < goal_m
         goal = float(belief.weights[at_goal].sum()) * (1.0 - belief.lost)
         if true is None:

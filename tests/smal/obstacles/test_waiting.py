@@ -9,7 +9,7 @@ import pytest
 from smal.movement import Atom
 from smal.obstacles.clearance import Surroundings
 from smal.planning import Decision, Planner
-from smal.settings import SETTINGS
+from smal.planning.config import PLANNER_CONFIG
 from smal.sought.sight import Glimpse
 from tests.smal.depth_world import MOUNT, Box, depth
 from tests.smal.test_planning import belief, map_of
@@ -46,7 +46,7 @@ def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
     assert len(decisions) == 400
     kinds = [(kind, len(list(same))) for kind, same in groupby(one.kind for one in decisions)]
     assert [kind for kind, _ in kinds] == ["follow", "blocked", "look_around", "blocked"]  # it turns before it waits
-    assert kinds[1][1] == pytest.approx(2.0 * SETTINGS.waits_s / 0.1, abs=1)
+    assert kinds[1][1] == pytest.approx(2.0 * PLANNER_CONFIG.waits_s / 0.1, abs=1)
 
 
 def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() -> None:
@@ -58,7 +58,7 @@ def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() 
     kinds = [one.kind for one in waits(planner, ticks=400)]
     assert (kinds[-1], kinds.count("blocked") > 90, len(kinds) < 400) == ("follow", True, True)
     assert planner.decide(belief((HERE, 0.0, 0.0, 0.0))).heading_rad > 1.0
-    for _ in range(round(SETTINGS.closed_s / 0.4)):
+    for _ in range(round(PLANNER_CONFIG.closed_s / 0.4)):
         later = planner.decide(belief((HERE, 0.0, 0.0, 0.0)), 0.5)
     assert abs(later.heading_rad) < 0.1
 
@@ -78,12 +78,12 @@ def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
     somebody: Box = (0.7, -0.3, 1.0, 0.3, 1.7)
     planner, made = Planner(map_of(16.0)), looks([WALL], [WALL, somebody])
     motions = []
-    for _ in range(round(1.9 * SETTINGS.waits_s / 0.1)):
+    for _ in range(round(1.9 * PLANNER_CONFIG.waits_s / 0.1)):
         pose = (x, 0.0, 0.0)
         made.look(pose, depth([WALL, somebody], pose), MOUNT)
         motions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion)
         x += 0.04 * motions[-1][0]
-    assert motions[: round(SETTINGS.waits_s / 0.1)].count((0.0, 0.0)) == SETTINGS.waits_s / 0.1
+    assert motions[: round(PLANNER_CONFIG.waits_s / 0.1)].count((0.0, 0.0)) == PLANNER_CONFIG.waits_s / 0.1
     assert -1.0 < x < -0.2
     assert motions[-1] == (0.0, 0.0)
     assert not [one for one in waits(Planner(map_of(16.0)), ticks=90) if one.motion[0] < 0.0]
