@@ -14,8 +14,6 @@ class Action(Message):
     """One decision: the atom movements that follow, one a frame, until the next decision replaces them."""
 
     topic: ClassVar[str] = "action"
-    version: ClassVar[int] = 4
-    reads: ClassVar[tuple[int, ...]] = (3,)
 
     kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "blocked", "stop", "search", "blind"]
     """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has

@@ -77,9 +77,8 @@ class Strict(BaseModel):
 class Message(Strict):
     """A message on a topic: who, when, and the observation that it descends from."""
 
-    #: Version of this message's fields, and earlier ones that lack fields with defaults; a receiver refuses others.
+    #: Version of this message's fields; a receiver rejects all others.
     version: ClassVar[int] = 1
-    reads: ClassVar[tuple[int, ...]] = ()
     max_bytes: ClassVar[int] = 64 * 1024  # Most bytes that this message may take on the wire.
     max_containers: ClassVar[int] = 128  # Most maps and arrays in it; a state has 66 (one a candidate).
     #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
@@ -93,7 +92,7 @@ class Message(Strict):
 
     @classmethod
     def schema_name(cls) -> str:
-        """Name and version as they stand in the encoding, for example ``smal.State/3``."""
+        """Name and version as they stand in the encoding, for example ``smal.State/1``."""
         return f"smal.{cls.__name__}/{cls.version}"
 
     @property

@@ -44,8 +44,6 @@ class DepthImage(Message):
     """Distances along the camera's axis, one for each pixel of a coarse image of the same view."""
 
     topic: ClassVar[str] = "camera/depth"
-    version: ClassVar[int] = 2
-    reads: ClassVar[tuple[int, ...]] = (1,)
     max_bytes: ClassVar[int] = 2 * 1024 * 768 + 1024
 
     width: Annotated[int, Field(ge=1, le=1024)]
@@ -90,7 +88,6 @@ class Calibration(Strict):
 class OverheadImage(CompressedImage):
     """One colour frame of the camera above the scene, as JPEG (ground truth only; never seen by the method)."""
 
-    version: ClassVar[int] = 2
     topic: ClassVar[str] = "camera/overhead"
 
     calibration: Calibration
@@ -101,8 +98,6 @@ class CameraInfo(Message):
     """Calibration of the robot's camera: once an episode, with its first frame."""
 
     topic: ClassVar[str] = "camera/info"
-    version: ClassVar[int] = 2
-    reads: ClassVar[tuple[int, ...]] = (1,)
 
     width: Annotated[int, Field(ge=1, le=4096)]
     """Columns of the image that it is for; for another size it scales."""

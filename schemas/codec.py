@@ -19,19 +19,13 @@ class DecodeError(ValueError):
 
 @cache
 def encoding_of(message: type[Message]) -> str:
-    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/3``."""
+    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/1``."""
     return ENCODING_PREFIX + message.schema_name()
-
-
-@cache
-def _readable(message: type[Message]) -> frozenset[str]:
-    names = (f"{message.schema_name().partition('/')[0]}/{version}" for version in (message.version, *message.reads))
-    return frozenset(ENCODING_PREFIX + name for name in names)
 
 
 def misfit(message: type[Message], encoding: str, size: int) -> str | None:
     """Say why a payload of an encoding and a size cannot be a message of a class; None where it may be."""
-    if encoding not in _readable(message):
+    if encoding != encoding_of(message):
         return f"expected {encoding_of(message)}, got {encoding[:80]!r}"
     if size > message.max_bytes:
         return f"{message.schema_name()}: {size} bytes, at most {message.max_bytes} allowed"

@@ -15,7 +15,7 @@ Share = Annotated[float, Field(ge=-1, le=1)]
 
 
 class _Moving(Message):
-    """How the robot moves; an `atom` at a fraction `speed` says it as well: a key, or a message of earlier versions."""
+    """How the robot moves."""
 
     linear: Share
     """Fraction of the robot's nominal speed that it goes ahead at; negative back."""
@@ -27,28 +27,10 @@ class _Moving(Message):
         """Both."""
         return Velocity(self.linear, self.angular)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_key(cls, told: Any) -> Any:  # noqa: ANN401 - it may be anything
-        if not isinstance(told, dict) or told.keys() & {"linear", "angular"} or "atom" not in told:
-            return told
-        if told["atom"] not in ATOMS:
-            raise ValueError(f"atom must be one of {', '.join(ATOMS)}, got {told['atom']!r:.20}")
-        atom, speed = told["atom"], told.get("speed", 1.0)
-        ahead = told.get("ahead", 0.0)  # How fast a car goes ahead in turning, of versions before.
-        if not all(isinstance(one, int | float) for one in (speed, ahead)) or not 0.0 <= speed <= 1.0:
-            raise ValueError(f"speed and ahead must be shares, got {speed!r:.20} and {ahead!r:.20}")
-        linear, angular = KEYS[atom]
-        gone = {"atom", "speed", "ahead"} - cls.model_fields.keys()
-        rest = {name: value for name, value in told.items() if name not in gone}
-        return rest | {"linear": linear * speed + ahead, "angular": angular * speed}
-
 
 class Command(_Moving):
     """A velocity asked of the robot by one source."""
 
-    version: ClassVar[int] = 3
-    reads: ClassVar[tuple[int, ...]] = (1, 2)
     topic: ClassVar[str] = "command"
     max_bytes: ClassVar[int] = 1024
 
@@ -60,6 +42,19 @@ class Command(_Moving):
     """Order of the commands that one source sends for one tick, from 0."""
     insists: bool = False
     """Whether a person has seen that the robot stands before something, and has it go on, slowly; of others nothing."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_key(cls, fields: Any) -> Any:  # noqa: ANN401 - it may be anything
+        """Accept a key, ``atom`` at a fraction ``speed``, in place of a velocity."""
+        if not isinstance(fields, dict) or "atom" not in fields:
+            return fields
+        atom, speed = fields["atom"], fields.get("speed", 1.0)
+        if atom not in ATOMS or not isinstance(speed, int | float):
+            raise ValueError(f"a key is one of {', '.join(ATOMS)} and a number, got {atom!r:.20} and {speed!r:.20}")
+        key = KEYS[atom]
+        rest = {name: value for name, value in fields.items() if name not in ("atom", "speed")}
+        return {"linear": key.linear * speed, "angular": key.angular * speed} | rest
 
     @property
     def atom(self) -> Atom:
@@ -75,8 +70,6 @@ class Command(_Moving):
 class CommandApplied(_Moving):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 7
-    reads: ClassVar[tuple[int, ...]] = (2, 3, 4, 5, 6)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0

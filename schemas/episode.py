@@ -53,8 +53,6 @@ class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
-    version: ClassVar[int] = 5
-    reads: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
 
     event: EventName
     """What happened."""

@@ -11,7 +11,6 @@ from schemas.command import StopCause
 class Heartbeat(Message):
     """Sign of life of whoever is responsible for what the robot does."""
 
-    version: ClassVar[int] = 2
     topic: ClassVar[str] = "heartbeat"
     max_bytes: ClassVar[int] = 1024
 

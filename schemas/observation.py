@@ -29,8 +29,6 @@ class Detected(Strict):
 class Observation(Message):
     """Multimodal feature vector of one frame: each modality of unit length, concatenated, not yet centred."""
 
-    version: ClassVar[int] = 4
-    reads: ClassVar[tuple[int, ...]] = (1, 2, 3)
     topic: ClassVar[str] = "observation"
     max_bytes: ClassVar[int] = 4 * 1_000_000 + 16_384
     max_containers: ClassVar[int] = 8 + 2 * MOST_DETECTED
@@ -38,7 +36,7 @@ class Observation(Message):
     fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
     """Which modalities, settings and code version made the vector; a model refuses another's."""
     modalities: Annotated[tuple[ModalityName, ...], Field(max_length=16)] = ()
-    """Their names in the vector's order; none where a network's file is among them, and in version 1."""
+    """Their names in the vector's order; empty if the file of a network is among them."""
     features: Float32Array
     """The vector, shape (m,)."""
     picture: Annotated[bytes, Field(max_length=14_400)] = b""

@@ -34,8 +34,6 @@ class State(Message):
     By the filter it is a belief over places; by the paper's scheme the learned state of Eq. 9.
     """
 
-    version: ClassVar[int] = 7
-    reads: ClassVar[tuple[int, ...]] = (4, 5, 6)
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]

@@ -104,7 +104,6 @@ TOPICS: Final[dict[str, Topic]] = {
         *(*COMMANDS.values(), APPLIED, PULSE, HEARTBEAT, EPISODE),
     )
 }
-_FORMER: Final = {"camera/rgb": JPEG.name}  # Names that topics had in recordings of older versions.
 
 
 def check_robot_id(robot: str) -> str:
@@ -120,7 +119,7 @@ def topic_of(key: str) -> Topic | None:
     robot, _, name = rest.partition("/")
     if root != ROOT or not re.fullmatch(ROBOT_ID_PATTERN, robot):
         return None
-    return TOPICS.get(_FORMER.get(name, name))
+    return TOPICS.get(name)
 
 
 def key_of(message: Message) -> str:

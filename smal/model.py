@@ -60,13 +60,13 @@ class VisualMap:
     scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees.
     goals: tuple[str, ...]  # Where each drive leads.
     names: tuple[tuple[str, ...], ...]  # Demonstrations of each drive: several where frames between them were lost.
+    size: tuple[int, int]  # Width and height of the first taught image, pixels.
     #: (s, 2) pairs of keyframes of different drives that show one place (`smal.teaching.stitches`), ascending; and of
     #: the first as seen from the second, (s, 3): ahead, left, turned left in radians.
     stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     #: (e,) keyframe of each further look (`smal.teaching.living`), the oldest first.
     looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
-    size: tuple[int, int] | None = None  # Width and height of the first taught image, pixels; None in older files.
 
     def __post_init__(self) -> None:
         check_map(self)
@@ -333,7 +333,7 @@ class Model(Stored):
         """Make it of what a file says."""
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
-        words = words_of_content(meta.get("words", []), arrays)
+        words = words_of_content(meta["words"], arrays)
         ground = Ground(arrays.pop("ground"), meta["strange"]) if "strange" in meta else None
         mapped = VisualMap(**parts_of_map(meta["map"], arrays))
         return cls(Centering(mean, features_of(meta)), mapped, sights, words, ground)

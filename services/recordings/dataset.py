@@ -311,9 +311,9 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
 
 
 def _settings(observation: Observation) -> FeatureSettings | None:
-    """Return the settings that made an observation, the usual where it names none; None if this version's differ."""
+    """Return the settings that made an observation; None if it names no modalities, or this program's differ."""
     try:
-        features = FeatureSettings.of(observation.modalities or FeatureSettings().modalities)
+        features = FeatureSettings.of(observation.modalities)
     except ValueError:
         return None
     return features if features.fingerprint == observation.fingerprint else None

@@ -13,8 +13,7 @@ from mcap.records import Channel, McapRecord, Message
 from services.recordings import records
 from services.recordings.records import MAGIC, UNREADABLE, Allowance, Bounds, Head, MemoryLimitError, heads
 
-_KEPT_FREE: Final = 0x80  # What earlier versions wrote in the place of the head of a chunk that was not complete.
-_KNOWN: Final = frozenset([*map(int, Opcode), _KEPT_FREE])
+_KNOWN: Final = frozenset(map(int, Opcode))
 #: What stands before the magic at the end: where the summary begins, where its parts are listed, its checksum.
 _FOOTER: Final = struct.Struct("<BQQQI")
 _DATA_END: Final = struct.Struct("<BQI")  # And before the summary: the end of the data, with its checksum.

@@ -14,7 +14,7 @@ from smal.features.modalities import modality_named
 from smal.features.modality import Input
 
 # Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
-DESCRIPTOR_VERSION = 2
+DESCRIPTOR_VERSION = 1
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
         "stitched": one.stitched.shape == (joined, 2)
         and _within(one.stitched, count)
         and len(np.unique(one.stitched, axis=0)) == joined,
-        "size": one.size is None or _is_size(one.size),
+        "size": _is_size(one.size),
         "looks": _within(one.looks, count) and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
         "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
     }
@@ -101,13 +101,12 @@ def content_of_map(one: "VisualMap") -> Content:
 
 def parts_of_map(numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the parts of the map that a file says; errors as of `Stored.of_content`."""
-    goals, names = numbers["goals"], numbers["names"]
+    goals, names, size = numbers["goals"], numbers["names"], numbers["size"]
     if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
         raise TypeError("the goals of the map must be a list, and the names of its drives lists")
-    size = numbers.get("size")
-    if not isinstance(size, list | None):
+    if not isinstance(size, list):
         raise TypeError("the size of the taught images must be a list")
-    told = {"goals": tuple(goals), "names": tuple(map(tuple, names)), "size": None if size is None else tuple(size)}
+    told = {"goals": tuple(goals), "names": tuple(map(tuple, names)), "size": tuple(size)}
     return arrays | numbers | told
 
 

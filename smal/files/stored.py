@@ -13,7 +13,7 @@ from smal.features import FeatureSettings
 from smal.files import container
 from smal.files.container import ModelError, NoModelError, open_regular
 
-FORMAT_VERSION = 7
+FORMAT_VERSION = 1
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}
 
 Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]  # What a file says of itself, and its arrays.
@@ -91,8 +91,6 @@ class Stored(ABC):
 def features_of(meta: dict[str, Any]) -> FeatureSettings:
     """Return the features that a file says it was learned on; ValueError where this program computes others."""
     settings = FeatureSettings(tuple(meta["modalities"]))
-    if len(set(meta.get("modality_weights", ()))) > 1:
-        raise ValueError("its modalities have weights, which this version has not; learn it again")
     if settings.fingerprint != meta["feature_fingerprint"]:
         raise ValueError("it was learned on features that this version computes differently; learn it again")
     return settings

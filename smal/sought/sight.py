@@ -153,7 +153,7 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
     found = {}
     for number, one in enumerate(said):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
-        found[str(one["goal"])] = Sight(far=one["far"], size=one["size"], low=one.get("low", 0.0), **parts)
+        found[str(one["goal"])] = Sight(far=one["far"], size=one["size"], low=one["low"], **parts)
     return found
 
 

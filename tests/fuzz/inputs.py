@@ -140,6 +140,7 @@ def smallest_map() -> Model:
         scene=np.ones(3),
         goals=("victim",),
         names=(("drive-1",),),
+        size=(64, 48),
     )
     return Model(Centering(np.zeros(COLOR.size, np.float32), COLOR), mapped)
 

@@ -77,7 +77,7 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
         service = PolicyService()
         service.load(LoadedModel.read(model))
         for tick in range(12):
-            told = {"atom": "left", "speed": 1.0, "reason": "command", "answered_tick": tick}
+            told = {"atom": "left", "linear": 0.0, "angular": 1.0, "reason": "command", "answered_tick": tick}
             for source, ms in (("policy", delay_ms), ("teleop", 90)):
                 service.see_applied(
                     CommandApplied.after(belief(tick, model), **told, source=source, delay_ns=ms * 1_000_000)

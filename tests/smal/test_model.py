@@ -11,7 +11,7 @@ import pytest
 
 from smal.files import container
 from smal.files.container import ModelError, replacing
-from smal.files.stored import FORMAT_VERSION, features_of, of_features
+from smal.files.stored import FORMAT_VERSION
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 from tests.smal.worlds import COLOR, corridor, drive
@@ -121,14 +121,6 @@ def test_features_computed_differently_are_refused(saved: Path, monkeypatch: pyt
     monkeypatch.setattr("smal.features.settings.DESCRIPTOR_VERSION", 0)
     with pytest.raises(ModelError, match="learn it again"):
         Model.load(saved)
-
-
-def test_features_that_had_weights_are_refused() -> None:
-    """Modalities once could have some; equal ones said nothing."""
-    meta = of_features(COLOR)
-    assert features_of(meta | {"modality_weights": (1.0,)}) == COLOR
-    with pytest.raises(ValueError, match="which this version has not; learn it again"):
-        features_of(meta | {"modality_weights": (1.0, 2.0)})
 
 
 def test_a_link_stays_one(tmp_path: Path) -> None:

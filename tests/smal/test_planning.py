@@ -56,6 +56,7 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         scene=np.array([70.0, 0.3, 5.0]),
         goals=goals or ("victim",) * len(ways),
         names=tuple((f"drive-{k}",) for k in range(len(ways))),
+        size=(64, 48),
         stitched=np.array([pair for pair, _ in stitches], dtype=np.int32).reshape(-1, 2),
         stitch_offsets=np.array([offset for _, offset in stitches]).reshape(-1, 3),
     )

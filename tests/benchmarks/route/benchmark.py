@@ -68,6 +68,7 @@ def map_of(metres: float, components: int) -> Model:
         scene=np.ones(3),
         goals=("victim",),
         names=(("made up",),),
+        size=(64, 48),
     )
     return Model(Centering(np.zeros(_FEATURES.size, np.float32), _FEATURES), mapped)
 

@@ -30,7 +30,7 @@ def sample(message: topics.Message, **changes: object) -> Sample:
 def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
     row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2")[1])
     assert row["key"] == "smal/robo-2/state"
-    assert row["encoding"] == "application/vnd.msgpack;smal.State/7"
+    assert row["encoding"] == "application/vnd.msgpack;smal.State/1"
     assert row["schema"]["additionalProperties"] is False
     assert row["schema"]["properties"]["status"]["description"]
 

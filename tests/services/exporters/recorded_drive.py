@@ -5,7 +5,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
 
-from schemas.base import ATOMS, Atom, Message
+from schemas.base import ATOMS, KEYS, Atom, Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
@@ -80,8 +80,8 @@ def _tick(
         )
         for before in (0.06, 0.02) if cause.tick
     ]  # fmt: skip
-    speed = 0.0 if atom == "stop" else share
-    made = CommandApplied.after(cause, atom=atom, speed=speed, source="teleop", reason="command")
+    moves = {name: share * value for name, value in KEYS[atom]._asdict().items()}
+    made = CommandApplied.after(cause, **moves, atom=atom, source="teleop", reason="command")
     return [
         CompressedImage.after(cause, width=width, height=height, data=data),
         CameraInfo.after(

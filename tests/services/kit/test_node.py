@@ -83,7 +83,7 @@ def test_a_message_is_handled_and_its_answers_are_published(node: Node, run_node
         (b"\xc1", encoding_of(Command), "not msgpack"),
         (b"", encoding_of(Command), "not msgpack"),
         (b"\x80", encoding_of(Command), "robot: Field required"),
-        (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/3"),
+        (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/1"),
         (encode(command(1, robot="stranger")), encoding_of(Command), "message of stranger/command/teleop"),
         (encode(command(1, source="policy")), encoding_of(Command), "message of rescuebot/command/policy"),
     ],

@@ -34,8 +34,8 @@ def applied(
 ) -> CommandApplied:
     """Return a heartbeat; stop is the number of the stop that is latched, if one is."""
     return CommandApplied.model_validate(
-        {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": tick, "atom": "stop", "speed": 1.0}
-        | {"source": source, "reason": reason}
+        {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": tick, "atom": "stop"}
+        | {"linear": 0.0, "angular": 0.0, "source": source, "reason": reason}
         | ({"emergency_stop": stop, "stop_cause": "emergency_stop"} if reason == "emergency_stop" else {})
     )
 

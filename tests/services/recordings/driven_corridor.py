@@ -37,7 +37,7 @@ def told(tick: int) -> list[Message]:
         *([camera_info(here, Camera(0.7), corridor.WIDTH, corridor.HEIGHT)] if tick == 0 else []),
         *seen(here, corridor.view(*pose(tick)), pose(tick), speed_m_s=1.6),
         Command.after(here, source="teleop", atom="forward", session="somebody"),
-        CommandApplied.after(here, atom="forward", speed=1.0, source="teleop", reason="command"),
+        CommandApplied.after(here, atom="forward", linear=1.0, angular=0.0, source="teleop", reason="command"),
     ]
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from schemas.action import Action
 from schemas.array import Float32Array
-from schemas.base import ATOMS, SOURCES, Message
+from schemas.base import ATOMS, KEYS, SOURCES, Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName, Outcome, Purpose
@@ -76,11 +76,12 @@ def imu(episode: str, tick: int) -> Imu:
 
 
 def applied(episode: str, tick: int, sequence: int | None = None, atom: str | None = None) -> CommandApplied:
+    key = atom or ATOMS[tick % 4]
     return CommandApplied.after(
         header(episode, tick),
+        **KEYS[key]._asdict(),
         sequence=tick if sequence is None else sequence,
-        atom=atom or ATOMS[tick % 4],
-        speed=1.0,
+        atom=key,
         source="expert",
         reason="command",
     )
