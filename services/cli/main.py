@@ -32,9 +32,7 @@ COMMANDS: Final = {
     "topic": ("services.cli.topic:app", "List the topics; listen to them."),
     "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),
     "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),
-    "bench": ("services.cli.bench:bench", "Run a benchmark of the project."),
 }
-_CONTEXTS: Final = {"bench": {"allow_extra_args": True, "ignore_unknown_options": True}}
 
 
 class _LazyGroup(TyperGroup):
@@ -58,7 +56,7 @@ def _load(name: str) -> TyperGroup | TyperCommand:
     found = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(**STYLE | {"no_args_is_help": False})
-        alone.command(name, context_settings=_CONTEXTS.get(name))(grouped(found))
+        alone.command(name)(grouped(found))
         found = alone
     command = cast("TyperGroup | TyperCommand", typer.main.get_command(found))
     command.name = name

@@ -1,8 +1,8 @@
 """By radio: what keeps a narrow, slow link that loses packets from making every command too old.
 
-TCP answers a lost packet by slowing down. Of pictures that are more than it then carries, each waits behind all that
-were sent before it, for seconds (measured: `smal bench link`), though every answer comes too late to be obeyed. So by
-radio pictures are small, no more are under way than the driver can answer in time, and a command may be older.
+TCP answers a lost packet by slowing down. Pictures that exceed the remaining bandwidth then queue for seconds (measured
+by the benchmark ``link``), and every answer comes too late to be obeyed. So by radio pictures are small, the number of
+pictures under way is limited to those that the driver can answer in time, and a command may be older.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Benchmarks: what is fast, by how much, and against what. `smal bench NAME` runs the package NAME of this one."""
+"""Benchmarks: what is fast, by how much, and against what. `python -m tests.benchmarks NAME` runs NAME."""

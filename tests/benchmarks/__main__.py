@@ -1,18 +1,26 @@
-"""Run a benchmark: ``smal bench NAME``."""
+"""Run a benchmark from the root of a checkout: ``python -m tests.benchmarks NAME``; ``NAME --help`` lists its options.
+
+Numerical libraries use one thread, unless ``OMP_NUM_THREADS`` sets another number.
+"""
 
 import importlib
 import sys
+from pathlib import Path
 
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError, describe_os_error
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 
 
-def run(name: str, arguments: list[str]) -> int:
-    """Run one of the packages beside this file; return the exit status."""
+def run(arguments: list[str]) -> int:
+    """Run the package beside this file that the first argument names; return the exit status."""
+    known = sorted(path.parent.name for path in Path(__file__).parent.glob("*/benchmark.py"))
+    name = arguments[0] if arguments else ""
     try:
+        if name not in known:
+            raise UsageError(f"no benchmark {name!r}; known are: {', '.join(known)}")
         with interrupted_by_signals():
-            importlib.import_module(f"tests.benchmarks.{name}.benchmark").main(arguments)
+            importlib.import_module(f"tests.benchmarks.{name}.benchmark").main(arguments[1:])
     except KeyboardInterrupt:
         sys.stderr.write("smal: interrupted\n")
         return 130
@@ -24,4 +32,4 @@ def run(name: str, arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run(sys.argv[1], sys.argv[2:]))
+    sys.exit(run(sys.argv[1:]))

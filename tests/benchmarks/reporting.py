@@ -9,16 +9,17 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from services.cli import outputs
-from services.cli.bench import THREADS
 from services.experiments import words
 from services.kit.errors import UsageError
 from smal.files.container import replacing
 
+#: Variables that set the threads of numerical libraries.
+THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 Record = dict[str, object]  # What a benchmark found out about one thing; JSON can hold it.
 
 
@@ -27,7 +28,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str | None) -> None:
         raw = argparse.RawDescriptionHelpFormatter
-        super().__init__(f"smal bench {name}", description=description, formatter_class=raw, allow_abbrev=False)
+        prog = f"python -m tests.benchmarks {name}"
+        super().__init__(prog, description=description, formatter_class=raw, allow_abbrev=False)
         self.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
         self.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures and logs")
         self.add_argument("--quick", action="store_true", help="a small run of about a minute")

@@ -75,7 +75,7 @@ def test_bad_settings_are_refused(modalities: tuple[str, ...], words: str) -> No
 
 def test_fingerprint_names_the_raw_features() -> None:
     # As it has been since HOG is smoothed; models of before are refused, and the images of recordings stand in.
-    assert BOTH.fingerprint == "7f3f78894468"
+    assert BOTH.fingerprint == "0f3aab3ca41a"
     assert BOTH.fingerprint != FeatureSettings(("hog", "color")).fingerprint
 
 

@@ -1,4 +1,4 @@
-"""The short version of `smal bench faults`: a stack that is harmed while the robot drives, with the same judgements.
+"""Harm a stack while the robot drives, and judge it as the benchmark ``faults`` does, in a minute.
 
 Times to recover are bounds that hold on a busy machine too; the benchmark has the real ones.
 """
