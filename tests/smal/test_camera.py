@@ -49,18 +49,3 @@ def test_what_no_lens_shows_further_out_has_the_last_place_that_it_shows() -> No
 @pytest.mark.parametrize("lens", ["plumb_bob", "equidistant"])
 def test_a_camera_of_a_field_of_view_has_it(lens: Lens) -> None:
     assert Camera.of_field(100.0, lens).field_deg == pytest.approx(100.0, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        ({"focal": math.nan}, "focal length"),
-        ({"focal": 0.0}, "focal length"),
-        ({"focal": 0.5, "lens": "ftheta"}, "ftheta"),
-        ({"focal": 0.5, "distortion": (math.inf,)}, "distortion"),
-        ({"focal": 0.5, "distortion": (0.0,) * 14}, "distortion"),
-    ],
-)
-def test_what_no_camera_is_is_refused(wrong: dict[str, object], why: str) -> None:
-    with pytest.raises(ValueError, match=why):
-        Camera(**wrong)  # type: ignore[arg-type]

@@ -1,7 +1,6 @@
-"""The depth modality: nearness by hand, scale, what is not in range, and what is refused."""
+"""The depth modality: nearness by hand, scale and what is not in range."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -46,20 +45,6 @@ def test_a_cell_of_post_and_sky_is_half_as_near_as_the_post() -> None:
     half[:, COLUMNS:] = 2_000
     vector = describe(half).reshape(ROWS, COLUMNS)
     np.testing.assert_allclose(2 * vector[:, : COLUMNS // 2], vector[:, COLUMNS // 2 :], rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("depth", "words"),
-    [
-        (None, "the features color, hog, depth need a depth image"),
-        (np.ones((24, 32), dtype=np.float32), "uint16 in millimetres, got float32"),
-        (np.ones((24, 32, 1), dtype=np.uint16), r"shape \(height, width\), got \(24, 32, 1\)"),
-        (np.ones((0, 32), dtype=np.uint16), "shape"),
-    ],
-)
-def test_other_depth_images_are_refused(depth: np.ndarray | None, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        extract(np.zeros((48, 64, 3), dtype=np.uint8), ALL, depth)
 
 
 def test_depth_is_not_looked_at_where_it_is_not_wanted() -> None:

@@ -1,4 +1,4 @@
-"""``smal evaluate`` as a user has it: a page, a second start that does nothing twice, and one line for a mistake."""
+"""``smal evaluate`` as a user has it: a page, a second start that does nothing twice."""
 
 import json
 import os
@@ -69,15 +69,6 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     assert len(after) == len(units(tiny(str(near))))
     assert before.items() <= after.items()
     assert {path: path.stat().st_mtime_ns for path in times} == times
-
-
-def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, smal: Smal) -> None:
-    (tmp_path / "file").touch()
-    for name, flags, said in (("file", (), "is a file, not a folder"), ("none", ("--report-only",), "no such folder")):
-        status, _, line = smal("evaluate", "--out", str(tmp_path / name), *flags)
-        assert (status, line.count("\n")) == (2, 1)
-        assert said in line
-    assert not (tmp_path / "none").exists()
 
 
 def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(

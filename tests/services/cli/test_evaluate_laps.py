@@ -16,7 +16,6 @@ from services.importers.run import run
 from services.kit.jpeg import encode_jpeg
 from smal.settings import SETTINGS
 from tests.services.cli.conftest import Smal
-from tests.services.importers.sources import donkeycar
 from tests.sharing import made_once
 from tests.smal.synthetic_world import COLOR, SCENE, Room
 
@@ -113,21 +112,3 @@ def test_figures_are_those_of_hand_made_beliefs() -> None:
         "right within a twentieth": 0.5, "right within a twentieth, 95 %": [0.5, 0.5],
         "right within a tenth": 0.5, "right within a tenth, 95 %": [0.5, 0.5],
     }  # fmt: skip
-
-
-def test_what_has_no_laps_is_one_line(tmp_path: Path, smal: Smal) -> None:
-    corridor, empty = donkeycar(tmp_path / "corridor"), tmp_path / "empty"
-    empty.mkdir()
-    (empty / "manifest.json").write_text("{}")
-    for source, flags, status, wanted in (
-        (corridor, (), 1, "whole laps"),
-        (tmp_path / "none", (), 2, "no such file or folder"),
-        (tmp_path, (), 2, "no recording"),
-        (empty, (), 1, "not the manifest of a tub"),
-        (corridor, ("--quick",), 2, "--quick"),
-        (corridor, ("--world", "yard"), 2, "--world"),
-    ):
-        ended, _, line = smal("evaluate", "--laps", source, "--out", tmp_path / "out", *flags)
-        assert (ended, line.count("\n")) == (status, 1)
-        assert wanted in line
-    assert not (tmp_path / "out").exists()

@@ -1,14 +1,12 @@
 """``smal export`` as a user runs it."""
 
 import errno
-import os
 from pathlib import Path
 
 import pytest
 
 from services.exporters import csv_folder
-from services.recordings.sink import claim
-from tests.services.cli.conftest import Mistake, Smal
+from tests.services.cli.conftest import Smal
 from tests.services.exporters.recorded_drive import MADE, recording
 
 
@@ -25,42 +23,6 @@ def test_drives_are_exported_and_it_is_said_how_fast_they_were(form: str, smal: 
     assert "velocities    of rescuebot: forward 2 m/s (by its odometry)" in said
     assert "left 0.785 rad/s (by its odometry)" in said
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["out"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("folder", "no-such"), 2, "no-such: no such file or folder"),
-        (("folder", "notes.txt"), 1, "notes.txt: not an MCAP file"),
-        (("folder", "drives", "--out", "full"), 2, "--out full: exists and is not empty; give another name"),
-        (("folder", "recorded/drive.mcap.partial"), 1, "still being recorded; end the episode or stop the recorder"),
-        (("folder", "blind"), 1, "blind.mcap: holds no camera frame"),
-        (("folder", "lost"), 1, "episode lost: no odometry says how fast forward is; say it with --speed"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
-    arguments: tuple[str, ...],
-    status: int,
-    said: str,
-    mistake: Mistake,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    recording(Path("drives"))
-    recording(Path("blind"), "blind", images=False)
-    recording(Path("lost"), "lost", odometry=False)
-    Path("full").mkdir()
-    Path("notes.txt").write_text("words")
-    Path("full/notes.txt").write_text("words")
-    lock = claim(recording(Path("recorded"), outcome=None))
-    before = sorted(path for path in tmp_path.rglob("*"))
-    arguments = arguments if "--out" in arguments else (*arguments, "--out", "out")
-    try:
-        assert said in mistake(status, "export", *arguments)
-    finally:
-        os.close(lock)
-    assert sorted(path for path in tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])

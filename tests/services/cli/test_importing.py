@@ -39,35 +39,11 @@ def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> N
     assert "goals           dock" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("folder", "no-such"), 1, "no-such: No such file or directory"),
-        (("folder", "x", "--goal", "\n"), 2, "'--goal'"),
-        (("folder", "x", "--robot", "Burger"), 2, "'--robot'"),
-        (("folder", "x", "--from", "5", "--to", "5"), 2, "--to 5: is not after --from 5"),
-    ],
-)
-def test_bad_use_is_one_line(
-    mistake: Mistake, arguments: tuple[str, ...], status: int, said: str, tmp_path: Path
-) -> None:
-    assert said in mistake(status, "import", *arguments, "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_missing_packages_are_named_in_one_line(mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr(job, "missing_packages", lambda _form: ["pyarrow", "av"])
     said = mistake(2, "import", "lerobot", "x")
     assert said == "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n"
-
-
-def test_a_failed_import_leaves_nothing_behind(mistake: Mistake, tmp_path: Path) -> None:
-    tub = sources.donkeycar(tmp_path / "tub")
-    (tub / "manifest.json").write_bytes(b"PK\x05\x06" + bytes(18))
-    out = tmp_path / "out"
-    mistake(1, "import", "donkeycar", tub, "--out", out)
-    assert not out.exists()
 
 
 @pytest.mark.parametrize(

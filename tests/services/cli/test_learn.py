@@ -17,8 +17,7 @@ from schemas.episode import Outcome, Purpose
 from schemas.motion import Odometry
 from schemas.observation import Observation
 from services.cli.learn import learn
-from services.kit.errors import JobError, UsageError
-from services.kit.process import EXIT_FAILED, EXIT_USAGE
+from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
@@ -27,7 +26,6 @@ from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.teaching.demonstration import drives_to_goals
 from tests import corridor
-from tests.services.cli.conftest import Mistake
 from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import leave, record
 
@@ -159,36 +157,6 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     assert f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n" in said
     assert PaperModel.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
     living.seal()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "line"),
-    [
-        (("none",), EXIT_USAGE, "none: no such file or folder"),
-        (("drives", "--lambda2", "inf"), EXIT_USAGE, "lambda2 must be finite and positive, got inf"),
-        (("drives", "--tau", "nan"), EXIT_USAGE, "--tau"),
-        (("drives", "--out", "bad.mcap/model.smal"), EXIT_USAGE, "--out bad.mcap: is a file"),
-        (("drives", "--json", "none/report.json"), EXIT_USAGE, "--json none/report.json: no folder none"),
-        (("bad.mcap",), EXIT_FAILED, "bad.mcap: empty"),
-        (("failed.mcap",), EXIT_FAILED, "cannot learn from these recordings: "),
-    ],
-)
-def test_every_mistake_is_one_line(
-    arguments: tuple[str, ...], status: int, line: str, drives: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(drives.parent)
-    Path("bad.mcap").write_bytes(b"")
-    record(Path(), drive("failed", purpose="recovery", outcome="aborted"))
-    out = () if "--out" in arguments else ("--out", "model.smal")
-    assert line in mistake(status, "learn", *arguments, *out, "--scheme", "paper")
-    assert not Path("model.smal").exists()
-
-
-@pytest.mark.parametrize("name", ["length", "memory"])
-def test_what_only_the_papers_scheme_has_is_refused_without_it(drives: Path, tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match=f"^--{name} 1: only the paper's scheme has it; give --scheme paper$"):
-        learn([drives], tmp_path / "model.smal", **{name: 1})
-    assert not (tmp_path / "model.smal").exists()
 
 
 def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(

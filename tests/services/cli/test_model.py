@@ -180,15 +180,3 @@ def test_an_odd_model_is_one_line(
     odd.save(tmp_path / "odd.smal")
     err = mistake(2, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
     assert err == f"smal: {tmp_path}/odd.smal: the parts of the model do not fit together: {said}\n"
-
-
-def test_bad_use_is_one_line(taught: Path, tmp_path: Path, mistake: Mistake) -> None:
-    (tmp_path / "no.smal").write_text("not a model")
-    file = taught / "two.smal"
-    for arguments, said in (
-        ([tmp_path / "no.smal"], "not a SMAL model"),
-        ([file, "--recordings", tmp_path], "give --out too"),
-        ([file, "--recordings", tmp_path / "none", "--out", tmp_path], "no such file or folder"),
-        ([file, "--out", tmp_path / "no.smal"], "is a file, not a folder"),
-    ):
-        assert said in mistake(2, "model", "show", *arguments)

@@ -86,12 +86,6 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
     assert said["operator"].startswith("ok")
 
 
-@pytest.mark.parametrize("host", ["", "b\u00fccher.example", "a\nb", "a" * 64])
-def test_a_host_that_is_none_is_one_line_and_makes_nothing(tmp_path: Path, mistake: Mistake, host: str) -> None:
-    assert "--host" in mistake(2, "secure", "init", tmp_path / "keys", "--host", host)
-    assert not (tmp_path / "keys").exists()
-
-
 def test_renewed_the_router_is_still_known_by_all_its_hosts(tmp_path: Path, smal: Smal) -> None:
     """Nobody names them again: other machines would be locked out."""
     keys = tmp_path / "keys"
@@ -162,11 +156,6 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
     assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
     monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
     assert read_settings(RouterSettings, "router").insecure
-
-
-@pytest.mark.parametrize("verb", ["check", "renew"])
-def test_a_folder_without_an_authority_is_one_line(verb: str, tmp_path: Path, mistake: Mistake) -> None:
-    assert "ca.pem" in mistake(2, "secure", verb, tmp_path)
 
 
 def test_two_authorities_replace_each_other_while_a_driver_goes_on(

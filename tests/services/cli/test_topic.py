@@ -84,18 +84,6 @@ def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
     listening.process.stdout = None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "error"),
-    [
-        (("echo", "--count", "0"), 2, "--count"),
-        (("hz", "--seconds", "nan"), 2, "--seconds"),
-        (("info", "stat"), 2, "did you mean: state?"),
-    ],
-)
-def test_bad_use_is_one_line(mistake: Mistake, arguments: tuple[str, ...], status: int, error: str) -> None:
-    assert error in mistake(status, "topic", *arguments)
-
-
 def test_a_bad_key_expression_is_one_line(mistake: Mistake, client: Bus) -> None:
     assert "smal//x" in mistake(1, "topic", "echo", "smal//x", "--router", client.endpoint)
 

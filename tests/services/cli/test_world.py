@@ -1,4 +1,4 @@
-"""``smal world``: a map in, a world file, a summary and views out; every mistake is one line."""
+"""``smal world``: a map in, a world file, a summary and views out."""
 
 import math
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import shapely
 
 from services.simulator.world import World, load_world
 from services.simulator.world.route import obstacles_of, plan_route, route_length_m
-from tests.services.cli.conftest import Mistake, Smal
+from tests.services.cli.conftest import Smal
 from tests.services.simulator.map_text import LATITUDE, LONGITUDE, block_of_houses
 
 Imported = Callable[..., World]
@@ -58,25 +58,6 @@ def test_start_and_victim_by_hand(imported: Imported) -> None:
 def test_a_part_of_a_map_about_a_place(imported: Imported) -> None:
     world = imported("--around", f"{LATITUDE},{LONGITUDE}", "--radius", 80)
     assert world.place.bounds == pytest.approx((-80, -80, 80, 80), abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("options", "status", "line"),
-    [
-        (("--start", "nan,0,0"), 2, "--start 'nan,0,0'"),
-        (("--radius", "100"), 2, "--around LAT,LON and --radius METRES go together"),
-        (("--around", "95,0", "--radius", "100"), 2, "latitude is from -85 to 85"),
-        (("--around", "0,0", "--radius", "100"), 1, "the map has no buildings"),
-        (("--start=-60,-50,0", "--victim=0,40"), 1, "the victim at (0.0, 40.0) m stands in an obstacle"),
-        (("--out", "none/a.json"), 2, "no folder"),
-    ],
-)
-def test_a_wrong_wish_is_one_line(
-    options: tuple[str, ...], status: int, line: str, tmp_path: Path, mistake: Mistake
-) -> None:
-    source = block_of_houses().write(tmp_path / "map.osm")
-    assert line in mistake(status, "world", "import", source, "--out", tmp_path / "map.json", *options)
-    assert not (tmp_path / "map.json").exists()
 
 
 @pytest.mark.rendering

@@ -108,13 +108,6 @@ def test_perfect_useless_and_silent_methods() -> None:
     assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
 
 
-def test_nothing_to_find_is_refused() -> None:
-    no = np.zeros(3, dtype=np.bool_)
-    for function in (PrecisionRecall.of, lambda j: bootstrap(j, 1)):
-        with pytest.raises(ValueError, match="no query has anything to find"):
-            function(Judgement(np.zeros(3), ~no, no, ~no, no))
-
-
 @given(judgements(), st.integers(0, 1000))
 @settings(max_examples=50, deadline=None)
 def test_a_query_counts_as_often_as_it_is_drawn(judgement: Judgement, seed: int) -> None:

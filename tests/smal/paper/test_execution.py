@@ -11,7 +11,6 @@ from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
-from smal.teaching.demonstration import Demonstration
 from tests.smal.worlds import COLOR, corridor, drive
 
 PLACES, LENGTH = 120, 5
@@ -133,22 +132,3 @@ def test_a_drive_seen_again_is_driven_again(length: int) -> None:
         made.append(maker.next_atom())
     taught = one.atoms[first : first + 60]
     assert np.mean(np.array(made)[length - 1 :] == taught[length - 1 :]) > 0.7
-
-
-def test_bad_demonstrations_and_settings_are_refused() -> None:
-    with pytest.raises(ValueError, match="no demonstration"):
-        learn([], LearningSettings(features=COLOR))
-    with pytest.raises(ValueError, match="settings ask for"):
-        learn([DRIVES[0]], LearningSettings())
-    with pytest.raises(ValueError, match="goal"):
-        learn([RECOVERY], LearningSettings(features=COLOR))
-    with pytest.raises(ValueError, match="do not fit"):
-        Demonstration("x", DRIVES[0].features, DRIVES[0].atoms[:-1])
-    for name, value, error in (
-        ("sequence_length", 0, "sequence_length must be at least 1, got 0"),
-        ("lambda1", 0.0, "lambda1 must be finite and positive, got 0.0"),
-        ("gamma", 1.0, "gamma"),
-        ("tau", -1.0, "tau must be finite and not negative"),
-    ):
-        with pytest.raises(ValueError, match=error):
-            LearningSettings(features=COLOR, **{name: value})

@@ -10,27 +10,11 @@ from numpy.typing import NDArray
 import smal
 from smal.features import Centering, FeatureSettings
 from smal.place_recognition.hidden_markov import SPEEDS, Chain, smoothed
-from smal.place_recognition.matches import NONE, Matches, check_features, ignore
+from smal.place_recognition.matches import NONE, Matches, ignore
 from smal.place_recognition.methods import FEATURES
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.traverse_centering import PRIOR_FRAMES, centre_traverses
 from tests.smal.place_recognition.traverses import Walk, random_features
-
-
-def test_features_that_do_not_fit_are_refused() -> None:
-    features = np.ones((4, 3), dtype=np.float32)
-    check_features(features, features[:0])
-    with pytest.raises(ValueError, match=r"\(4, 3\) and \(4, 2\)"):
-        check_features(features, features[:, :2])
-    with pytest.raises(ValueError, match=r"\(4, 3\) and \(3,\)"):
-        check_features(features, features[0])
-    for value in (np.nan, np.inf, -np.inf):
-        broken = features.copy()
-        broken[2, 1] = value
-        with pytest.raises(ValueError, match="queries contain NaN"):
-            check_features(features, broken)
-        with pytest.raises(ValueError, match="references contain NaN"):
-            check_features(broken, features)
 
 
 def test_the_surest_have_the_precision_that_is_asked_for() -> None:
@@ -76,22 +60,6 @@ def test_a_way_that_is_driven_twice_is_a_loop() -> None:
     assert found.score[:140].max() < 0.2
     assert found.score[160:].mean() > 0.9
     assert (np.abs(there[found.reference] - there)[160:] <= 2).mean() > 0.97
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "said"),
-    [
-        ((np.zeros((3, 5)), np.zeros((3, 4))), {}, "shapes"),
-        ((np.full((3, 5), np.nan), np.zeros((3, 5))), {}, "NaN"),
-        ((np.zeros((2, 8, 8, 3), np.uint8),), {}, "at least 24 rows"),
-        ((np.zeros((3, 5)),), {"method": "none"}, "unknown method 'none'; known are smal, nearest"),
-        ((np.zeros((3, 5)),), {"method": "paper"}, "has no loops"),
-        ((np.zeros((3, 5)), np.zeros((3, 5))), {"method": "seqslam"}, "has its own features"),
-    ],
-)
-def test_what_cannot_be_matched_is_refused(arguments: tuple[object, ...], options: dict[str, str], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        smal.match(*arguments, **options)  # type: ignore[arg-type]
 
 
 SETTINGS = FeatureSettings.of(("color", "thumbnail"))

@@ -130,8 +130,6 @@ def test_a_network_draws_boxes_and_one_that_does_not_is_refused_in_one_line(tmp_
         ValueError, match=r"raw.onnx: a detector's first output must be boxes \(1, n, 6\).*\(1, 84, 8\)$"
     ):
         FeatureSettings.parse(f"thumbnail,boxes:{network('raw.onnx', 1, 84, 8)}")
-    with pytest.raises(ValueError, match="no feature modality is named that describes a frame"):
-        FeatureSettings.parse("apriltag,qr")
 
 
 def test_a_file_whose_word_does_not_fit_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -1,0 +1,150 @@
+"""Every mistake in a command is one line with the promised exit status, and leaves nothing behind."""
+
+import os
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.recordings.sink import claim
+from smal.files.stored import FORMAT_VERSION
+from tests import corridor
+from tests.services.chain import LENGTH, save_model
+from tests.services.cli.conftest import Mistake
+from tests.services.cli.test_learn import drive
+from tests.services.exporters.recorded_drive import recording
+from tests.services.importers.sources import donkeycar
+from tests.services.recordings.test_recorder_files import record
+from tests.services.simulator.map_text import block_of_houses
+
+LONG = "r" * 31
+RUN = "run --world yard --model"
+DEMONSTRATE = "demonstrate --world yard"
+LEARN = "learn --scheme paper --out new"
+IMPORT, EXPORT, LAPS = "import folder --out new", "export folder --out new", "evaluate --out new --laps"
+WORLD = "world import map.osm --out new.json"
+
+#: A model with options of ``run`` and ``up`` that do not fit it.
+MODELS = [
+    ("none.smal", "No such file"),
+    ("text.smal", "text.smal"),
+    ("newer.smal", f"format {FORMAT_VERSION + 1}"),
+    ("mapped.smal --stride 2", "stride 2: the filter decides at every frame; for a stride"),
+    ("mapped.smal --scheme paper", "it was learned for the scheme 'filter', not 'paper'"),
+    ("mapped.smal --goal office", "the model has no goal 'office'; it has victim"),
+    ("mapped.smal --modalities color", "--modalities color: the model was learned on"),
+    ("paper.smal --scheme filter", "it was learned for the scheme 'paper', not 'filter'"),
+    ("paper.smal --stride 4", f"stride must be 1 to the sequence length {LENGTH}, got 4"),
+    ("paper.smal --goal victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
+]
+#: Arguments separated by single spaces, exit status, and a pattern for the line.
+MISTAKES = [
+    ("run", 2, "--model"),
+    ("nonsense", 2, "nonsense"),
+    ("run --model x --episodes 0", 2, "--episodes"),
+    ("run --model x --scheme dream", 2, "--scheme"),
+    ("demonstrate --camera big", 2, "--camera"),
+    ("demonstrate --shake nan", 2, "--shake"),
+    ("demonstrate --goal \n", 2, "--goal"),
+    ("demonstrate --modalities smell", 2, "--modalities"),
+    ("demonstrate --camera 160x120 --connect tcp/127.0.0.1:9", 2, "--camera"),
+    ("demonstrate --world atlantis", 2, "atlantis.*campus"),
+    (f"{DEMONSTRATE} --out file", 2, "--out"),
+    ("up --robot A?B", 2, "--robot"),
+    ("up --model none.smal", 2, "none.smal"),
+    ("up --robots 33", 2, "--robots"),
+    (f"up --robot {LONG} --robots 2", 2, "--robots"),
+    ("up --scale recorder=2", 2, "--scale"),
+    ("up --scale recognition=00", 2, "--scale"),
+    ("up --scale recognition=10", 2, "--scale"),
+    *((f"{command} --world yard --model {model}", 2, line) for command in ("run", "up") for model, line in MODELS),
+    (f"{RUN} mapped.smal --json none/runs.json", 2, "--json none/runs.json"),
+    (f"{RUN} mapped.smal --json full", 2, "--json full"),
+    (f"{RUN} mapped.smal --json mapped.smal", 2, "--json mapped.smal"),
+    (f"{RUN} mapped.smal --report file", 2, "--report file"),
+    (f"{RUN} mapped.smal --record file/deeper", 2, "--record file/deeper"),
+    (f"{IMPORT} no-such", 1, "no-such: No such file or directory"),
+    (f"{IMPORT} x --goal \n", 2, "'--goal'"),
+    (f"{IMPORT} x --robot Burger", 2, "'--robot'"),
+    (f"{IMPORT} x --from 5 --to 5", 2, "--to 5: is not after --from 5"),
+    ("import donkeycar damaged-tub --out new", 1, "damaged-tub"),
+    (f"{EXPORT} no-such", 2, "no-such: no such file or folder"),
+    (f"{EXPORT} file", 1, "file: not an MCAP file"),
+    ("export folder drives --out full", 2, "--out full: exists and is not empty; give another name"),
+    (f"{EXPORT} living/drive.mcap.partial", 1, "still being recorded; end the episode or stop the recorder"),
+    (f"{EXPORT} blind", 1, "blind.mcap: holds no camera frame"),
+    (f"{EXPORT} lost", 1, "episode lost: no odometry says how fast forward is; say it with --speed"),
+    (f"{LEARN} none", 2, "none: no such file or folder"),
+    (f"{LEARN} drives --lambda2 inf", 2, "lambda2 must be finite and positive, got inf"),
+    (f"{LEARN} drives --tau nan", 2, "--tau"),
+    (f"{LEARN} drives --out empty.mcap/model.smal", 2, "--out empty.mcap: is a file"),
+    (f"{LEARN} drives --json none/report.json", 2, "--json none/report.json: no folder none"),
+    (f"{LEARN} empty.mcap", 1, "empty.mcap: empty"),
+    (f"{LEARN} failed.mcap", 1, "cannot learn from these recordings: "),
+    ("learn drives --out new --length 1", 2, "--length 1: only the paper's scheme has it; give --scheme paper$"),
+    ("learn drives --out new --memory 1", 2, "--memory 1: only the paper's scheme has it; give --scheme paper$"),
+    ("model show text.smal", 2, "not a SMAL model"),
+    ("model show mapped.smal --recordings full", 2, "give --out too"),
+    ("model show mapped.smal --recordings none --out full", 2, "no such file or folder"),
+    ("model show mapped.smal --out file", 2, "is a file, not a folder"),
+    ("evaluate --out file", 2, "is a file, not a folder"),
+    ("evaluate --out new --report-only", 2, "no such folder"),
+    (f"{LAPS} tub", 1, "whole laps"),
+    (f"{LAPS} none", 2, "no such file or folder"),
+    (f"{LAPS} full", 2, "no recording"),
+    (f"{LAPS} damaged-tub", 1, "not the manifest of a tub"),
+    (f"{LAPS} tub --quick", 2, "--quick"),
+    (f"{LAPS} tub --world yard", 2, "--world"),
+    ("topic echo --count 0", 2, "--count"),
+    ("topic hz --seconds nan", 2, "--seconds"),
+    ("topic info stat", 2, "did you mean: state?"),
+    (f"secure init keys --robot {LONG} --robots 2", 2, "--robots"),
+    ("secure init keys --host ", 2, "--host"),
+    ("secure init keys --host b\u00fccher.example", 2, "--host"),
+    ("secure init keys --host a\nb", 2, "--host"),
+    (f"secure init keys --host {'a' * 64}", 2, "--host"),
+    ("secure check full", 2, "ca.pem"),
+    ("secure renew full", 2, "ca.pem"),
+    (f"{WORLD} --start nan,0,0", 2, "--start 'nan,0,0'"),
+    (f"{WORLD} --radius 100", 2, "--around LAT,LON and --radius METRES go together"),
+    (f"{WORLD} --around 95,0 --radius 100", 2, "latitude is from -85 to 85"),
+    (f"{WORLD} --around 0,0 --radius 100", 1, "the map has no buildings"),
+    (f"{WORLD} --start=-60,-50,0 --victim=0,40", 1, r"the victim at \(0.0, 40.0\) m stands in an obstacle"),
+    ("world import map.osm --out none/a.json", 2, "no folder"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Give a folder with what the mistakes name."""
+    here = tmp_path_factory.mktemp("mistakes")
+    (here / "full").mkdir()
+    for name in ("file", "full/file", "text.smal"):
+        (here / name).write_text("words")
+    (here / "empty.mcap").touch()
+    save_model(here / "paper.smal")
+    content = bytearray(corridor.save_model(here / "mapped.smal").read_bytes())
+    content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
+    (here / "newer.smal").write_bytes(content)
+    recording(here / "drives")
+    recording(here / "blind", "blind", images=False)
+    recording(here / "lost", "lost", odometry=False)
+    record(here, drive("failed", purpose="recovery", outcome="aborted"))
+    donkeycar(here / "tub")
+    (donkeycar(here / "damaged-tub") / "manifest.json").write_bytes(b"PK\x05\x06" + bytes(18))
+    block_of_houses().write(here / "map.osm")
+    lock = claim(recording(here / "living", outcome=None))
+    yield here
+    os.close(lock)
+
+
+@pytest.mark.parametrize(("arguments", "status", "pattern"), MISTAKES)
+def test_command_prints_one_line_when_its_use_is_wrong(
+    arguments: str, status: int, pattern: str, folder: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    assert re.search(pattern, mistake(status, *arguments.split(" ")))
+    assert sorted(folder.rglob("*")) == before
