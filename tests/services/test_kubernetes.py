@@ -8,6 +8,7 @@ from typing import Any
 import kubernetes_validate
 import pytest
 
+from services.kit.version import program_version
 from services.kit.zenoh_session import addresses
 from services.table import SERVICES, roles, stack_services
 from tests.kustomize import Object, built, containers, pods_of
@@ -43,7 +44,7 @@ def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certific
         (container,) = containers(one)
         assert one["spec"]["selector"]["matchLabels"] == template["metadata"]["labels"] == {"role": name}
         assert container["command"] == ["python", *row.command]
-        assert re.search(rf"\bsmal-{row.image}:0\.1\.0$", container["image"])
+        assert re.search(rf"\bsmal-{row.image}:{re.escape(program_version())}$", container["image"])
         secrets = [volume["secret"]["secretName"] for volume in template["spec"]["volumes"] if "secret" in volume]
         assert secrets == [name]
     assert {name for name in workloads if workloads[name]["kind"] == "StatefulSet"} == {"router", "robot"}
