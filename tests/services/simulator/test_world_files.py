@@ -23,6 +23,7 @@ BILLION_LAUGHS = (
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10))
     + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
 )
+NODE = '<node id="1" version="1" lat="1" lon="1"/>'
 WAYS = "".join(f'<way id="{k}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>" for k in range(1, 7))
 SCRIBBLE = [(x, y) for x, y in np.random.default_rng(0).uniform(-50, 50, (400, 2)).tolist()]
 SCRIBBLE.append(SCRIBBLE[0])
@@ -117,29 +118,6 @@ def check_refused(path: Path, complaint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (BILLION_LAUGHS, "holds <!DOCTYPE; a map defines no document type and no entities"),
-        ("<osm>" + " " * 2_000_000 + "<!ENTITY a 'b'>", "holds <!ENTITY"),
-        (BILLION_LAUGHS.encode("utf-16").decode("latin-1"), "holds zero bytes"),
-        (CAMPUS[: len(CAMPUS) // 2], "not a readable OpenStreetMap XML file"),
-        ("<html><body/></html>", "not a readable OpenStreetMap XML file"),
-        (f'<osm version="0.6"><node id="1" version="1" lat="1" lon="1"/>{WAYS}</osm>', "more than 10,000 points"),
-        (CAMPUS.replace('"highway"', '"highroad"'), "the map has no roads"),
-        (CAMPUS.replace('"building"', '"bidding"'), "the map has no buildings"),
-        (CAMPUS.replace('v="victim"', 'v="start"'), "2 nodes are tagged smal:role=start"),
-        (CAMPUS.replace('k="direction" v="0"', 'k="direction" v="nan"'), "direction=nan"),
-    ],
-    ids=range(10),
-)
-def test_a_bad_map_is_refused(content: str, complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(osm, "MOST_POINTS", 10_000)
-    path = tmp_path / "bad.osm"
-    path.write_bytes(content.encode("latin-1" if "\0" in content else "utf-8"))
-    check_refused(path, complaint)
-
-
-@pytest.mark.parametrize(
     ("change", "complaint"),
     [
         (lambda c: c["victim"].update(x=0, y=40), r"the victim at \(0.0, 40.0\) m stands in an obstacle"),
@@ -165,17 +143,34 @@ def test_a_bad_world_file_is_refused(change: Change, complaint: str, block: str,
 @pytest.mark.parametrize(
     ("name", "content", "complaint"),
     [
-        ("bad.json", b"", "1074 MB; a world has at most 34 MB"),
+        ("bad.osm", BILLION_LAUGHS, "holds <!DOCTYPE; a map defines no document type and no entities"),
+        ("bad.osm", "<osm>" + " " * 2_000_000 + "<!ENTITY a 'b'>", "holds <!ENTITY"),
+        ("bad.osm", BILLION_LAUGHS.encode("utf-16"), "holds zero bytes"),
+        ("bad.osm", CAMPUS[: len(CAMPUS) // 2], "not a readable OpenStreetMap XML file"),
+        ("bad.osm", "<html><body/></html>", "not a readable OpenStreetMap XML file"),
+        (
+            "bad.osm",
+            f'<osm version="0.6"><node id="1" version="1" lat="1" lon="1"/>{WAYS}</osm>',
+            "more than 10,000 points",
+        ),
+        ("bad.osm", CAMPUS.replace('"highway"', '"highroad"'), "the map has no roads"),
+        ("bad.osm", CAMPUS.replace('"building"', '"bidding"'), "the map has no buildings"),
+        ("bad.osm", CAMPUS.replace('v="victim"', 'v="start"'), "2 nodes are tagged smal:role=start"),
+        ("bad.osm", CAMPUS.replace('k="direction" v="0"', 'k="direction" v="nan"'), "direction=nan"),
         ("bad.osm", b"", "1074 MB; a map has at most 67 MB"),
+        ("bad.json", b"", "1074 MB; a world has at most 34 MB"),
         ("bad.json", b"{", "Invalid JSON"),
         ("bad.json", b'{"format": ' + b"[" * 200_000, "recursion limit"),
         ("bad.json", b'{"format": ' + b"9" * 10_000 + b"}", "Invalid JSON: number out of range"),
         ("bad.json", b'{"format": "\\u001b[2J"}', r"tag '\?\[2J' found using 'format'"),
     ],
-    ids=range(6),
+    ids=range(16),
 )
-def test_a_file_that_is_no_world_is_refused(name: str, content: bytes, complaint: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(content)
+def test_a_file_that_is_no_world_is_refused(
+    name: str, content: str | bytes, complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(osm, "MOST_POINTS", 10_000)
+    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
     if not content:
         os.truncate(tmp_path / name, 1 << 30)
     check_refused(tmp_path / name, complaint)
