@@ -58,13 +58,15 @@ def test_round_trip(model: Model, saved: Path) -> None:
         ("templates", lambda model: np.full_like(model.templates, np.nan)),
         ("templates", lambda model: 1e38 * model.templates),
         ("policy", lambda model: np.full_like(model.policy, -7)),
+        ("policy", lambda model: model.policy[:-1]),
+        ("atoms", lambda model: tuple(atoms[:-3] for atoms in model.atoms)),
         ("transitions", lambda model: dataclasses.replace(model.transitions, goals=model.transitions.goals[None])),
         ("transitions", lambda model: dataclasses.replace(model.transitions, state=model.transitions.state + 10**9)),
         ("transitions", lambda model: dataclasses.replace(model.transitions, offsets=model.transitions.offsets[::-1])),
     ],
 )
 def test_parts_that_no_learning_gives_are_refused(model: Model, name: str, harm: Callable[[Model], Any]) -> None:
-    with pytest.raises(ValueError, match=name):
+    with pytest.raises(ValueError, match="streams" if name == "atoms" else name):
         dataclasses.replace(model, **{name: harm(model)})
 
 
@@ -133,13 +135,6 @@ def test_a_link_stays_one(tmp_path: Path) -> None:
         assert link.is_symlink()
         assert target.read_bytes() == content
     assert [path.name for path in target.parent.iterdir()] == ["target"]
-
-
-def test_parts_that_do_not_fit_are_refused(model: Model) -> None:
-    with pytest.raises(ValueError, match="policy"):
-        dataclasses.replace(model, policy=model.policy[:-1])
-    with pytest.raises(ValueError, match="streams"):
-        dataclasses.replace(model, atoms=tuple(atoms[:-3] for atoms in model.atoms))
 
 
 def test_what_would_be_too_large_to_read_is_not_written(
