@@ -100,8 +100,10 @@ class LaneEcho:
     def _subscribe(self, way: Way, key: str) -> None:
         def take(sample: zenoh.Sample) -> None:
             payload = sample.payload.to_bytes()
+            if len(payload) != _BYTES:
+                return
             sent_s = int.from_bytes(payload, "big") / 1e9
-            if len(payload) == _BYTES and self._sent_s[way] < sent_s <= time.monotonic():
+            if self._sent_s[way] < sent_s <= time.monotonic():
                 self._sent_s[way] = sent_s
 
         connection = self._connections[way[1]]

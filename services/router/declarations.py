@@ -17,7 +17,8 @@ from typing import Final
 #: The beginning of an entry is Zenoh's own. A key may hold line breaks: the sender can write all that follows.
 _DECLARATION: Final = re.compile(
     rb"\S+ +DEBUG +\S+ +ThreadId\(\d+\) demux\{zid=\w+ src=\S*?(client|peer|router)/(([0-9a-f]+):\d+)\}.*"
-    rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource )"
+    rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource (?P<group>[^/]+/[^/]+/@group/)?)",
+    re.DOTALL,
 )
 _OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): ")
 #: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it serves. The largest
@@ -25,16 +26,22 @@ _OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispa
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
+#: Keys of groups (`schemas.topics.group_key`) that a session may make known at once: its token and what it watches, and
+#: a token of each robot. The router passes every token of a group on to each of its instances.
+GROUP_BURST: Final = 4
+GROUP_BURST_A_ROBOT: Final = 2
+GROUP_RATE_HZ: Final = 1.0  # Keys of groups a second afterwards: a robot moves to another instance now and then.
 MOST_SESSIONS: Final = 10_000  # Sessions whose declarations are counted at a time, ended ones among them.
 _TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
 class Allowance:
-    """A token bucket: ``burst`` declarations at once, then `RATE_HZ`; and at most ``burst`` that stand."""
+    """A token bucket: ``burst`` declarations at once, then ``rate_hz``; and at most ``burst`` that stand."""
 
-    def __init__(self, burst: int, now_s: float) -> None:
+    def __init__(self, burst: int, rate_hz: float, now_s: float) -> None:
         self._burst = burst
+        self._rate_hz = rate_hz
         self._left = float(burst)
         self._standing = 0
         self._at_s = now_s
@@ -42,7 +49,7 @@ class Allowance:
     def take(self, now_s: float, standing: int) -> bool:
         """Count a declaration, and how many more stand by it; return whether it is within the allowance."""
         self._standing = max(0, self._standing + standing)
-        regained = RATE_HZ * (now_s - self._at_s)
+        regained = self._rate_hz * (now_s - self._at_s)
         self._at_s = now_s
         self._left = min(self._burst, self._left + regained) - 1.0
         return self._left >= 0.0 and self._standing <= self._burst
@@ -63,24 +70,29 @@ class Declarations:
 
     def __init__(self, robots: int, *, linked: bool, disconnect: Callable[[str], None]) -> None:
         self._burst = BURST + BURST_A_ROBOT * robots
+        self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        self._allowances: dict[bytes, Allowance] = {}
+        self._allowances: dict[bytes, tuple[Allowance, Allowance]] = {}  # Of all declarations, and of keys of groups.
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
         match = _DECLARATION.match(line)
         if match is None:
             return
-        mode, face, session = match.groups()
+        mode, face, session, group = match.groups()
         if mode == b"router" and self._linked:
             return
-        allowance = self._allowances.get(face)
-        if allowance is None:
-            if len(self._allowances) >= MOST_SESSIONS:  # the oldest one has ended
+        if face not in self._allowances:
+            if len(self._allowances) >= MOST_SESSIONS:  # The oldest one has ended.
                 del self._allowances[next(iter(self._allowances))]
-            allowance = self._allowances[face] = Allowance(self._burst, now_s)
-        if not allowance.take(now_s, _standing(line)):
+            all_keys = Allowance(self._burst, RATE_HZ, now_s)
+            self._allowances[face] = all_keys, Allowance(self._group_burst, GROUP_RATE_HZ, now_s)
+        all_keys, group_keys = self._allowances[face]
+        within = all_keys.take(now_s, _standing(line))
+        if group is not None:
+            within &= group_keys.take(now_s, 0)
+        if not within:
             del self._allowances[face]
             self._disconnect(session.decode())
 

@@ -6,7 +6,15 @@ import pytest
 import zenoh
 
 from services.kit.bus import Bus
-from services.router.declarations import BURST, BURST_A_ROBOT, RATE_HZ, Declarations
+from services.router.declarations import (
+    BURST,
+    BURST_A_ROBOT,
+    GROUP_BURST,
+    GROUP_BURST_A_ROBOT,
+    GROUP_RATE_HZ,
+    RATE_HZ,
+    Declarations,
+)
 from tests.services.chain import process
 from tests.services.secured import open_session
 from tests.services.waiting import eventually
@@ -49,6 +57,25 @@ def test_declarations_are_bounded_when_they_are_taken_back() -> None:
 
 def test_declarations_that_stand_are_bounded_however_slow() -> None:
     assert counted(*[(entry(), float(n)) for n in range(MOST + 1)]) == ["6715b33e"]
+
+
+def register(key: bytes) -> bytes:
+    """Return an entry of Zenoh's log about a key that was not known."""
+    return _BEGIN % (b"client", b"6715b33e:1") + b"zenoh::net::routing::dispatcher::resource: Register resource " + key
+
+
+def test_keys_of_groups_are_bounded_more_strictly() -> None:
+    group = register(b"smal/rescuebot/@group/recognition/0123abcd-1")
+    most = GROUP_BURST + GROUP_BURST_A_ROBOT
+    assert counted(*[(group, 0.0)] * most) == []
+    assert counted(*[(group, 0.0)] * (most + 1)) == ["6715b33e"]
+    assert counted(*[(group, n / GROUP_RATE_HZ) for n in range(10 * most)]) == []
+    assert counted(*[(register(b"smal/rescuebot/camera/jpeg"), 0.0)] * MOST) == []
+
+
+def test_a_key_with_line_breaks_is_counted() -> None:
+    broken = _BEGIN % (b"client", b"6715b33e:1") + b"declare_token{expr=x\ny}: " + _FACE % b"x"
+    assert counted(*[(broken, 0.0)] * (MOST + 1)) == ["6715b33e"]
 
 
 @pytest.mark.parametrize("linked", [False, True])
