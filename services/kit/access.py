@@ -93,5 +93,5 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     # What a sender kept is answered on the topic's own key.
     yield "reply", serves | kept | recorded | seen, asked | fetches | seen
     yield "liveliness_token", kept | seen, replayed | seen
-    yield "declare_liveliness_subscriber", replayed | seen, kept | seen
-    yield "liveliness_query", replayed, kept
+    yield "declare_liveliness_subscriber", replayed, kept
+    yield "liveliness_query", replayed | seen, kept | seen

@@ -67,6 +67,7 @@ _AGAIN_S: Final = 0.05  # From one call that nobody answers to the next.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW  # Of calls: ahead of images and of what is replayed.
 _LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
 _PUT: Final = zenoh.SampleKind.PUT
+_MOST_TOKENS: Final = 1 << 16  # More than all sessions may declare at a router.
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 _logger = logging.getLogger("bus")
 R = TypeVar("R", bound=Strict)
@@ -260,30 +261,24 @@ class Bus:
     def stand(self, key: str) -> Callable[[], None]:
         """Declare a liveliness token, until what is returned is called or this process is gone.
 
-        It comes from another session than that of `watch`: a process sees its own token only when the router has it,
-        and after all tokens that the router had before.
+        It comes from another session than the question of `look`: a process sees its own token only when the router has
+        it, and then all tokens that the router had before.
         """
         lane = self._lanes["urgent"]
         return partial(lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key)))
 
-    def watch(self, keys: str, take: Callable[[str, bool], None]) -> None:
-        """Call ``take(key, whether_there)``, on the bus's thread, for each liveliness token that comes or goes.
+    def look(self, keys: str, timeout_s: float) -> frozenset[str]:
+        """Return the keys of all liveliness tokens that stand now; without a router there are none.
 
-        Without a router no token is there. A flood of tokens delays the ordinary lane only.
+        A process asks when it has time: a flood of tokens cannot outrun it, as it would if the router sent each one on.
         """
-        there: set[str] = set()
-
-        def note(key: str, put: bool) -> None:
-            (there.add if put else there.discard)(key)
-            take(key, put)
-
-        def look(session: zenoh.Session) -> zenoh.Subscriber[None]:
-            for key in [*there]:  # The tokens that the session before had received.
-                note(key, put=False)
-            on_token = in_order(lambda token: note(str(token.key_expr), token.kind == _PUT))
-            return session.liveliness().declare_subscriber(keys, on_token, history=True)
-
-        self._declare("ordinary", look)
+        # No callback: Zenoh ends one under a lock that other threads wait for while they hold Python's.
+        replies = (
+            self._lanes["ordinary"]
+            .session.liveliness()
+            .get(keys, zenoh.handlers.FifoChannel(_MOST_TOKENS), timeout=timeout_s)
+        )
+        return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def answer(self, key: str, tell: Callable[[], Strict | None]) -> None:
         """Answer every question at a key, on the bus's thread; with None the question stays without an answer."""

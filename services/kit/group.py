@@ -10,6 +10,7 @@
 - An instance that loses a robot first closes its node and then withdraws the token. An instance that gains a robot
   first declares its token, looks again, and opens a node if it sees no other token there. Of two instances that look,
   at least one sees the other, so no frame is answered twice. Frames that arrive in between are lost.
+- An instance looks at all tokens every `LOOK_S`, in place of being sent each one: a flood of tokens cannot outrun it.
 - A token alone proves nothing: it stands while its process is frozen, and any holder of the role's key can declare it.
   So every instance asks all others, and itself, every `ASK_S`. An instance counts while its last answer is not older
   than `ANSWER_S`, and it answers while its main loop runs.
@@ -76,50 +77,24 @@ class Seen(NamedTuple):
     instances: frozenset[str]
     serving: dict[str, frozenset[str]]
 
+    @classmethod
+    def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
+        """Parse the keys of liveliness tokens; a key of another form is left out."""
+        pattern = re.compile(rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?")
+        instances: set[str] = set()
+        serving: dict[str, set[str]] = {}
+        for match in filter(None, map(pattern.fullmatch, keys)):
+            instance, robot = match.groups()
+            (instances if robot is None else serving.setdefault(robot, set())).add(instance)
+        return cls(frozenset(instances), {robot: frozenset(found) for robot, found in serving.items()})
+
     def among(self, answering: frozenset[str]) -> "Seen":
         """Return what is seen of instances that answer."""
         serving = {robot: instances & answering for robot, instances in self.serving.items()}
         return Seen(self.instances & answering, {robot: instances for robot, instances in serving.items() if instances})
 
 
-class Announcements:
-    """The liveliness tokens of the instances of a service.
-
-    Parameters
-    ----------
-    prefix
-        Key of the service; the keys of the tokens are below it.
-    robots
-        The robots whose tokens count.
-    """
-
-    def __init__(self, prefix: str, robots: Iterable[str]) -> None:
-        serves = "|".join(map(re.escape, robots))
-        self._pattern = re.compile(
-            rf"{re.escape(prefix)}/(?P<instance>[0-9a-f]{{8}}-[1-9]\d?)(?:/(?P<robot>{serves}))?"
-        )
-        self._standing: set[tuple[str, str | None]] = set()
-
-    def instance(self, key: str) -> str | None:
-        """Return the instance that an answer is of; None for a key of another form."""
-        match = self._pattern.fullmatch(key)
-        return None if match is None else match["instance"]
-
-    def note(self, key: str, there: bool) -> str | None:
-        """Note that a token has come or gone; return its instance, or None for a key of another form."""
-        match = self._pattern.fullmatch(key)
-        if match is None:
-            return None
-        (self._standing.add if there else self._standing.discard)((match["instance"], match["robot"]))
-        return match["instance"]
-
-    def seen(self) -> Seen:
-        """Return whom the standing tokens announce."""
-        serving: dict[str, set[str]] = {}
-        instances: set[str] = set()
-        for instance, robot in self._standing.copy():  # Another thread notes.
-            (instances if robot is None else serving.setdefault(robot, set())).add(instance)
-        return Seen(frozenset(instances), {robot: frozenset(serves) for robot, serves in serving.items()})
+_NOTHING: Final = Seen(frozenset(), {})
 
 
 class Answer(Strict):
@@ -192,7 +167,8 @@ class Group(Generic[S]):
         self.instance = f"{secrets.token_hex(4)}-{settings.robots}"
         self.robots = fleet(settings.robot, settings.robots)
         self._prefix = group_key(settings.robot, name)
-        self._announcements = Announcements(self._prefix, self.robots)
+        self._seen = _NOTHING  # By the tokens that stood when it last looked.
+        self._thawed_s = -math.inf  # When it went on after a freeze.
         self._served: dict[str, _Served] = {}
         self._kept: dict[str, _Kept] = {}
         self._failure: Exception | None = None
@@ -205,6 +181,7 @@ class Group(Generic[S]):
         self._served_s = dict.fromkeys(self.robots, math.inf)  # When each robot was last served by an instance.
         self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
         self._news = threading.Event()
+        self._ended = threading.Event()
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -215,11 +192,14 @@ class Group(Generic[S]):
                 if self._settings.http is not None:
                     http = serve_http(self._settings.http, self._ailment, Together(self._registries).registry)
                 self._keep_snapshots(closing_last)
-                self._bus.watch(f"{self._prefix}/**", self._note)
                 self._looked_s = time.monotonic()
                 self._served_s = dict.fromkeys(self.robots, self._looked_s)
                 self._bus.answer(f"{self._prefix}/{self.instance}", self._tell)
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
+                looking = threading.Thread(target=self._keep_looking, name="tokens", daemon=True)
+                looking.start()
+                closing_last.callback(looking.join)
+                closing_last.callback(self._ended.set)
                 try:
                     with ends_soon():
                         self._serve_until_stopped()
@@ -235,21 +215,30 @@ class Group(Generic[S]):
         while not self._stopped and self._failure is None:
             self._bus.check()
             check_memory()
-            # After so long a freeze the others take this instance for dead, and it has not received that yet.
-            frozen = time.monotonic() - self._looked_s > LEASE_MS / 1000.0
+            if time.monotonic() - self._looked_s > LEASE_MS / 1000.0:
+                # After so long a freeze the others take this instance for dead, and what it has seen is old.
+                self._seen = _NOTHING
+                self._thawed_s = time.monotonic()
             self._looked_s = time.monotonic()
             self._ask()
             self._look_at_answers()
-            self._settle(Seen(frozenset(), {}) if frozen else self._announcements.seen())
+            self._settle(self._seen)
             self._news.wait(LOOK_S)
             self._news.clear()
         if self._failure is not None:
             raise self._failure
 
-    def _note(self, key: str, there: bool) -> None:
-        # A token changes nothing before its instance answers: a flood of tokens does not keep the main loop busy.
-        if self._announcements.note(key, there) in self._answering:
-            self._news.set()
+    def _keep_looking(self) -> None:
+        """Look at the tokens of all instances, again and again, on a thread of its own."""
+        while not self._ended.wait(LOOK_S):
+            began_s = time.monotonic()
+            seen = Seen.of(self._bus.look(f"{self._prefix}/**", ANSWER_S), self._prefix)
+            if began_s < self._thawed_s:
+                continue
+            changed = seen.among(self._answering) != self._seen.among(self._answering)
+            self._seen = seen
+            if changed:
+                self._news.set()
 
     # -- proof of life ------------------------------------------------------------------------------------------------
 
@@ -271,13 +260,11 @@ class Group(Generic[S]):
             answer = Answer.model_validate_json(payload)
         except ValidationError:
             return
-        instance = self._announcements.instance(key)
-        if instance is None:
-            return
-        with self._answered:
-            changed = self._answers.note(instance, answer.robots, time.monotonic())
-        if changed:
-            self._news.set()
+        for instance in Seen.of([key], self._prefix).instances:
+            with self._answered:
+                changed = self._answers.note(instance, answer.robots, time.monotonic())
+            if changed:
+                self._news.set()
 
     def _look_at_answers(self) -> None:
         """Note which instances answer, and when each robot was served."""

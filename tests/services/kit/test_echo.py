@@ -63,6 +63,18 @@ def test_every_lane_echoes_with_a_certificate(free_endpoint: str, tmp_path: Path
                 assert is_proved(bus)
 
 
+def test_a_sample_of_another_size_is_no_echo(
+    client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A router that a flood holds up delivered samples of other keys as well."""
+    monkeypatch.setattr("services.kit.echo.secrets.token_hex", lambda _size: "known")
+    with closing(Bus("rescuebot", router_endpoint)) as bus:
+        key = echo_key("operator", "known", "urgent", "stop")
+        client.sessions["urgent"].put(key, b"\xff" * 4096)
+        assert is_proved(bus)
+    assert "callback error" not in caplog.text
+
+
 @pytest.mark.system
 def test_echo_passes_between_linked_routers(tmp_path: Path) -> None:
     """A process whose router is gone may have its lanes at two routers for a while."""

@@ -26,7 +26,7 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.cli.stack import free_endpoint
 from services.kit.bus import MOVE_S, Bus
-from services.kit.group import ANSWER_S, Announcements, Answer, Answers, Group, Seen, owner, share
+from services.kit.group import ANSWER_S, Answer, Answers, Group, Seen, owner, share
 from services.kit.node import LOOK_S
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
@@ -76,15 +76,10 @@ def test_instances_get_about_as_many_robots() -> None:
 
 @given(st.lists(st.text(max_size=40)))
 def test_tokens_of_another_form_are_left_out(rests: list[str]) -> None:
-    announcements = Announcements(PREFIX, fleet("rescuebot", 2))
-    for key in (f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"):
-        assert announcements.note(key, there=True) == "0123abcd-2"
-    wrong = (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0", "0123abcd-2/another")
-    for key in (*(f"{PREFIX}/{rest}" for rest in wrong), "smal/other/@group/features/0123abcd-2"):
-        assert announcements.note(key, there=True) is None
-    assert announcements.seen() == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
-    announcements.note(f"{PREFIX}/0123abcd-2", there=False)
-    assert announcements.seen() == (frozenset(), {"rescuebot-2": frozenset({"0123abcd-2"})})
+    tokens = {f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"}
+    wrong = (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0")
+    found = Seen.of({*tokens, *(f"{PREFIX}/{rest}" for rest in wrong), "smal/other/@group/features/0123abcd-2"}, PREFIX)
+    assert found == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
 
 
 def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
@@ -109,10 +104,8 @@ def test_an_instance_counts_while_its_answers_are_recent() -> None:
 
 
 def test_announcements_without_an_answer_are_left_out() -> None:
-    announcements = Announcements(PREFIX, ["rescuebot"])
-    for token in ("0123abcd-1", "ffffffff-1", "ffffffff-1/rescuebot"):
-        announcements.note(f"{PREFIX}/{token}", there=True)
-    assert announcements.seen().among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
+    announced = Seen.of([f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX)
+    assert announced.among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
 
 
 # -- at a router ------------------------------------------------------------------------------------------------------
@@ -386,7 +379,7 @@ def test_a_flood_of_announcements_keeps_no_instance_busy(client: Bus, router_end
     before, began_s = instance.looks, time.monotonic()
     for number in range(300):
         stack.callback(client.stand(f"{PREFIX}/{number:08x}-1"))
-    eventually(lambda: len(instance._announcements.seen().instances) == 301)
+    eventually(lambda: len(instance._seen.instances) == 301)
     assert instance.looks - before <= (time.monotonic() - began_s) / LOOK_S + 3
 
 
