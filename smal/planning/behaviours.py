@@ -205,21 +205,30 @@ class Search(Behaviour):
         self._nears = False
         if now.unseen and not now.sees:
             return None
-        followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
-        sure = (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > self._config.arrived
+        sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        near = math.inf if now.seen is None else now.seen.near
+        return self._act_on_view(now.seen, sure) or (self._look_on(now.belief) if self.arrived else None)
+
+    def _sure(self, now: Situation) -> bool:
+        """Return whether the robot is near the goal, and was followed or has looked around to know that."""
+        followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
+        return (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > self._config.arrived
+
+    def _act_on_view(self, seen: Glimpse | None, sure: bool) -> Intent | None:
+        """Say that it is found where it is near in view, or go up to it."""
+        if not self._in_view(seen):
+            return None
+        if seen is None:
+            return self._say("found") if self.arrived else None
         # From where nobody drove, less of it may show.
-        about_as_near = near > 1.0 / SETTINGS.as_near
-        beside = now.seen is not None and sure and about_as_near
-        if self._in_view(now.seen):
-            if (self.arrived and about_as_near) or (beside and near > 1.0):
-                return self._say("found")
-            left = None if now.seen is None else now.seen.left
-            if left is not None and (self.arrived or beside) and self._neared_s < self._config.goal_s:
-                return self._go_up_to(left)
-        return self._look_on(now.belief) if self.arrived else None
+        about_as_near = seen.near > 1.0 / SETTINGS.as_near
+        beside = sure and about_as_near
+        if (self.arrived and about_as_near) or (beside and seen.near > 1.0):
+            return self._say("found")
+        if seen.left is not None and (self.arrived or beside) and self._neared_s < self._config.goal_s:
+            return self._go_up_to(seen.left)
+        return None
 
     def _say(self, what: Said) -> Intent:
         self._task.said = what
