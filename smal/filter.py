@@ -27,7 +27,7 @@ from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
 from smal.frozen import Frozen
 from smal.likelihood import scale
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
 from smal.particles import HIDES, Particles, View, systematic
 from smal.settings import SETTINGS

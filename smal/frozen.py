@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import placed
 
 #: Share of the change that the map lets expect. A picture that changes by less, over the way from one keyframe to the

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.likelihood import ANY_DAY, SHARES, over
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import MotionNoise, Movement, seen_from, wrapped
 from smal.settings import SETTINGS
 

@@ -13,13 +13,14 @@ from smal.features.detectors import Detection
 from smal.features.extraction import detect
 from smal.features.resizing import small
 from smal.filter import Belief, Filter
-from smal.model import Model, beside, way_from
+from smal.map import beside, way_from
+from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import swept
 from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.settings import SETTINGS
-from smal.sought.sight import Glimpse, Witness
+from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = "the model does not know how the ground looks, which a robot that watches goes by; learn it again"
 

@@ -20,7 +20,7 @@ from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
 from smal.paper.model import Model as PaperModel
 from smal.planning import Planner
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 
 DELAYS_KEPT: Final = 10  # Reports of the actuator of whose delays the median is taken: those of a second.
 SHOWN: Final = 100  # Places where something stands that are told with a decision, for people.

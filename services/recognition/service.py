@@ -20,7 +20,8 @@ from services.kit.node import Detail, ServiceError
 from smal.features import FeaturesError
 from smal.features.detectors import Detection
 from smal.filter import Belief
-from smal.model import Model, in_common_axes
+from smal.map import in_common_axes
+from smal.model import Model
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
 from smal.robot import NO_GROUND, Localizer

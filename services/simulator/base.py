@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -10,12 +10,8 @@ from schemas.base import Velocity
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
 from services.simulator.world.place import Place, Pose, Solid
-
-if TYPE_CHECKING:
-    from services.simulator.physics import PhysicalBase
 from services.simulator.world.route import Obstacles, obstacles_of
 
-Base: TypeAlias = "KinematicBase | PhysicalBase"  # What can drive a robot in a place.
 #: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
 STEP_S: Final = 0.02
 # Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.
@@ -74,6 +70,23 @@ class Motion(NamedTuple):
     pose: Pose  # Where it is at the end of the step.
     rolled_m: tuple[float, float]  # How far the left and the right wheel turned, as metres of the rim.
     collided: bool  # Whether it touched anything in this step.
+
+
+class Base(Protocol):
+    """What drives a robot in a place."""
+
+    @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing."""
+
+    def obstruct(self, solids: Sequence[Solid]) -> None:
+        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+
+    def put(self, pose: Pose, rng: np.random.Generator) -> None:
+        """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
+
+    def step(self, velocity: Velocity, duration_s: float) -> Motion:
+        """Drive for up to `STEP_S`."""
 
 
 class KinematicBase:

@@ -50,6 +50,19 @@ class FeatureSettings:
         """
         return cls.of(_given(name.strip()) for name in modalities.split(","))
 
+    @classmethod
+    def of_content(cls, meta: dict[str, Any]) -> Self:
+        """Return the features that a model's file was learned on; ValueError where this program computes others."""
+        settings = cls(tuple(meta["modalities"]))
+        if settings.fingerprint != meta["feature_fingerprint"]:
+            raise ValueError("it was learned on features that this version computes differently; learn it again")
+        return settings
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What a model's file says of them."""
+        return {"modalities": self.modalities, "feature_fingerprint": self.fingerprint}
+
     def of_images(self) -> "FeatureSettings | None":
         """Return those that a colour image alone gives, or None where there are none."""
         kept = tuple(name for name in self.modalities if modality_named(name).needs == "color")

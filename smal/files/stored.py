@@ -9,7 +9,6 @@ from typing import IO, Any, ClassVar, Literal, Self
 
 from numpy.typing import NDArray
 
-from smal.features import FeatureSettings
 from smal.files import container
 from smal.files.container import ModelError, NoModelError, open_regular
 
@@ -86,16 +85,3 @@ class Stored(ABC):
         # Known from the file: hashing all of it again would delay the start of a service.
         vars(found)["checksum"] = checksum
         return found
-
-
-def features_of(meta: dict[str, Any]) -> FeatureSettings:
-    """Return the features that a file says it was learned on; ValueError where this program computes others."""
-    settings = FeatureSettings(tuple(meta["modalities"]))
-    if settings.fingerprint != meta["feature_fingerprint"]:
-        raise ValueError("it was learned on features that this version computes differently; learn it again")
-    return settings
-
-
-def of_features(settings: FeatureSettings) -> dict[str, Any]:
-    """Return what a file says of features, for `features_of`."""
-    return {"modalities": settings.modalities, "feature_fingerprint": settings.fingerprint}

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
-from smal.files.stored import Content, Stored, features_of, of_features
+from smal.files.stored import Content, Stored
 from smal.movement import Atom
 from smal.paper.transitions import Transitions
 
@@ -90,7 +90,7 @@ class Model(Stored):
         arrays |= {name: np.concatenate(getattr(self, name)) for name in _STREAMS}
         meta = {"frames": [len(atoms) for atoms in self.atoms], "states": self.states}
         meta |= {name: getattr(self, name) for name in (*_NUMBERS, *_TUPLES)}
-        return of_features(self.feature_settings) | meta, arrays
+        return self.feature_settings.content | meta, arrays
 
     @classmethod
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -106,7 +106,7 @@ class Model(Stored):
         same: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
         same |= {name: tuple(meta[name]) for name in _TUPLES} | {name: meta[name] for name in _NUMBERS}
         return cls(
-            feature_settings=features_of(meta),
+            feature_settings=FeatureSettings.of_content(meta),
             templates=arrays["templates"].T,
             transitions=Transitions(**named, states=meta["states"]),
             **same,

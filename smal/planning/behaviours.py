@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.filter import Belief
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
@@ -21,7 +21,7 @@ from smal.planning.config import PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.settings import SETTINGS
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 
 Floats = NDArray[np.float64]
 Said = Literal["found", "not_here"]

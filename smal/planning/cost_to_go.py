@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.planning.config import PLANNER_CONFIG
 
 

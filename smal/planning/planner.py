@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smal.filter import Belief
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import Motion
 from smal.obstacles.clearance import Surroundings
 from smal.planning.behaviours import (
@@ -31,7 +31,7 @@ from smal.planning.config import PLANNER_CONFIG, PlannerConfig
 from smal.planning.cost_to_go import chosen_goal
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Kind, Steering
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from smal.filter import Belief
-from smal.model import VisualMap, in_common_axes, way_from
+from smal.map import VisualMap, in_common_axes, way_from
 from smal.movement import placed, seen_from, wrapped
 from smal.planning.cost_to_go import cost_to_go
 

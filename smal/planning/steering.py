@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import STANDS, Motion, placed, seen_from, turns_ahead
 from smal.planning.config import PlannerConfig
 

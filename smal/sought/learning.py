@@ -22,7 +22,8 @@ from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.likelihood import evenly, log_ratio
 from smal.settings import SETTINGS
-from smal.sought.sight import NUMBERS, SCORES, Sight, best_window, cells_of, nearest, speaking
+from smal.sought.score import SCORES
+from smal.sought.sight import NUMBERS, Sight, best_window, cells_of, nearest, speaking
 from smal.sought.word import Word, area, best
 
 #: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.

@@ -7,23 +7,18 @@ of the sizes that the approach had.
 """
 
 import math
-from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Image
-from smal.features.detectors import Detection
 from smal.features.resizing import SHAPE
 from smal.settings import SETTINGS
+from smal.sought.score import SCORES, Said
 
-if TYPE_CHECKING:
-    from smal.sought.word import Word
-
-SCORES: Final = np.linspace(0.0, 1.0, 201)  # What scores are tabulated for.
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
 _MOST_CODES: Final = 16_384  # Codes that a file may hold; learning keeps fewer.
 Codes = NDArray[np.float16]
@@ -56,14 +51,6 @@ class Window(NamedTuple):
     score: float  # Mean of what its cells say, 0 to 1.
     left: float  # Of the middle of the picture, as a share of the width, -0.5 to 0.5.
     low: float  # Below the middle what speaks is, as a share of the height, -0.5 to 0.5.
-
-
-class Said(NamedTuple):
-    """What one picture says of what is sought."""
-
-    log_ratio: float
-    near: float  # How near it is, over how near it was where the taught ways ended.
-    left: float  # As of a window.
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,48 +142,3 @@ def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
         found[str(one["goal"])] = Sight(far=one["far"], size=one["size"], low=one["low"], **parts)
     return found
-
-
-class Glimpse(NamedTuple):
-    """What a view says of what is sought."""
-
-    probability: float  # Of being in view.
-    near: float  # Distance from it where the taught ways ended, over the distance now; 0 where it is not in view.
-    left: float | None = None  # Of the middle of the view, as a share of its width, -0.5 to 0.5; none if it is hidden.
-
-
-class Witness:
-    """Tells from view to view whether what is sought is in view, by how it looks, by a detector's word, or by both."""
-
-    def __init__(self, sight: Sight | None, word: "Word | None" = None) -> None:
-        self._sight, self._word = sight, word
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything, for a new episode."""
-        self._said = deque[tuple[float, Said]]()
-
-    def look(self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()) -> Glimpse:
-        """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
-        said, near, left = self._says(picture, detected), 0.0, None
-        if said is not None:
-            self._said.append((time_s, said))
-            while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
-                self._said.popleft()
-            near = float(np.mean([one.near for _, one in self._said]))
-            left = said.left if said.log_ratio > 0.0 else None
-        # Views of one moment are no independent witnesses: together they say what one says.
-        mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
-        odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
-        return Glimpse(odds / (1.0 + odds), near, left)
-
-    def _says(self, picture: Image, detected: Iterable[Detection]) -> Said | None:
-        """Return what both say together: their log ratios add up, and where it is tells the one that says most."""
-        if self._sight is None:
-            patch = None if float(picture.std()) < SETTINGS.plain else Said(0.0, 0.0, 0.0)
-        else:
-            patch = self._sight.says(picture)
-        if patch is None or self._word is None:
-            return patch
-        word = self._word.says(detected)
-        return max(patch, word)._replace(log_ratio=patch.log_ratio + word.log_ratio)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features.detectors import LONGEST, Detection
-from smal.sought.sight import SCORES, Said
+from smal.sought.score import SCORES, Said
 
 
 @dataclass(frozen=True, eq=False)

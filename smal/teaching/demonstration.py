@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
 from smal.features.extraction import Parallel, in_parallel
-from smal.files.map_file import GOAL_NAME
+from smal.map import GOAL_NAME
 from smal.sought.learning import Box
 
 USUAL_GOAL = "victim"  # Where drives lead that do not say so.

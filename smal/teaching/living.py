@@ -22,7 +22,8 @@ from smal.features import extract
 from smal.features.extraction import in_parallel
 from smal.files.packed import packed, unpacked
 from smal.likelihood import evenly, over, scale
-from smal.model import Model, VisualMap
+from smal.map import VisualMap
+from smal.model import Model
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG

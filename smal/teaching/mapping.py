@@ -19,7 +19,8 @@ from smal.features.extraction import Parallel, detect, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
 from smal.likelihood import evenly
-from smal.model import Model, VisualMap, beside, way_from
+from smal.map import VisualMap, beside, way_from
+from smal.model import Model
 from smal.movement import Atom, dead_reckoning, leads_on, shows_same
 from smal.obstacles.strange import Ground, colours_of, extreme, patches, swept
 from smal.settings import SETTINGS

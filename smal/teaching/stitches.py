@@ -21,7 +21,7 @@ from smal.camera import STEP_DEG, STRAIGHT
 from smal.features.extraction import in_parallel
 from smal.files.packed import unpacked
 from smal.likelihood import ANY_DAY, standing_out
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.settings import SETTINGS
 

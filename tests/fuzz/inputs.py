@@ -25,7 +25,8 @@ from smal.features import Centering, FeatureSettings
 from smal.files import container
 from smal.files.stored import FORMAT_VERSION
 from smal.likelihood import GRID, SHARES
-from smal.model import Model, VisualMap
+from smal.map import VisualMap
+from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.paper.transitions import NO_ACTION, learn_transitions
 from tests.services.recordings.recorded_messages import applied, event, observation

@@ -15,7 +15,7 @@ from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
 from smal.obstacles.strange import Ground
-from smal.sought.sight import SCORES
+from smal.sought.score import SCORES
 from smal.sought.word import Word
 from tests import corridor
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels

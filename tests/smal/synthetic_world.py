@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from smal.camera import Camera, Scene
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
 from smal.settings import SETTINGS

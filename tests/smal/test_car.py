@@ -9,7 +9,7 @@ import pytest
 
 from smal.features import Centering, extract
 from smal.filter import Filter
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import STILL, Atom, Motion, Movement, dead_reckoning
 from smal.planning import Planner
 from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, from_beside, taught

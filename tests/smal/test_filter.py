@@ -14,7 +14,7 @@ from smal.camera import TURNS_DEG
 from smal.features import extract
 from smal.files.packed import unit
 from smal.filter import Belief, Filter
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
 from smal.settings import SETTINGS
@@ -299,7 +299,7 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(raw: Any, movement: Mov
 
 @pytest.mark.parametrize("to", [72, 115])
 def test_of_a_long_way_the_place_is_found_among_a_few(to: int) -> None:
-    with patch("smal.model.SETTINGS", replace(SETTINGS, looked_at=20)):
+    with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
         found = Filter(*usual_map())
         follow(drive(way=((1.0, 0.0),)), found)
         arrives(to, found, 2.0)

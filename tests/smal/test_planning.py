@@ -14,12 +14,12 @@ from schemas.base import Velocity
 from smal.camera import TURNS_DEG
 from smal.filter import Belief, Filter
 from smal.likelihood import GRID, SHARES
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.movement import Atom, Motion
 from smal.planning import Decision, Planner, cost_to_go
 from smal.planning.config import PLANNER_CONFIG
 from smal.planning.steering import Chassis, Intent, Steering
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_beside, usual_map
 
 #: Pairs of keyframes, and how the first stands to the second.

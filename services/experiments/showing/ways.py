@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from smal.model import Model, VisualMap, in_common_axes
+from smal.map import VisualMap, in_common_axes
+from smal.model import Model
 from smal.movement import placed, seen_from
 from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration

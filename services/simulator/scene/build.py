@@ -17,7 +17,7 @@ from services.simulator.scene.surfaces import Finish, Piece, Scene, Surface, sur
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
-from services.simulator.world.terrain import Tree, TreeKind
+from services.simulator.world.terrain import Terrain, Tree, TreeKind
 
 _SKY_RADIUS_M: Final = 900.0
 _SKY_SEED: Final = 7
@@ -39,6 +39,8 @@ def build_scene(world: World, light: Daylight) -> Scene:
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, light)
+    if not isinstance(terrain, Terrain):
+        raise TypeError(f"a {type(terrain).__name__} cannot be drawn")
     # Where the sun is too weak for shadows to be seen, there are none.
     shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if max(light.sun) > 0.5 else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.

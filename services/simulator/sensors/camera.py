@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
 import cv2
 import numpy as np
@@ -21,9 +21,6 @@ from services.simulator.sensors.readings import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
 from smal.obstacles.clearance import Mount
-
-if TYPE_CHECKING:
-    from services.simulator.scene.rendering import SceneCamera
 
 FIELD_OF_VIEW_DEG: Final = 75.0  # How wide the robot's camera sees.
 FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)  # Its focal length over the image's width.
@@ -89,12 +86,35 @@ def exposure(stops: float) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * again), dtype=np.uint8)
 
 
+class Lens(Protocol):
+    """What renders the pictures of a world."""
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length, pixels of the picture."""
+
+    def walk(self, people: tuple[Pose, ...]) -> None:
+        """Put people where they are."""
+
+    def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
+        """Return the picture (height, width, 3) from a pose, RGB."""
+
+    def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
+        """Return the depth (height, width) along the camera's axis, metres or infinity."""
+
+    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
+        """Return the picture of the camera above, with the robot at a pose."""
+
+    def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
+        """Return which share of the picture the victim fills."""
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatedView:
     """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
 
     world: World
-    lens: "SceneCamera"
+    lens: Lens
     variation: Variation
     pose: Pose  # Where the robot truly is.
     tilt: Tilt
@@ -110,7 +130,7 @@ class SimulatedView:
     """Whether anybody listens to a topic whose messages are costly."""
 
     @property
-    def camera(self) -> "SceneCamera":
+    def camera(self) -> Lens:
         """Its camera, with the people where they were."""
         self.lens.walk(self.people)
         return self.lens

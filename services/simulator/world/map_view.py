@@ -35,7 +35,7 @@ def draw_map(world: World, ax: Axes) -> None:
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
     if isinstance(world.place, Room):
         _draw_room(world.place, ax)
-    else:
+    elif isinstance(world.place, Terrain):
         _draw_terrain(world.place, ax)
     arrow = 0.03 * (x_max - x_min)
     start = world.start

@@ -2,20 +2,16 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias, TypeVar
+from typing import Annotated, Final, NamedTuple, Protocol, TypeVar
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
-from shapely import Polygon, get_parts
+from shapely import LineString, Polygon, get_parts
 from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from services.kit.errors import JobError
 from services.simulator.robots import Drive, RobotModel
-
-if TYPE_CHECKING:
-    from services.simulator.world.room import Room
-    from services.simulator.world.terrain import Terrain
 
 Shape = TypeVar("Shape", bound=BaseGeometry)
 Rgb = tuple[int, int, int]
@@ -96,9 +92,43 @@ class OverheadMount:
     """Direction on the floor that points up in its image, from east, anticlockwise."""
 
 
-#: A place without a task: `name`, `bounds`, the `robot` that drives there, `scale`, usual `shake` of its camera (1 on a
-#: floor that is not quite even), `overhead` camera if there is one, `solids`, and `lanes`, which meet in shared points.
-Place: TypeAlias = "Terrain | Room"
+class Place(Protocol):
+    """A place without a task."""
+
+    def __hash__(self) -> int:
+        """Return a hash; what is computed of a place is kept by it."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """Its extent, metres."""
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot that drives there."""
+
+    @property
+    def scale(self) -> Scale:
+        """How far is far there."""
+
+    @property
+    def shake(self) -> float:
+        """How much its ground shakes the camera; 1 on a floor that is not quite even."""
+
+    @property
+    def overhead(self) -> OverheadMount | None:
+        """The camera above it, if there is one."""
+
+    @property
+    def solids(self) -> tuple[Solid, ...]:
+        """Everything that a robot can touch."""
+
+    @property
+    def lanes(self) -> tuple[LineString, ...]:
+        """Where a robot may drive; lanes meet in shared points."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
         kept_free, rng = _kept_free(world), np.random.default_rng(clutter_seed)
         if isinstance(place, Terrain):
             place = replace(place, trees=_replanted(place, kept_free, rng))
-        else:
+        elif isinstance(place, Room):
             place = replace(place, furniture=_pushed_about(place, kept_free, rng))
     return replace(world, place=place)
 

@@ -21,7 +21,8 @@ from smal.camera import STRAIGHT
 from smal.features import Centering, FeatureSettings
 from smal.files.packed import packed, unpacked
 from smal.likelihood import GRID, SHARES
-from smal.model import Model, VisualMap
+from smal.map import VisualMap
+from smal.model import Model
 from smal.planning import Planner
 from smal.robot import Localizer
 from smal.settings import SETTINGS

@@ -10,7 +10,7 @@ from smal.movement import Atom
 from smal.obstacles.clearance import Surroundings
 from smal.planning import Decision, Planner
 from smal.planning.config import PLANNER_CONFIG
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 from tests.smal.depth_world import MOUNT, Box, depth
 from tests.smal.test_planning import belief, map_of
 

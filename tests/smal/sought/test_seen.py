@@ -13,7 +13,8 @@ from smal.camera import Image
 from smal.features.resizing import SHAPE
 from smal.files.container import ModelError
 from smal.sought.learning import Taught, learn_sight
-from smal.sought.sight import Sight, Witness
+from smal.sought.sight import Sight
+from smal.sought.witness import Witness
 from tests.corridor import model, moved
 from tests.corridor import view as corridor
 

@@ -15,7 +15,7 @@ from smal.features.detectors import Detection, qr_codes
 from smal.features.extraction import detect
 from smal.files.container import ModelError
 from smal.sought.learning import Taught, learn_word
-from smal.sought.sight import Witness
+from smal.sought.witness import Witness
 from tests import corridor
 
 TAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from smal.features import extract
 from smal.filter import Filter
-from smal.model import Model, VisualMap
+from smal.map import VisualMap
+from smal.model import Model
 from smal.settings import SETTINGS
 from smal.teaching import living
 from smal.teaching.demonstration import Demonstration
@@ -120,7 +121,7 @@ def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(monkeypatc
     keys = np.arange(middle, len(taught.keyframes), SETTINGS.views_a_length, dtype=np.int32)
     # The looks of each place are what was taught of the next one.
     twice = replace(taught, views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]), looks=keys)
-    monkeypatch.setattr("smal.model.SETTINGS", replace(SETTINGS, looked_at=SETTINGS.views_a_length))
+    monkeypatch.setattr("smal.map.SETTINGS", replace(SETTINGS, looked_at=SETTINGS.views_a_length))
     view = twice.sample[0] * 0.0 + np.asarray(twice.views[keys[1], 1, 8], dtype=np.float32)
     found = {int(one) for one in twice.likely(view / np.linalg.norm(view))[0]}
     assert {int(keys[0]), int(keys[1])} & found

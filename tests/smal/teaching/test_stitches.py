@@ -11,11 +11,11 @@ import pytest
 
 from smal.features import Centering
 from smal.filter import Belief, Filter
-from smal.model import VisualMap, in_common_axes
+from smal.map import VisualMap, in_common_axes
 from smal.movement import placed, seen_from
 from smal.planning import Planner
 from smal.settings import SETTINGS
-from smal.sought.sight import Glimpse
+from smal.sought.witness import Glimpse
 from smal.teaching.stitches import stitched
 from tests.smal.synthetic_world import SCENE, START, Room, drive, driven, taught
 

@@ -18,9 +18,8 @@ import pytest
 
 from smal.camera import TURNS_DEG, Camera
 from smal.features import extract
-from smal.files.map_file import content_of_map
 from smal.files.packed import unit
-from smal.model import VisualMap
+from smal.map import VisualMap
 from smal.settings import SETTINGS
 from smal.teaching import mapping
 from smal.teaching.calibration import TaughtFrames, correlation_length
@@ -95,7 +94,7 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
 def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> None:
     found, centering = usual_map()
     count, one = len(found.keyframes), drive()
-    with patch("smal.model.SETTINGS", replace(SETTINGS, looked_at=20)):
+    with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
         for frame in range(0, len(one.poses), 7):
             components = found.described(centering.apply(extract(ROOM.look(one.poses[frame]), COLOR)))
             keyframes, stand_for = found.likely(components)
@@ -228,10 +227,10 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
 
 def test_the_content_makes_the_map_again() -> None:
     good = of_two_drives()
-    numbers, arrays = content_of_map(good)
+    numbers, arrays = good.content()
     again = VisualMap(**numbers, **arrays)
     assert not {*numbers} & {*arrays}
-    assert content_of_map(again)[0] == numbers
+    assert again.content()[0] == numbers
     for name, array in arrays.items():
         np.testing.assert_array_equal(getattr(again, name), array)
 
