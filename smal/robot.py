@@ -3,15 +3,13 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features import extract
 from smal.features.detectors import Detection
-from smal.features.extraction import detect
-from smal.features.resizing import small
+from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
 from smal.map import beside, way_from
 from smal.model import Model
@@ -23,6 +21,15 @@ from smal.settings import SETTINGS
 from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = "the model does not know how the ground looks, which a robot that watches goes by; learn it again"
+
+
+class Located(NamedTuple):
+    """Where a robot is after one frame, and what it sees there: all that a decision goes by but obstacles."""
+
+    whole: Belief  # Over all particles.
+    belief: Belief  # Over the heaviest places.
+    seen: Glimpse | None  # Whether what is sought is in view; None where nothing can tell.
+    strange: float  # How far ahead the ground looks like none of the taught ground; infinity where none does.
 
 
 @dataclass(frozen=True)
@@ -40,10 +47,14 @@ class Place:
 class Localizer:
     """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
 
-    The seed is of the filter's noise; `goal` is where it is sent, and may be left out where all drives lead to one.
+    The seed is of the filter's noise; `goal` is where it is sent, and may be left out where all drives lead to one. One
+    that `watches` looks for strange ground: ValueError where the model does not know the ground.
     """
 
-    def __init__(self, model: Model, seed: int = 0, goal: str | None = None) -> None:
+    def __init__(self, model: Model, seed: int = 0, goal: str | None = None, watches: bool = False) -> None:
+        if watches and model.ground is None:
+            raise ValueError(NO_GROUND)
+        self._watches = watches
         self._map = mapped = model.mapped
         self.features = model.feature_settings  # That it goes by.
         self._ground = model.ground
@@ -63,6 +74,19 @@ class Localizer:
         self._strange_s, self._step_s, self._strange = 0.0, 0.0, math.inf
         if self._witness is not None:
             self._witness.reset()
+
+    def locate(
+        self,
+        percept: Percept,
+        odometry: Sequence[float] | None = None,
+        made: Sequence[Atom | Motion] = (),
+        elapsed_s: float | None = None,
+    ) -> Located:
+        """Take one frame; odometry, what was made, time and errors are as in `observe`."""
+        whole = self.observe(percept.features, odometry, made, elapsed_s)
+        seen = self.seen(percept.picture, whole, percept.detected)
+        belief = whole.summary()
+        return Located(whole, belief, seen, self.strange(percept.picture, belief) if self._watches else math.inf)
 
     def seen(
         self, picture: NDArray[np.uint8] | None, belief: Belief, detected: Iterable[Detection] = ()
@@ -152,11 +176,10 @@ class Robot:
     decision: Decision
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False) -> None:
-        self._map, self._watches = model.mapped, watches
-        if watches and model.ground is None:
-            raise ValueError(NO_GROUND)
+        self._map = model.mapped
         goal = chosen_goal(model.mapped.goals, goal)
-        self._localizer, self._planner = Localizer(model, seed, goal), Planner(model.mapped, goal)
+        self._localizer = Localizer(model, seed, goal, watches)
+        self._planner = Planner(model.mapped, goal)
         self.reset()
 
     def reset(self) -> None:
@@ -182,9 +205,8 @@ class Robot:
         not given. `depth` is what a depth camera measures (height, width), metres, 0 where nothing, and how it sits:
         with it, and odometry, the robot goes round what stands in its way.
         """
-        raw = extract(image, self._localizer.features)
-        self.belief = self._localizer.observe(raw, odometry, [self.made], elapsed_s)
-        seen = self._localizer.seen(small(image), self.belief, detect(image, self._localizer.features))
+        located = self._localizer.locate(perceive(image, self._localizer.features), odometry, [self.made], elapsed_s)
+        self.belief = located.whole
         if odometry is None:
             self._around = None
         elif depth is not None:
@@ -192,9 +214,9 @@ class Robot:
             self._around.look(odometry, *depth)
         elif self._around is not None:
             self._around.move(odometry)
-        told = self.belief.summary()
-        strange = self._localizer.strange(small(image), told) if self._watches else math.inf
-        self.decision = self._planner.decide(told, elapsed_s, seen=seen, around=self._around, strange=strange)
+        self.decision = self._planner.decide(
+            located.belief, elapsed_s, seen=located.seen, around=self._around, strange=located.strange
+        )
         self.made = self.decision.motion
         return self.decision.motion
 

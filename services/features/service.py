@@ -11,9 +11,8 @@ from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
 from services.kit.settings import FleetSettings
 from services.kit.throttle import Throttle
-from smal.features import MODALITIES, FeatureSettings, extract
-from smal.features.extraction import detect
-from smal.features.resizing import small
+from smal.features import MODALITIES, FeatureSettings
+from smal.features.percept import perceive
 
 _log = logging.getLogger("features")
 
@@ -81,14 +80,14 @@ class FeaturesService:
             pixels = decode_jpeg(image.data)
         except ValueError as error:
             raise ServiceError(f"episode {image.episode}, frame {image.tick}: {error}") from None
-        vector = extract(pixels, self._features, None if depth is None else depth.to_numpy())
+        percept = perceive(pixels, self._features, None if depth is None else depth.to_numpy())
         return Observation.after(
             image,
             fingerprint=self._features.fingerprint,
             modalities=self._names,
-            features=Float32Array.from_numpy(vector),
-            picture=small(pixels).tobytes(),
-            detected=tuple(Detected(**one._asdict()) for one in detect(pixels, self._features)[:MOST_DETECTED]),
+            features=Float32Array.from_numpy(percept.features),
+            picture=b"" if percept.picture is None else percept.picture.tobytes(),
+            detected=tuple(Detected(**one._asdict()) for one in percept.detected[:MOST_DETECTED]),
         )
 
     def _give_up(self, image: CompressedImage) -> None:

@@ -1,6 +1,5 @@
 """One observation in, one state out."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -19,6 +18,7 @@ from services.kit.model_service import AnyModel, LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
 from smal.features import FeaturesError
 from smal.features.detectors import Detection
+from smal.features.percept import Percept
 from smal.filter import Belief
 from smal.map import in_common_axes
 from smal.model import Model
@@ -173,9 +173,8 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 
 class _ByFilter:
     def __init__(self, model: Model, loaded: LoadedModel, watches: bool) -> None:
-        self._watches = watches
         self._identity, self._mapped = loaded.identity, model.mapped
-        self._localizer = Localizer(model, goal=loaded.goal)
+        self._localizer = Localizer(model, goal=loaded.goal, watches=watches)
         self.by_odometry = self._mapped.odometry
         self.reset()
 
@@ -197,14 +196,14 @@ class _ByFilter:
         if behind:
             return None
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
-        belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
+        detected = tuple(Detection(one.label, one.score, one.box) for one in observation.detected)
+        percept = Percept(observation.features.to_numpy(), observation.small(), detected)
+        located = self._localizer.locate(percept, odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
-        detected = [Detection(one.label, one.score, one.box) for one in observation.detected]
-        seen = self._localizer.seen(observation.small(), belief, detected)
-        told = belief.summary()
-        strange = self._localizer.strange(observation.small(), told) if self._watches else math.inf
+        told = located.belief
         return State.of_belief(
-            observation, self._identity, told.keyframes, told.offsets, told.weights, seen, strange, told.camera,
+            observation, self._identity, told.keyframes, told.offsets, told.weights,
+            located.seen, located.strange, told.camera,
             lost=told.lost, cosine=told.cosine, tracked_m=told.tracked, unseen_m=told.unseen,
         )  # fmt: skip
 
