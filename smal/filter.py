@@ -29,7 +29,7 @@ from smal.frozen import Frozen
 from smal.likelihood import scale
 from smal.map import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
-from smal.particles import HIDES, Particles, View, systematic
+from smal.particles import HIDES, Particles, ViewEvidence, systematic
 from smal.settings import SETTINGS
 
 #: Whether the last picture showed anything: a picture without texture shows nothing, nor does one that stays the same
@@ -199,7 +199,7 @@ class Filter:
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
-    def _seen(self, centred: NDArray[np.float32]) -> View:
+    def _seen(self, centred: NDArray[np.float32]) -> ViewEvidence:
         """Compare a view with those of the map.
 
         It shows no place if it looks most like a blank picture, equally like all places, is the last one to the bit, or
@@ -218,10 +218,10 @@ class Filter:
         dead = blank and (like_blank > 0.5 or not components.any())
         self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"
         if blank or self._frozen.yes or np.array_equal(components, self._last):
-            return View(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
-        return View(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
+            return ViewEvidence(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
+        return ViewEvidence(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
 
-    def _jump(self, seen: View, movement: Movement) -> None:
+    def _jump(self, seen: ViewEvidence, movement: Movement) -> None:
         """Move probability from the followed particles to scouts and to "lost".
 
         With every new view a little; much more where it does not look like the one just before, though the robot has
@@ -252,7 +252,7 @@ class Filter:
         others = 0.0 if self._jumped is None else jumped * self._jumped.move(movement, noise, newness, self._rng)
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
-    def _weigh(self, seen: View) -> None:
+    def _weigh(self, seen: ViewEvidence) -> None:
         """Weigh all by a view, and send scouts.
 
         What nobody taught looks like taught places more often than these look like each other: by how far the followed
@@ -278,7 +278,7 @@ class Filter:
         self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
         self._evidence = math.log(total)
 
-    def _scouts(self, seen: View, shares: NDArray[np.float64]) -> tuple[Particles, float]:
+    def _scouts(self, seen: ViewEvidence, shares: NDArray[np.float64]) -> tuple[Particles, float]:
         """Draw particles by what one view says, where half is expected near the last sure pose, half anywhere.
 
         The second value is the likelihood of the view there.
@@ -327,14 +327,14 @@ class Filter:
         if self._odds.tracked * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
-    def _note_seen(self, seen: View, way: float) -> None:
+    def _note_seen(self, seen: ViewEvidence, way: float) -> None:
         """Add up the way since a view last spoke for the followed place; looking away from all views, none can."""
         looks = float(self._tracked.weights @ self._tracked.looks())
         self._unseen = max(self._unseen + way * looks, self._frozen.way)
         if seen.spread > 0.0 and self._tracked.speaks > 1.0:
             self._unseen = 0.0
 
-    def _belief(self, seen: View) -> Belief:
+    def _belief(self, seen: ViewEvidence) -> Belief:
         tracked, jumped, _, lost = self._odds
         others = [] if self._jumped is None else [(self._jumped, jumped)]
         every = Particles.joined((self._tracked, tracked), *others)

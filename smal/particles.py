@@ -13,7 +13,7 @@ from smal.movement import MotionNoise, Movement, seen_from, wrapped
 from smal.settings import SETTINGS
 
 
-class View(NamedTuple):
+class ViewEvidence(NamedTuple):
     """What a robot's view looks like, and at which n keyframes it was looked for."""
 
     components: NDArray[np.float32]  # (r,) of the map (`VisualMap.described`).
@@ -80,7 +80,7 @@ class Particles:
         """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
-    def update(self, seen: View, rng: np.random.Generator) -> float:
+    def update(self, seen: ViewEvidence, rng: np.random.Generator) -> float:
         """Weigh by a view; return how much likelier it is here than elsewhere."""
         found, beyond = self.interpolated(seen.components)
         z = seen.stands_out(found)
@@ -105,7 +105,7 @@ class Particles:
         beyond = np.maximum(turned - TURNS_DEG.size / 2.0, 0.0) * math.radians(STEP_DEG) / self._map.apart_rad
         return np.asarray(np.exp(-2.0 * np.square(beyond)))
 
-    def cosine(self, seen: View) -> float:
+    def cosine(self, seen: ViewEvidence) -> float:
         """Return the mean cosine of a view with those of these places."""
         return float(self.weights @ self.interpolated(seen.components)[0])
 

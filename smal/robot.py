@@ -33,7 +33,7 @@ class Located(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Place:
+class TaughtPlace:
     """Where in what was taught."""
 
     drive: int
@@ -221,13 +221,13 @@ class Robot:
         return self.decision.motion
 
     @property
-    def where(self) -> Place:
+    def where(self) -> TaughtPlace:
         """The likeliest place."""
         best = self.belief.summary(1)
         frame = int(self._map.keyframes[best.keyframes[0]])
         share = float(self.belief.weights[self.belief.keyframes == best.keyframes[0]].sum())
         ahead, left, turned = best.offsets[0].tolist()
-        return Place(int(self._map.drives[frame]), frame, ahead, left, turned, share)
+        return TaughtPlace(int(self._map.drives[frame]), frame, ahead, left, turned, share)
 
     @property
     def lost(self) -> bool:

@@ -17,7 +17,7 @@ from smal.features import FeatureSettings
 from smal.model import Model
 from smal.movement import Atom, Motion
 from smal.paper import learning
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.teaching.mapping import demonstrations_of, fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))

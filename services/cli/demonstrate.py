@@ -32,7 +32,7 @@ def demonstrate(
     out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     simulator: options.Simulator,
     modalities: options.Modalities = None,
-    stack: options.Running,
+    stack: options.RunOptions,
 ) -> None:
     """Have the scripted expert demonstrate the search, and record it.
 

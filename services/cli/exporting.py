@@ -10,7 +10,7 @@ from typer import Argument, Option
 from services.cli import outputs
 from services.experiments.progress import bar_of
 from services.experiments.words import remark
-from services.exporters.drives import FORMATS, Drive, read, write
+from services.exporters.drives import FORMATS, ExportedDrive, read, write
 from services.importers.drive import Tally
 from services.importers.job import Format, check_format
 from services.recordings.dataset import find_recordings
@@ -50,7 +50,7 @@ def export_recordings(
     typer.echo("\n".join(_lines(form, drives, out)))
 
 
-def _lines(form: Format, drives: list[Drive], out: Path) -> Iterator[str]:
+def _lines(form: Format, drives: list[ExportedDrive], out: Path) -> Iterator[str]:
     frames = sum(drive.episode.frames for drive in drives)
     yield f"drives        {len(drives)} ({sum(drive.success for drive in drives)} reached their goal)"
     yield f"frames        {frames} ({frames / 10:.0f} s)"

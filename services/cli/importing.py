@@ -14,7 +14,7 @@ from schemas.codec import printable
 from services.cli import options, outputs
 from services.experiments.progress import Bars
 from services.experiments.words import remark
-from services.importers.job import FORMATS, Job, Report, check_format
+from services.importers.job import FORMATS, ImportJob, ImportReport, check_format
 from services.importers.run import MOST_MEMORY
 from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
@@ -70,7 +70,7 @@ def import_recordings(
     if to_s is not None and to_s <= from_s:
         raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")
     with outputs.workshop(out, "--out") as folder:
-        job = Job(
+        job = ImportJob(
             format=form, path=str(path), folder=str(folder), robot=robot, goal=goal,
             success=None if failed is None else not failed, reckon=not no_odometry,
             from_s=from_s, **{} if to_s is None else {"to_s": to_s},
@@ -90,7 +90,7 @@ def import_recordings(
     typer.echo("\n".join(_lines(report, job, files, out)))
 
 
-def _run(job: Job) -> tuple[list[str], Report]:
+def _run(job: ImportJob) -> tuple[list[str], ImportReport]:
     """Do the job in a process of its own; see `services.importers.run`."""
     limits = WorkLimits.of_size(size_of(Path(job.path)), MOST_MEMORY)
     with closing(Bars("frame")) as bars:
@@ -102,10 +102,10 @@ def _run(job: Job) -> tuple[list[str], Report]:
             done = confined(_WORK, job.model_dump(mode="json"), limits, job.path, progress=show)
         except ConfinedError as error:
             raise JobError(printable(str(error), 700)) from None
-    return list(done["remarks"]), Report.model_validate_json(json.dumps(done["report"]))
+    return list(done["remarks"]), ImportReport.model_validate_json(json.dumps(done["report"]))
 
 
-def _lines(report: Report, job: Job, files: list[Path], out: Path) -> Iterator[str]:
+def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -> Iterator[str]:
     units = ("m/s", "rad/s") if report.metric else ("of full speed", "of full lock at full speed")
     made = ", ".join(f"{name} {count / report.ticks:.0%}" for name, count in report.atoms.items() if count)
     yield f"drives        {len(files)} ({report.successes} reached {job.goal})"

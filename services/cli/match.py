@@ -13,8 +13,8 @@ from typer import Argument, Option
 from services.cli import options, outputs
 from services.experiments.matching import truth_file
 from services.experiments.matching.page import judging_page
-from services.experiments.matching.report import Quality, Result, as_g2o, as_json, as_text, in_sources, title_of
-from services.experiments.matching.sources import Source, open_source
+from services.experiments.matching.report import MatchQuality, Result, as_g2o, as_json, as_text, in_sources, title_of
+from services.experiments.matching.sources import TraverseSource, open_source
 from services.experiments.matching.traverse import Traverse, describe_frames
 from services.experiments.progress import Bars
 from services.experiments.words import counted
@@ -128,7 +128,7 @@ def match(
     matches = found if tau is None else found.above(tau)
     matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
-    quality = Quality.of(matches, expected, settings.length, probable=method.probable) if expected else None
+    quality = MatchQuality.of(matches, expected, settings.length, probable=method.probable) if expected else None
     unsure = int(found.matched.sum() - matches.matched.sum())
     chosen: dict[str, object] = {"method": name, "length": settings.length if method.any_length else None}
     chosen |= {"tolerance": settings.tolerance, "online": online, "tau": tau, "precision": precision}
@@ -150,8 +150,8 @@ def _truth(
     poses: tuple[Path, Path] | None,
     radius: float | None,
     tolerance: int,
-    known: Source,
-    asked: Source,
+    known: TraverseSource,
+    asked: TraverseSource,
 ) -> IntervalTruth | None:
     if (by_radius := truth == "gps" or poses is not None) != (radius is not None):
         raise UsageError("--radius: is missing" if by_radius else "--radius: belongs to --truth gps and to --poses")
@@ -203,7 +203,9 @@ def _check_outputs(files: dict[str, Path | None], read: list[Path], folders: lis
         raise UsageError(f"--plot {plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}")
 
 
-def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: Source) -> Source | None:
+def _depth_folder(
+    features: FeatureSettings, option: str, path: Path | None, colour: TraverseSource
+) -> TraverseSource | None:
     if path is None or "depth" not in features.needs:
         if path is not None or "depth" in features.needs:
             raise UsageError(f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it")

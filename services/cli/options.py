@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraOptions:
     """Size of the camera image."""
 
     width: int
@@ -51,7 +51,7 @@ class Camera:
         return camera
 
 
-USUAL_CAMERA: Final = Camera(1024, 768)
+USUAL_CAMERA: Final = CameraOptions(1024, 768)
 
 
 def fleet_of(robot: str, robots: int) -> tuple[str, ...]:
@@ -88,9 +88,12 @@ World = Annotated[
 ]
 Seed = Annotated[int, Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[
-    Camera | None,
+    CameraOptions | None,
     Option(
-        "--camera", parser=Camera.parse, metavar="WxH", help="Camera image. [default: 1024x768; of `smal up` 640x480]"
+        "--camera",
+        parser=CameraOptions.parse,
+        metavar="WxH",
+        help="Camera image. [default: 1024x768; of `smal up` 640x480]",
     ),
 ]
 Base = Annotated[
@@ -139,7 +142,7 @@ class Simulator:
 
     depth: Annotated[bool | None, Option(help="With a depth camera, to go round things. [default: depth]")] = None
 
-    def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
+    def flags(self, world: str, usual: CameraOptions = USUAL_CAMERA) -> tuple[str, ...]:
         """Return the flags of the service."""
         camera = self.camera or usual
         return flags(**asdict(self) | {"camera": None}, world=world, camera_width=camera.width,
@@ -159,7 +162,7 @@ class Changes:
 
 
 @dataclass(frozen=True)
-class Running:
+class RunOptions:
     """Which stack a command works with: one that runs, or one of its own."""
 
     connect: Annotated[str | None, Option(help=f"Use the stack at this router (`smal up`: {_ROUTERS}).")] = None

@@ -45,7 +45,7 @@ def run(
     record: Annotated[Path | None, Option(help="Record the runs into this folder.")] = None,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
-    stack: options.Running,
+    stack: options.RunOptions,
 ) -> None:
     """Let the robot find the victim by itself, and count how often it does.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 from typer import Option
 
 from services.cli import certificates, options, outputs
-from services.cli.options import Camera
+from services.cli.options import CameraOptions
 from services.cli.stack import Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, addresses, host_and_port
@@ -23,7 +23,7 @@ from services.table import SERVICES, role_of, stack_services
 from smal.features import FeatureSettings
 
 WATCH_S: Final = 0.5  # How often dead services are looked for, seconds.
-CAMERA: Final = Camera(640, 480)
+CAMERA: Final = CameraOptions(640, 480)
 LAST_PORT: Final = 65535
 GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 MOST_FURTHER: Final = 8  # A quarter of the sessions that are for a stack, at the router.

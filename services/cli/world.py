@@ -25,7 +25,7 @@ from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_foreign_world
 from services.simulator.world.loading import Wishes, bounded, import_map
-from services.simulator.world.osm import Surroundings
+from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
@@ -112,7 +112,7 @@ def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -
     return Pose(x, y, math.remainder(math.radians(heading_deg), math.tau))
 
 
-def _surroundings(around: str | None, radius: float | None) -> Surroundings | None:
+def _surroundings(around: str | None, radius: float | None) -> MapSurroundings | None:
     if around is None and radius is None:
         return None
     if around is None or radius is None:
@@ -120,7 +120,7 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
     latitude, longitude = _numbers("--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,))
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
-    return Surroundings(latitude, longitude, radius)
+    return MapSurroundings(latitude, longitude, radius)
 
 
 def _summary(world: World) -> Iterable[tuple[str, str]]:

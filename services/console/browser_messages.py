@@ -12,13 +12,13 @@ from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 LATE: Final = "that came too late: the connection is slow, or was away; press again"  # What is said of what came late.
 
 
-class Seen(Strict):
+class SeenRequest(Strict):
     """A watcher has taken what was sent, and may be sent more."""
 
     do: Literal["seen"]
 
 
-class Stop(Strict):
+class StopRequest(Strict):
     """Emergency stop; anybody's to say."""
 
     do: Literal["stop"]
@@ -65,7 +65,7 @@ class Begin(Asked):
     variation: WorldName | None = None
 
 
-class Drive(Begin):
+class DriveRequest(Begin):
     """Begin a drive by hand to a goal, and record it; ``name`` is what its recording's name begins with."""
 
     do: Literal["drive"]
@@ -84,7 +84,7 @@ class Run(Begin):
     victim: Victim = "there"
 
 
-class Learn(Asked):
+class LearnRequest(Asked):
     """Learn a model from recordings, by their names; ``name`` is its file's, without the end."""
 
     do: Literal["learn"]
@@ -108,8 +108,10 @@ class Delete(Asked):
     recording: str
 
 
-Ask = Press | End | Drive | Run | Learn | Add | Delete
-OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
-OF_DRIVER: TypeAdapter[Hold | Leave | Stop | Ask] = TypeAdapter(
-    Annotated[Hold | Leave | Stop | Ask, Field(discriminator="do")]
+Ask = Press | End | DriveRequest | Run | LearnRequest | Add | Delete
+OF_WATCHERS: TypeAdapter[SeenRequest | StopRequest] = TypeAdapter(
+    Annotated[SeenRequest | StopRequest, Field(discriminator="do")]
+)
+OF_DRIVER: TypeAdapter[Hold | Leave | StopRequest | Ask] = TypeAdapter(
+    Annotated[Hold | Leave | StopRequest | Ask, Field(discriminator="do")]
 )

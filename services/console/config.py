@@ -29,7 +29,7 @@ class ConsoleSettings(RootSettings):
     whose port is this machine's."""
 
 
-class Place(NamedTuple):
+class ListenAddress(NamedTuple):
     """Where to serve the page: a listening socket, its address, and the word that a browser has to know, if any."""
 
     socket: socket.socket
@@ -37,7 +37,7 @@ class Place(NamedTuple):
     token: str | None
 
 
-def listen(settings: ConsoleSettings) -> Place:
+def listen(settings: ConsoleSettings) -> ListenAddress:
     """Listen where the settings say; ServiceError where that cannot be, BusError when others can read the secrets."""
     host, _, port = settings.console.rpartition(":")
     given = (settings.console_cert, settings.console_key, settings.console_token)
@@ -61,4 +61,4 @@ def listen(settings: ConsoleSettings) -> Place:
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no such port"
         raise ServiceError(f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT") from None
-    return Place(place, f"{'http' if token is None else 'https'}://{host}:{place.getsockname()[1]}", token)
+    return ListenAddress(place, f"{'http' if token is None else 'https'}://{host}:{place.getsockname()[1]}", token)

@@ -31,7 +31,7 @@ HEADERS: Final = {
 }
 
 
-class Guard:
+class AccessGuard:
     """Lets through what the page itself asks for, of who knows ``token``; without one, of this machine's own names."""
 
     def __init__(self, app: ASGIApp, token: str | None = None) -> None:

@@ -27,7 +27,7 @@ _log = logging.getLogger("console")
 
 
 @dataclass(frozen=True)
-class Job:
+class BackgroundJob:
     """Something to make."""
 
     kind: str  # What it will be: a model, a world.
@@ -79,7 +79,7 @@ class Jobs:
         """Whether a job is at work."""
         return self._work is not None
 
-    def begin(self, job: Job) -> None:
+    def begin(self, job: BackgroundJob) -> None:
         """Begin a job; ServiceError when another is at work, or what it makes is there already."""
         if self.running:
             raise ServiceError("something else is being made; wait, or cancel that first")
@@ -104,7 +104,7 @@ class Jobs:
         if (work := self._work) is not None:
             work.end("cancelled")
 
-    def _follow(self, job: Job, work: _Work) -> None:
+    def _follow(self, job: BackgroundJob, work: _Work) -> None:
         shown: dict[str, object] = {"kind": job.kind, "name": job.name, "doing": job.doing, "done": job.done}
         said: deque[str] = deque(maxlen=_LINES)
         try:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from schemas.base import MAX_TICK
 from schemas.codec import printable
 from schemas.rpc import FileName
-from services.console.listing import Reader, Recording
+from services.console.listing import ListedRecording, Reader
 from services.kit.node import ServiceError
 from services.kit.root import OutsideError, below, open_below
 from services.recordings.recorded import episode_of
@@ -62,7 +62,7 @@ class Library:
         self.root = root
         self.folder: str | None = DRIVES  # The recordings'; None where it lies outside of the root.
         self._lock = Lock()
-        self._recordings: dict[_File, Recording] = {}
+        self._recordings: dict[_File, ListedRecording] = {}
         self._models: dict[_File, LearnedModel] = {}
         self._reader = Reader()
         self._closed = Event()
@@ -84,7 +84,7 @@ class Library:
             for file in sorted(files - self._recordings.keys(), key=lambda file: -file.changed_ns):
                 if self._closed.is_set():
                     break
-                recording = self._reader.read(self.root / file.name, Recording(file.name, file.when_s, file.size))
+                recording = self._reader.read(self.root / file.name, ListedRecording(file.name, file.when_s, file.size))
                 with self._lock:
                     self._recordings[file] = recording
                 if time.monotonic() - shown_s > _SHOW_S:
@@ -92,7 +92,7 @@ class Library:
                     shown_s = time.monotonic()
         return self._shown()
 
-    def recordings(self) -> list[Recording]:
+    def recordings(self) -> list[ListedRecording]:
         """Return all recordings, the newest first."""
         with self._lock:
             return sorted(self._recordings.values(), key=lambda one: -one.when_s)
@@ -102,7 +102,7 @@ class Library:
         with self._lock:
             return sorted(self._models.values(), key=lambda one: -one.when_s)
 
-    def recording(self, name: str) -> Recording | None:
+    def recording(self, name: str) -> ListedRecording | None:
         """Return a recording by its name."""
         return next((one for one in self.recordings() if one.name == name), None)
 
@@ -129,7 +129,7 @@ class Library:
         folder, _, last = name.rpartition("/")
         (below(self.root, folder) / last).unlink()
 
-    def _taught_by(self, model: LearnedModel) -> list[Recording]:
+    def _taught_by(self, model: LearnedModel) -> list[ListedRecording]:
         return [one for one in self.recordings() if one.episode in model.episodes]
 
     def _shown(self) -> dict[str, object]:

@@ -33,7 +33,7 @@ _log = logging.getLogger("console")
 
 
 @dataclass(frozen=True)
-class Recording:
+class ListedRecording:
     """A recording as the page lists it; ``thumbnails`` are JPEG, along the drive."""
 
     name: str
@@ -57,12 +57,12 @@ class Reader:
     def __init__(self) -> None:
         self._process: tuple[multiprocessing.process.BaseProcess, Connection] | None = None
 
-    def read(self, path: Path, listed: Recording) -> Recording:
+    def read(self, path: Path, listed: ListedRecording) -> ListedRecording:
         """Complete what the page lists with what is in the file; where it cannot be read, with why not."""
         process, ours = self._process = self._process or _started()
         with suppress(EOFError, OSError):
             ours.send((path, listed))
-            return cast("Recording", ours.recv())
+            return cast("ListedRecording", ours.recv())
         self.close()
         too_long = process.exitcode == -signal.SIGXCPU
         why = f"it takes more than {READ_S} s" if too_long else "the process that read it has died"
@@ -110,7 +110,7 @@ def end_after(limit_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (until_s, resource.RLIM_INFINITY))
 
 
-def read(path: Path, listed: Recording) -> Recording:
+def read(path: Path, listed: ListedRecording) -> ListedRecording:
     """Complete what the page lists with what is in the file."""
     try:
         episode, *others = read_recording(path, topics=(JPEG, APPLIED)).episodes

@@ -23,7 +23,7 @@ from services.kit.health import ailment
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below
-from services.kit.sight import Sight
+from services.kit.sight import ObstacleSight
 from services.table import stack_services
 from smal.files.container import ModelError
 from smal.files.stored import Stored
@@ -82,7 +82,7 @@ class LiveContent:
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
-        self._sight = Sight()
+        self._sight = ObstacleSight()
         self._seen_s = -math.inf  # When the last frame came.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
         node.subscribe(topics.DEPTH, self._sight.see)

@@ -10,7 +10,7 @@ import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from services.console.config import ConsoleSettings, listen
-from services.console.guard import Guard
+from services.console.guard import AccessGuard
 from services.console.newest_content import Board
 from services.console.service import ConsoleService
 from services.console.web import Web
@@ -52,7 +52,7 @@ class WebServer:
         # Who sends rubbish must not fill the disk with the log.
         logging.getLogger("uvicorn.error").addFilter(lambda _: _complaints.due())
         config = uvicorn.Config(
-            Guard(Web(service, board).application(), token),
+            AccessGuard(Web(service, board).application(), token),
             ws=_Socket,
             ws_max_size=_MOST_BYTES,
             # A browser that says nothing for a while may still look.

@@ -16,8 +16,8 @@ from schemas.action import Action
 from schemas.base import Velocity
 from schemas.codec import printable
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.browser_messages import LATE, Add, Ask, Delete, Drive, End, Learn, Press, Run
-from services.console.jobs import Job, Jobs
+from services.console.browser_messages import LATE, Add, Ask, Delete, DriveRequest, End, LearnRequest, Press, Run
+from services.console.jobs import BackgroundJob, Jobs
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.live_content import LiveContent
 from services.console.newest_content import Board
@@ -133,11 +133,11 @@ class ConsoleService:
                 self._jobs.cancel()
             case End():
                 self._operator.end(found=ask.found, box=ask.box)
-            case Drive():
+            case DriveRequest():
                 self._drive(ask)
             case Run():
                 self._run(ask)
-            case Learn() | Add():
+            case LearnRequest() | Add():
                 self._learn(ask)
             case Delete():
                 self.library.delete(ask.recording)
@@ -149,7 +149,7 @@ class ConsoleService:
             # Of two worlds of one name the robot opens the project's, or the one that it was started in.
             raise ServiceError(f"there is a world {name} already; give the file another name")
         path = f"/proc/self/fd/{osm_map.fileno()}"
-        job = Job(
+        job = BackgroundJob(
             "world",
             name,
             doing=f"Making a world of {name}",
@@ -162,7 +162,7 @@ class ConsoleService:
         )
         self._jobs.begin(job)
 
-    def _drive(self, ask: Drive) -> None:
+    def _drive(self, ask: DriveRequest) -> None:
         seed, goal = secrets.randbelow(2**31), ask.goal
         request = ResetRequest(name=ask.name, seed=seed, purpose="drive", goal=goal, driver="teleop", max_ticks=None)
         self._begin(ask, request, self._record)
@@ -189,7 +189,7 @@ class ConsoleService:
 
         self._begin(ask, request, prepare)
 
-    def _begin(self, ask: Drive | Run, request: ResetRequest, prepare: Callable[[], None]) -> None:
+    def _begin(self, ask: DriveRequest | Run, request: ResetRequest, prepare: Callable[[], None]) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
 
         def show_goal(begun: ResetReply) -> None:  # Where the victim lies only a simulator knows.
@@ -217,7 +217,7 @@ class ConsoleService:
         for service in CHAIN:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
 
-    def _learn(self, ask: Learn | Add) -> None:
+    def _learn(self, ask: LearnRequest | Add) -> None:
         recordings = [one for name in ask.recordings if (one := self.library.recording(name)) and not one.useless]
         if len(recordings) != len(ask.recordings):
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
@@ -232,7 +232,7 @@ class ConsoleService:
             runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
             how = ("--scheme", ask.scheme, *runs)
         paths = (str(self.library.path(one.name)) for one in recordings)
-        job = Job(
+        job = BackgroundJob(
             "model",
             name,
             doing=doing,

@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from schemas.codec import describe
 from schemas.rpc import WorldName
-from services.console.browser_messages import LATE, OF_DRIVER, OF_WATCHERS, Hold, Leave, Stop
+from services.console.browser_messages import LATE, OF_DRIVER, OF_WATCHERS, Hold, Leave, StopRequest
 from services.console.guard import MAP
 from services.console.newest_content import Board, FullError
 from services.console.service import ConsoleService
@@ -123,7 +123,7 @@ class Web:
 
         async def listen() -> None:
             async for said in _said(browser):
-                if isinstance(OF_WATCHERS.validate_json(said), Stop):
+                if isinstance(OF_WATCHERS.validate_json(said), StopRequest):
                     await self._do(self._service.stop)
                 elif seen.is_set():
                     raise _NonsenseError("there is nothing more to be seen")
@@ -185,7 +185,7 @@ class Web:
             elif isinstance(said, Leave):
                 self._stand_up(browser, self._service.leave)
                 return
-            elif isinstance(said, Stop):
+            elif isinstance(said, StopRequest):
                 await self._do(self._service.stop)
             elif (sent_s := self._seat.answered(said.beat)) is not None:
                 await self._do(self._service.ask, said, sent_s + LEASE_S)

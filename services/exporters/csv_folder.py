@@ -4,12 +4,12 @@ import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from services.exporters.drives import Drive, say_view
+from services.exporters.drives import ExportedDrive, say_view
 from services.importers.csv_folder import COLUMNS, NAME
 from services.importers.drive import Tally
 
 
-def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
     """Write all drives into one folder, the images of each into a folder of its own."""
     say_view(drives, tally)
     with (folder / NAME).open("w", newline="", encoding="utf-8") as file:

@@ -38,7 +38,7 @@ class Rate(NamedTuple):
     origin: str
 
 
-class Nominal(NamedTuple):
+class NominalSpeeds(NamedTuple):
     """How fast a robot's atoms are at full speed: forward and backward, and the turns."""
 
     speed: Rate
@@ -61,12 +61,12 @@ class Moment(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class ExportedDrive:
     """One episode, to be exported; its name is that of a file, other than that of every other drive."""
 
     name: str
     episode: RecordedEpisode
-    nominal: Nominal
+    nominal: NominalSpeeds
 
     @property
     def success(self) -> bool:
@@ -123,7 +123,7 @@ class Drive:
         return round(self.nominal.speed.value * linear, _DIGITS), round(self.nominal.turn_rate.value * angular, _DIGITS)
 
 
-def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
+def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[ExportedDrive]:
     """Read recordings, with speeds of atoms as given, m/s and rad/s, or by odometry; JobError where none is known."""
     episodes = list(_episodes(files, tally))
     if not episodes:
@@ -132,24 +132,28 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
     nominal = {}
     for robot in dict.fromkeys(episode.robot for episode in episodes):
         own = [episode for episode in episodes if episode.robot == robot]
-        nominal[robot] = Nominal(
+        nominal[robot] = NominalSpeeds(
             _rate(own, speed, "--speed", ("forward", "backward")),
             _rate(own, turn_rate, "--turn-rate", ("left", "right")),
         )
     return [
-        Drive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
+        ExportedDrive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
         for name, episode in zip(names, episodes, strict=True)
     ]
 
 
 def write(
-    form: Format, drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None] = lambda: None
+    form: Format,
+    drives: Sequence[ExportedDrive],
+    folder: Path,
+    tally: Tally,
+    advance: Callable[[], None] = lambda: None,
 ) -> None:
     """Write drives into an empty folder, ``advance`` for each tick; JobError when they do not fit the format."""
     importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(drives, folder, tally, advance)
 
 
-def say_view(drives: Iterable[Drive], tally: Tally) -> None:
+def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
     """Say how the cameras see, for a format that has no place for it."""
     for camera in (drive.episode.camera for drive in drives):
         if camera is not None:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import Drive, say_view
+from services.exporters.drives import ExportedDrive, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import ACTION, DATA, EPISODES, INFO, POSE, STATE, SUCCESS, VELOCITIES, VIDEO
 from services.importers.ticks import TICK_S
@@ -68,7 +68,7 @@ class _Episode:
         self.counts += np.stack(counts).astype(np.int64)
 
 
-def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
     """Write one data set of all drives; each episode has a video of its own."""
     import av  # noqa: PLC0415 - of the extra `formats`
 
@@ -97,7 +97,7 @@ def _place(episode: int) -> dict[str, int]:
 
 
 def _usable(
-    drives: Sequence[Drive], tally: Tally, advance: Callable[[], None]
+    drives: Sequence[ExportedDrive], tally: Tally, advance: Callable[[], None]
 ) -> Iterator[tuple[int, str, _Frame, Pixels]]:
     """Yield the ticks that can be in the data set: the episode that each is in, its goal, its row and its image."""
     size: tuple[int, ...] | None = None

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.camera import CameraInfo
-from services.exporters.drives import Drive
+from services.exporters.drives import ExportedDrive
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally
 from services.importers.ticks import TICK_S
@@ -28,7 +28,7 @@ _COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant":
 Fields = dict[str, Any]
 
 
-def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
     """Write a bag for each drive, by its name."""
     from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 - of the extra `formats`
 
@@ -48,7 +48,7 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
         tally.count("drives have no odometry: nothing moves in a 3D view", int(not drive.episode.odometry))
 
 
-def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[str, str, int, Fields]]:
+def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[str, str, int, Fields]]:
     began_ns: int | None = None
     for moment in drive.moments(tally, advance):
         stamp_ns = moment.stamp_ns

@@ -11,10 +11,10 @@ from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from services.importers.drive import MOST_SAMPLES, Drive, ImportFailure, Tally
+from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
-from services.importers.job import Job
+from services.importers.job import ImportJob
 
 NAME: Final = "drive.csv"
 POSE: Final = ("x_m", "y_m", "heading_rad")
@@ -43,7 +43,7 @@ class _Line(BaseModel):
         return self.x_m, self.y_m, self.heading_rad
 
 
-def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read such a folder; each episode is a drive."""
     names = [name for name in inside.names() if name.lower().endswith(".csv")]
     if NAME not in names and len(names) != 1:

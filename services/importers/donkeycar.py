@@ -10,10 +10,10 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from services.importers.drive import MOST_SAMPLES, Drive, ImportFailure, Tally
+from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
-from services.importers.job import Job
+from services.importers.job import ImportJob
 
 _Whole = Annotated[int, Field(ge=0, le=2**53)]
 
@@ -39,7 +39,7 @@ class _Record(BaseModel):
     session: str = Field(default="", alias="_session_id")
 
 
-def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
     lines = inside.read("manifest.json").splitlines()
     if len(lines) < 5:

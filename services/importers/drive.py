@@ -34,7 +34,7 @@ Rows = Sequence[tuple[float, ...]] | Array
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class ImportedDrive:
     """One drive of a source; all times are on the same clock, in seconds."""
 
     name: str  # As the source calls it.

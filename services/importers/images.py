@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.camera import CompressedImage
-from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally
+from services.importers.drive import Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
 
@@ -65,7 +65,7 @@ class Row(NamedTuple):
 
 def drive_of(
     inside: Inside, name: str, rows: Sequence[Row], tally: Tally, *, success: bool | None = None, metric: bool = True
-) -> Drive:
+) -> ImportedDrive:
     """Make a drive of its frames; ImportFailure where no camera's frames have such times."""
     times_s = np.array([row.time_s for row in rows])
     usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
@@ -81,7 +81,7 @@ def drive_of(
     def images() -> Iterator[Image]:
         return (partial(_image, inside, row.image, tally) for row in rows)
 
-    return Drive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
+    return ImportedDrive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
 
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:

@@ -19,7 +19,7 @@ _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
-class Job(Strict):
+class ImportJob(Strict):
     """What is asked for; `smal import --help` says what each wish is. Names are the source's own."""
 
     format: Format
@@ -43,7 +43,7 @@ class Job(Strict):
     episodes: tuple[str, ...] = ()
 
 
-class Report(Strict):
+class ImportReport(Strict):
     """What came of it: recordings, their ticks and atoms, how many drives reached the goal, nominal velocities."""
 
     files: tuple[str, ...]

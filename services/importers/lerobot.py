@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeInt, PositiveInt
 
 from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, Array, Drive, Image, ImportFailure, NotAnImage, Tally
+from services.importers.drive import MOST_SAMPLES, Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
-from services.importers.job import Job
+from services.importers.job import ImportJob
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -97,7 +97,7 @@ class _Velocity(NamedTuple):
     radians: float
 
 
-def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a data set; each of its episodes is a drive."""
     dataset = _DataSet(inside, job, tally)
     asked = [one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes]
@@ -111,7 +111,7 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
 
 
 class _DataSet:
-    def __init__(self, inside: Inside, job: Job, tally: Tally) -> None:
+    def __init__(self, inside: Inside, job: ImportJob, tally: Tally) -> None:
         self._inside, self._tally = inside, tally
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
         self._camera = _camera(self.info, job, inside.called(INFO))
@@ -149,7 +149,7 @@ class _DataSet:
                     episode = episode._replace(video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2])
                 yield episode
 
-    def drive(self, episode: _Episode) -> Drive:
+    def drive(self, episode: _Episode) -> ImportedDrive:
         where, name = self._velocity, str(episode.number)
         columns = dict.fromkeys(["timestamp", where.feature])
         columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys({SUCCESS} & self.info.features.keys())
@@ -162,7 +162,7 @@ class _DataSet:
         aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
         self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
         poses = self._part(episode, found[STATE], STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
-        return Drive.of_rows(
+        return ImportedDrive.of_rows(
             name,
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
@@ -192,7 +192,7 @@ class _DataSet:
             yield from (partial(_cell, cell) for cell in batch.column(self._camera))
 
 
-def _camera(info: _Info, job: Job, called: str) -> str:
+def _camera(info: _Info, job: ImportJob, called: str) -> str:
     cameras = [key for key, feature in info.features.items() if feature.dtype in ("video", "image")]
     named = ", ".join(map(printable, cameras)) or "none"
     if job.camera is not None and job.camera not in cameras:
@@ -202,7 +202,7 @@ def _camera(info: _Info, job: Job, called: str) -> str:
     return job.camera or cameras[0]
 
 
-def _velocity(info: _Info, job: Job, called: str) -> _Velocity:
+def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
     known = _NAMES
     if job.velocity is not None:
         asked = tuple(map(_plain, job.velocity.split(",")))

@@ -15,8 +15,8 @@ from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
-from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
-from services.importers.job import Job
+from services.importers.drive import Array, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.job import ImportJob
 from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, odometry, shares_of, ticks
 from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
@@ -38,7 +38,9 @@ class Written(NamedTuple):
     success: bool
 
 
-def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
+def write(
+    drive: ImportedDrive, job: ImportJob, usual: Nominal, tally: Tally, advance: Callable[[], None]
+) -> Written | None:
     """Write a drive's recording, ``advance`` for each frame; None: of no use. After an error nothing is left."""
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
     images = _images(drive, shown, tally, advance)
@@ -89,7 +91,9 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     return Written(path, made, poses is not None, success)
 
 
-def _images(drive: Drive, shown: Ticks, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[int, bytes]]:
+def _images(
+    drive: ImportedDrive, shown: Ticks, tally: Tally, advance: Callable[[], None]
+) -> Iterator[tuple[int, bytes]]:
     """Yield each row of the ticks and its JPEG; those whose frame is no image are left out."""
     rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
     for frame, image in enumerate(drive.images()):
@@ -104,7 +108,7 @@ def _images(drive: Drive, shown: Ticks, tally: Tally, advance: Callable[[], None
         yield from ((row, jpeg) for row in range(rows[frame], rows[frame + 1]))
 
 
-def _poses(drive: Drive, times_s: Array, moves: Moves | None) -> Array | None:
+def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array | None:
     """Return what odometry says at each tick, (n, 5), NaN where it is not known; None where it never is."""
     way = odometry(drive, times_s, moves)
     if way is None:
@@ -117,7 +121,7 @@ def _poses(drive: Drive, times_s: Array, moves: Moves | None) -> Array | None:
     return np.asarray(np.where(known[:, None], told, np.nan), dtype=np.float64)
 
 
-def _name(drive: Drive, shown: Ticks, first: bytes) -> str:
+def _name(drive: ImportedDrive, shown: Ticks, first: bytes) -> str:
     """Name an episode by its drive and what is in it: imported twice it is known again, and another one is another."""
     digest = hashlib.sha256(first)
     for part in (shown.numbers, drive.times_s[shown.frames], drive.motion):

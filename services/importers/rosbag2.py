@@ -22,10 +22,10 @@ from mcap.records import Channel, Message, Schema
 from zstandard import ZstdDecompressor, ZstdError
 
 from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, Drive, Image, ImportFailure, NotAnImage, Tally
+from services.importers.drive import MOST_SAMPLES, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
-from services.importers.job import Job
+from services.importers.job import ImportJob
 from services.kit.cameras import camera_of_ros
 from services.kit.ros_message import ENCODINGS, rgb_of
 from services.recordings.records import MAGIC, mapped, records
@@ -209,7 +209,7 @@ def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa:
     samples.append(sample)
 
 
-def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a bag; it is one drive."""
     typestore()
     found = _Found()
@@ -236,7 +236,7 @@ def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
         return (partial(_image, message) for message in received(inside, Tally(), image))
 
     times_s = np.array(found.images[image])
-    return [Drive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)]
+    return [ImportedDrive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)]
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.base import ATOMS
-from services.importers.drive import Drive, ImportFailure, Tally
+from services.importers.drive import ImportedDrive, ImportFailure, Tally
 from services.importers.inside import Inside
-from services.importers.job import FORMATS, Format, Job, Report
+from services.importers.job import FORMATS, Format, ImportJob, ImportReport
 from services.importers.recording import write
 from services.importers.ticks import nominal
 from services.kit.errors import describe_os_error
@@ -29,7 +29,7 @@ MOST_MEMORY: Final = 2 * 2**30  # Bytes of memory; the numbers of the longest dr
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
-def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> Report:
+def run(job: ImportJob, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> ImportReport:
     """Import, telling ``advance`` of each frame, and of how many; ImportFailure or OSError when that cannot be."""
     try:
         return _run(job, tally, advance)
@@ -38,9 +38,9 @@ def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: 
         raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
 
 
-def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
+def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> ImportReport:
     reader = importlib.import_module(f"services.importers.{_READERS[job.format]}")
-    every: list[Drive] = reader.read(Inside(Path(job.path)), job, tally)
+    every: list[ImportedDrive] = reader.read(Inside(Path(job.path)), job, tally)
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"
@@ -53,7 +53,7 @@ def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
         raise ImportFailure(f"{job.path}: nothing to import")
     made = sum((one.atoms for one in written), Counter[str]())
     origin = "of the source" if any(drive.track.size for drive in drives) else "reckoned from velocities"
-    return Report(
+    return ImportReport(
         files=tuple(str(one.path) for one in written),
         ticks=made.total(),
         successes=sum(one.success for one in written),
@@ -67,7 +67,7 @@ def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
 
 def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
     """Run a job, given as JSON, in a process of its own; ConfinedError when that cannot be."""
-    job, tally, done, told_s = Job.model_validate_json(json.dumps(request)), Tally(), 0, 0.0
+    job, tally, done, told_s = ImportJob.model_validate_json(json.dumps(request)), Tally(), 0, 0.0
 
     def advance(total: int) -> None:
         nonlocal done, told_s

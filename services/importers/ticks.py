@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import MAX_TICK, Velocity
-from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, ImportFailure, Tally
+from services.importers.drive import FASTEST_M_S, LATEST_S, Array, ImportedDrive, ImportFailure, Tally
 from smal.movement import seen_from
 
 TICK_S: Final = 0.1  # Time between two ticks, on which the stack runs and learning reckons.
@@ -116,7 +116,7 @@ class Moves:
         return found
 
 
-def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
+def odometry(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
     """Give the pose at the times of ticks, (n, 3), as seen from the first one, and whether it is known, (n,).
 
     It is by the drive's track, and not known further than `HOLD_S` from its samples; where there is none it is reckoned

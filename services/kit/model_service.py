@@ -25,7 +25,7 @@ from services.kit.settings import FleetSettings
 from smal.files.container import ModelError, NoModelError, open_regular
 from smal.files.stored import Stored
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.planning import chosen_goal
 
 _DIGITS: Final = 16  # So many hex digits of a model's checksum tell one model from another.

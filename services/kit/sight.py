@@ -7,7 +7,7 @@ from schemas.motion import Odometry
 from smal.obstacles.clearance import Mount, Surroundings
 
 
-class Sight:
+class ObstacleSight:
     """Keeps the surroundings of one episode, of depth images that say how their camera sits, and the wheels."""
 
     def __init__(self) -> None:

@@ -13,12 +13,12 @@ from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel, Wheels
 from services.kit.node import Detail
-from services.kit.sight import Sight
+from services.kit.sight import ObstacleSight
 from services.kit.throttle import Throttle
 from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.planning import Planner
 from smal.sought.witness import Glimpse
 
@@ -41,7 +41,7 @@ class PolicyService:
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
-        self.sight = Sight()  # What stands about the robot; it goes round that.
+        self.sight = ObstacleSight()  # What stands about the robot; it goes round that.
         #: How long its commands take to move the robot, by what the actuator has told lately.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
@@ -129,7 +129,7 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State, delay_s: float, sight: Sight) -> list[Message]:
+    def answer(self, state: State, delay_s: float, sight: ObstacleSight) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         belief = Belief(
@@ -169,7 +169,7 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State, _delay_s: float, _sight: Sight) -> list[Message]:
+    def answer(self, state: State, _delay_s: float, _sight: ObstacleSight) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))

@@ -23,7 +23,7 @@ from smal.filter import Belief
 from smal.map import in_common_axes
 from smal.model import Model
 from smal.movement import Atom
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.robot import NO_GROUND, Localizer
 
 _KEPT: Final = 100  # Odometry and commands that are kept until the observation of their frame comes, frames.

@@ -56,7 +56,7 @@ _ORIGIN: Final = np.zeros(3)
 Array = NDArray[np.float64]
 
 
-class View(NamedTuple):
+class RecordedView(NamedTuple):
     """Something to draw."""
 
     name: str
@@ -87,11 +87,11 @@ class Views:
         self._began: Message | None = None
 
     @singledispatchmethod
-    def of(self, _message: Message) -> Iterator[View]:
+    def of(self, _message: Message) -> Iterator[RecordedView]:
         """Yield what is drawn of a message."""
         yield from ()
 
-    def way(self) -> Iterator[tuple[Message, View]]:
+    def way(self) -> Iterator[tuple[Message, RecordedView]]:
         """Yield the driven way as a whole, and the first message by the wheels, so that a viewer has it at any time."""
         if self._began is not None and len(self._way) > 1:
             points = np.array([(x_m, y_m, 0.0) for x_m, y_m in self._way])
@@ -99,9 +99,9 @@ class Views:
                 yield self._began, view
 
     @of.register
-    def _odometry(self, odometry: Odometry) -> Iterator[View]:
+    def _odometry(self, odometry: Odometry) -> Iterator[RecordedView]:
         here = np.array([odometry.x_m, odometry.y_m, odometry.heading_rad])
-        yield View("odometry", _transform(odometry, "odom", "base_link", here))
+        yield RecordedView("odometry", _transform(odometry, "odom", "base_link", here))
         _keep(self._wheels, odometry.tick, here)
         yield from self._world(odometry)
         self._began = self._began or odometry
@@ -111,26 +111,26 @@ class Views:
             self._way, self._step_m = self._way[::2], 2.0 * self._step_m
 
     @of.register
-    def _pose(self, pose: Pose) -> Iterator[View]:
+    def _pose(self, pose: Pose) -> Iterator[RecordedView]:
         here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
-        yield View("pose", _in_world(pose, here))
+        yield RecordedView("pose", _in_world(pose, here))
         _keep(self._true, pose.tick, here)
         yield from self._world(pose)
 
-    def _world(self, message: Message) -> Iterator[View]:
+    def _world(self, message: Message) -> Iterator[RecordedView]:
         """Say once where the wheels' axes lie in the world."""
         wheels, true = self._wheels.get(message.tick), self._true.get(message.tick)
         if not self._with_world and wheels is not None and true is not None:
             self._with_world = True
-            yield View("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
+            yield RecordedView("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
 
     @of.register
-    def _tracked(self, pose: TrackedPose) -> Iterator[View]:
+    def _tracked(self, pose: TrackedPose) -> Iterator[RecordedView]:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            yield View("tracked", _in_world(pose, np.array([pose.x_m, pose.y_m, pose.heading_rad])))
+            yield RecordedView("tracked", _in_world(pose, np.array([pose.x_m, pose.y_m, pose.heading_rad])))
 
     @of.register
-    def _camera(self, info: CameraInfo) -> Iterator[View]:
+    def _camera(self, info: CameraInfo) -> Iterator[RecordedView]:
         focal, x, y, stamp = info.focal_px, info.centre_x_px, info.centre_y_px, timestamp(info.stamp_ns)
         calibration = CameraCalibration(timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height)
         calibration.K.extend([focal, 0, x, 0, focal, y, 0, 0, 1])
@@ -138,14 +138,14 @@ class Views:
         calibration.D.extend(info.distortion)
         calibration.R.extend([1, 0, 0, 0, 1, 0, 0, 0, 1])
         calibration.P.extend([focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0])
-        yield View("calibration", calibration)
+        yield RecordedView("calibration", calibration)
         # Looks ahead: its z is the robot's x, its x the robot's right.
         camera = _transform(info, "base_link", CAMERA_FRAME, _ORIGIN)
         camera.rotation.CopyFrom(Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5))
-        yield View("camera", camera)
+        yield RecordedView("camera", camera)
 
     @of.register
-    def _map(self, taught: TaughtMap) -> Iterator[View]:
+    def _map(self, taught: TaughtMap) -> Iterator[RecordedView]:
         self._keyframes = taught.keyframes.to_numpy().astype(np.float64)
         flat = self._keyframes * (1.0, 1.0, 0.0)
         every = 1 + len(flat) // _MOST_POINTS
@@ -153,7 +153,7 @@ class Views:
         yield from _line(taught, "map", "taught", ways, _TAUGHT)
 
     @of.register
-    def _state(self, state: State) -> Iterator[View]:
+    def _state(self, state: State) -> Iterator[RecordedView]:
         yield from self._changed(state, "recognition", state.status, warns=state.status == "unknown")
         if self._keyframes is None or not state.places or state.places[0].keyframe >= len(self._keyframes):
             return
@@ -163,24 +163,24 @@ class Views:
         wheels = self._wheels.get(state.tick)
         # A robot that is lost goes by its wheels; without any, there is nothing else to go by.
         if wheels is not None and state.lost <= 0.5:
-            yield View("map", _transform(state, "odom", "map", _origin_of(wheels, poses[0])))
+            yield RecordedView("map", _transform(state, "odom", "map", _origin_of(wheels, poses[0])))
         elif not self._wheels:
-            yield View("map", _transform(state, "map", "base_link", poses[0]))
+            yield RecordedView("map", _transform(state, "map", "base_link", poses[0]))
         color = Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0)
         arrow = ArrowPrimitive(pose=_pose(poses[0]), color=color, **_ARROW)
-        yield View("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
+        yield RecordedView("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
         # All places, each as high as it is likely.
         points = np.column_stack([poses[:, :2], [place.weight for place in known]])
-        yield View("places", _cloud(state, "map", points))
+        yield RecordedView("places", _cloud(state, "map", points))
 
     @of.register
-    def _action(self, action: Action) -> Iterator[View]:
+    def _action(self, action: Action) -> Iterator[RecordedView]:
         kind = action.kind.replace("_", " ")
         warns = action.kind in ("dead_end", "look_around", "guess", "blocked", "blind")
         yield from self._changed(action, "policy", kind, warns=warns)
 
     @of.register
-    def _applied(self, applied: CommandApplied) -> Iterator[View]:
+    def _applied(self, applied: CommandApplied) -> Iterator[RecordedView]:
         if applied.source is not None and applied.reason == "command":
             yield from self._changed(applied, "robot", f"driven by {applied.source}")
         else:
@@ -188,18 +188,18 @@ class Views:
             yield from self._changed(applied, "robot", f"stands: {applied.reason}{cause}", warns=True)
 
     @of.register
-    def _event(self, event: Episode) -> Iterator[View]:
+    def _event(self, event: Episode) -> Iterator[RecordedView]:
         if event.event == "started":
             text = f"{event.purpose} to {event.goal} in {event.world}, seed {event.seed}, driver {event.driver}"
         else:
             text = event.event if event.outcome is None else f"ended: {event.outcome}"
         yield from self._changed(event, "episode", text, warns=event.outcome not in (None, "found"))
 
-    def _changed(self, message: Message, name: str, text: str, *, warns: bool = False) -> Iterator[View]:
+    def _changed(self, message: Message, name: str, text: str, *, warns: bool = False) -> Iterator[RecordedView]:
         if self._told.get(name) != text:
             self._told[name] = text
             level = Log.WARNING if warns else Log.INFO
-            yield View("log", Log(timestamp=timestamp(message.stamp_ns), level=level, message=text, name=name))
+            yield RecordedView("log", Log(timestamp=timestamp(message.stamp_ns), level=level, message=text, name=name))
 
 
 def _keep(poses: dict[int, Array], tick: int, pose: Array) -> None:
@@ -237,7 +237,7 @@ def _transform(message: Message, parent: str, child: str, pose: Array) -> FrameT
     )
 
 
-def _line(message: Message, frame: str, name: str, lines: list[Array], color: Color) -> Iterator[View]:
+def _line(message: Message, frame: str, name: str, lines: list[Array], color: Color) -> Iterator[RecordedView]:
     """Yield lines of points (n, 3), and the points for viewers that do not know scenes."""
     drawn = [
         LinePrimitive(
@@ -250,8 +250,8 @@ def _line(message: Message, frame: str, name: str, lines: list[Array], color: Co
         )
         for line in lines
     ]
-    yield View(name, _scene(message, frame, name, SceneEntity(lines=drawn)))
-    yield View(f"{name}_points", _cloud(message, frame, np.concatenate(lines)))
+    yield RecordedView(name, _scene(message, frame, name, SceneEntity(lines=drawn)))
+    yield RecordedView(f"{name}_points", _cloud(message, frame, np.concatenate(lines)))
 
 
 def _scene(message: Message, frame: str, name: str, entity: SceneEntity) -> SceneUpdate:

@@ -15,7 +15,7 @@ from services.kit.version import program_version
 from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
 from services.recordings.ledger import Ledger
 from services.recordings.sink import Sink, claim, free_path, partial_of, publish
-from services.recordings.views import View, Views, view_key
+from services.recordings.views import RecordedView, Views, view_key
 
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
@@ -125,7 +125,7 @@ class EpisodeWriter:
         self._file.finish()
         self._sink.sync()
 
-    def _draw(self, view: View, cause: Message) -> None:
+    def _draw(self, view: RecordedView, cause: Message) -> None:
         form = protobuf_format(type(view.message))  # type: ignore[arg-type]  # a class is hashable
         self._add(view_key(cause.robot, view.name), form, cause, view.message.SerializeToString())
 

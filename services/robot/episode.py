@@ -1,8 +1,8 @@
 """One episode: frame after frame, and what ends it. The one loop that services, experiments and Gymnasium share.
 
-What ends an episode is all here. A frame does (`Episode.next_frame`): a collision, the goal of a run, the time. A word
-does (`Episode.end`): of the operator, or of the robot that it is found or not here, which the planner says
-(`smal.planning.Planner.said`), the policy tells (`schemas.action.Action.says`), and who began the run passes on
+What ends an episode is all here. A frame does (`RunningEpisode.next_frame`): a collision, the goal of a run, the time.
+A word does (`RunningEpisode.end`): of the operator, or of the robot that it is found or not here, which the planner
+says (`smal.planning.Planner.said`), the policy tells (`schemas.action.Action.says`), and who began the run passes on
 (`services.cli.episodes.client`, the console's `Operator.end_mine`). Who begins another or is gone ends it, too.
 """
 
@@ -25,7 +25,7 @@ class Ended(NamedTuple):
     box: Box | None = None
 
 
-class Episode(Generic[V]):
+class RunningEpisode(Generic[V]):
     """One episode of a body, which drives between one frame and the next; ServiceError when it cannot do as asked."""
 
     def __init__(self, body: Body[V], task: Task[V], request: ResetRequest) -> None:

@@ -11,10 +11,10 @@ from schemas.rpc import Mode, ResetRequest
 from services.kit.node import Detail
 from services.robot.body import Body, View
 from services.robot.clock import TICK_S
-from services.robot.episode import Episode
+from services.robot.episode import RunningEpisode
 from services.robot.gate import Applied, CommandGate
 from services.robot.loop import ActuatorLoop
-from services.robot.radio import Window
+from services.robot.radio import RadioWindow
 
 #: What moves the robot changes at most 50 times a second; so much is told after an outage of 10 s, the newest.
 CHANGES_KEPT: Final = 500
@@ -26,7 +26,7 @@ class Running(Generic[V]):
     """The state of the running episode."""
 
     id: str
-    episode: Episode[V]
+    episode: RunningEpisode[V]
     pace: "Pace[V]"
     begun_s: float  # When it began, by the gate's time and by the wall clock.
     begun_ns: int
@@ -40,7 +40,7 @@ class Running(Generic[V]):
     #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
     ready_s: dict[int, float] = field(default_factory=dict)
     latency_s: dict[Source, float] = field(default_factory=dict)
-    window: Window = field(default_factory=Window)  # Which frames have a picture, by radio.
+    window: RadioWindow = field(default_factory=RadioWindow)  # Which frames have a picture, by radio.
     frame: tuple[Message, ...] = ()  # The messages of the last frame that a driver needs to answer it.
 
     @property

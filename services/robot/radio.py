@@ -27,7 +27,7 @@ def coarse(depth: DepthImage) -> DepthImage:
     return depth.model_copy(update={"width": width, "height": height, "data": pixels.tobytes()})
 
 
-class Window:
+class RadioWindow:
     """Which frames have a picture, so that no more than `UNANSWERED` are under way; those of one episode."""
 
     def __init__(self) -> None:

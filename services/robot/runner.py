@@ -20,7 +20,7 @@ from services.robot import radio
 from services.robot.body import Body, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import TICK_S, now_s
-from services.robot.episode import Ended, Episode
+from services.robot.episode import Ended, RunningEpisode
 from services.robot.gate import Applied, CommandGate
 from services.robot.guard import guard_of
 from services.robot.loop import check_stopping
@@ -132,7 +132,7 @@ class EpisodeRunner(Generic[V]):
         self.gate.begin(name, request.driver)
         try:
             with self._cancelling.beginning(request.session):
-                episode = Episode(self.body, self.task, request)
+                episode = RunningEpisode(self.body, self.task, request)
         except CancelledError as error:
             raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.

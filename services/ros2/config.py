@@ -32,7 +32,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
 
-class Camera(_Part):
+class CameraTopics(_Part):
     """Where pictures come from: JPEG, or pixels (rgb8, bgr8, mono8, yuv422); and where the calibration does."""
 
     topic: Topic
@@ -48,7 +48,7 @@ class Input(_Part):
     silence_s: Silence = 0.25
 
 
-class Scan(Input):
+class ScanTopic(Input):
     """A laser scanner, or whatever tells distances as one; scanners turn 5 to 10 times a second."""
 
     silence_s: Silence = 0.5
@@ -73,7 +73,7 @@ class Scan(Input):
         return self
 
 
-class Stop(_Part):
+class StopTopic(_Part):
     """A topic that says when the robot must not go on: a bumper, a cliff, a button; of a Bool, True means that."""
 
     topic: Topic
@@ -84,7 +84,7 @@ class Stop(_Part):
     silence_s: Silence | None = 0.5
 
 
-class Velocity(_Part):
+class VelocityTopic(_Part):
     """How the base is told to move; auto is what it says that it subscribes to."""
 
     topic: Topic = "cmd_vel"
@@ -111,12 +111,12 @@ class Ros2Config(_Part):
     braking_s: Seconds  # From that speed to standing.
     #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
     watchdog_s: Positive
-    velocity: Velocity = Velocity()
-    camera: Camera
+    velocity: VelocityTopic = VelocityTopic()
+    camera: CameraTopics
     odometry: Input | None = None  # The wheels; their silence is the base's.
     imu: Input | None = None
-    scan: Scan | None = None
-    stops: tuple[Stop, ...] = ()
+    scan: ScanTopic | None = None
+    stops: tuple[StopTopic, ...] = ()
 
     @model_validator(mode="after")
     def _check(self) -> Self:

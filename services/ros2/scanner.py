@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from services.ros2.config import Scan
+from services.ros2.config import ScanTopic
 from services.ros2.messages import MessageError, RosMessage
 
 _TURN_RAD: Final = 1.01 * math.tau  # A whole turn; drivers round, and one in a hundred is far more than they do.
@@ -15,12 +15,12 @@ class Way(NamedTuple):
     """What is known of one way."""
 
     nearest_m: float
-    """How far the nearest thing is that is nearer than `Scan.stop_m`; else infinity. Too near to be measured is 0."""
+    """Distance of the nearest thing nearer than `ScanTopic.stop_m`; else infinity. Too near to be measured is 0."""
     unseen_rad: float  # The widest angle in which no beam tells anything.
     seen: bool  # Whether that is narrow enough for the way to be free.
 
 
-def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
+def ways(message: RosMessage, scan: ScanTopic) -> tuple[Way, Way]:
     """Return what a LaserScan says of the way ahead, and of the way back.
 
     Near is -inf or a range, also below the scanner's least; free is +inf or a range that it can have (REP 117). NaN, 0
@@ -47,7 +47,7 @@ def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
     return way(scan.ahead_rad), way(scan.ahead_rad + math.pi)
 
 
-def _check(message: RosMessage, beams: int, scan: Scan) -> None:
+def _check(message: RosMessage, beams: int, scan: ScanTopic) -> None:
     begin, step, end = message.angle_min, message.angle_increment, message.angle_max
     turn = step * (beams - 1)
     geometry = beams > 0 and step != 0 and abs(begin) <= _TURN_RAD and abs(turn) <= _TURN_RAD

@@ -22,10 +22,10 @@ from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
 from services.ros2.clock import LEARN_S, StampedClock
-from services.ros2.config import Ros2Config, Scan
+from services.ros2.config import Ros2Config, ScanTopic
 from services.ros2.messages import MessageError, Messages, RosMessage
 from services.ros2.scanner import ways
-from services.ros2.wheels import Track, Wheels
+from services.ros2.wheels import Wheels, WheelTrack
 from smal.camera import Camera
 
 _KEPT: Final = 100  # Wheels that were read within this time of a frame are looked through for those of its moment.
@@ -93,7 +93,7 @@ class Senses:
         self._complaints = Throttle()
         self.frame: Frame | None = None  # The newest one.
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
-        self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
+        self.track = WheelTrack(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self.touched = False  # Whether the bumper was pressed since this was last set.
         self.refused: Counter[str] = Counter()  # Messages that were none, or not newer than the one before, by topic.
         self.camera_clock = StampedClock()
@@ -188,7 +188,7 @@ class Senses:
         _check_finite("acceleration", push, _MOST_M_S2)
         self._imu.append(ImuReading(made_s, turn, push))
 
-    def _scan(self, topic: str, scan: Scan, message: RosMessage, _at_s: float) -> None:
+    def _scan(self, topic: str, scan: ScanTopic, message: RosMessage, _at_s: float) -> None:
         places: tuple[tuple[Atom, str, bool], ...] = (("forward", "ahead", True), ("backward", "behind", scan.behind))
         try:
             told = ways(message, scan)

@@ -22,7 +22,7 @@ class Wheels(NamedTuple):
     turned_rad: float = 0.0
 
 
-class Track:
+class WheelTrack:
     """Adds up what the wheels say, so that a base whose count begins anew does not leap.
 
     Of the speeds that the base has at most twice is believed. After so much silence the count may have begun anew: it

@@ -36,7 +36,7 @@ _TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declara
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
-class Allowance:
+class TokenBucket:
     """A token bucket: ``burst`` declarations at once, then ``rate_hz``; and at most ``burst`` that stand."""
 
     def __init__(self, burst: int, rate_hz: float, now_s: float) -> None:
@@ -73,7 +73,9 @@ class Declarations:
         self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        self._allowances: dict[bytes, tuple[Allowance, Allowance]] = {}  # Of all declarations, and of keys of groups.
+        self._allowances: dict[
+            bytes, tuple[TokenBucket, TokenBucket]
+        ] = {}  # Of all declarations, and of keys of groups.
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
@@ -86,8 +88,8 @@ class Declarations:
         if face not in self._allowances:
             if len(self._allowances) >= MOST_SESSIONS:  # The oldest one has ended.
                 del self._allowances[next(iter(self._allowances))]
-            all_keys = Allowance(self._burst, RATE_HZ, now_s)
-            self._allowances[face] = all_keys, Allowance(self._group_burst, GROUP_RATE_HZ, now_s)
+            all_keys = TokenBucket(self._burst, RATE_HZ, now_s)
+            self._allowances[face] = all_keys, TokenBucket(self._group_burst, GROUP_RATE_HZ, now_s)
         all_keys, group_keys = self._allowances[face]
         within = all_keys.take(now_s, _standing(line))
         if group is not None:

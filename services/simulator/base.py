@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.base import Velocity
 from services.robot.clock import TICK_S
-from services.simulator.robots import Drive
+from services.simulator.robots import DriveTrain
 from services.simulator.world.place import Place, Pose, Solid
 from services.simulator.world.route import Obstacles, obstacles_of
 
@@ -25,7 +25,7 @@ class WheelSpeeds(NamedTuple):
     right: float
 
 
-def wheel_speeds(velocity: Velocity, drive: Drive) -> WheelSpeeds:
+def wheel_speeds(velocity: Velocity, drive: DriveTrain) -> WheelSpeeds:
     """Return the wheel speeds that a velocity commands."""
     ahead = velocity.linear * drive.speed_m_s
     half = velocity.angular * drive.turn_rate_rad_s * drive.track_m / 2
@@ -46,7 +46,7 @@ def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> 
 class Actuator:
     """Wheels that do not quite obey; their errors belong to ticks of simulated time, however finely it is stepped."""
 
-    def __init__(self, drive: Drive, rng: np.random.Generator) -> None:
+    def __init__(self, drive: DriveTrain, rng: np.random.Generator) -> None:
         self._drive, self._rng = drive, rng
         self._radius = 1.0 + drive.radius_sigma * rng.standard_normal(2)
         self._time_s = 0.0
@@ -94,7 +94,7 @@ class KinematicBase:
 
     braking_s = 0.0  # Seconds from nominal speed to standing.
 
-    def __init__(self, place: Place, drive: Drive | None = None) -> None:
+    def __init__(self, place: Place, drive: DriveTrain | None = None) -> None:
         self._drive = drive or place.robot.drive
         self._place = place
         self._obstacles = obstacles_of(place)

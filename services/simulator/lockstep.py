@@ -8,7 +8,7 @@ from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from services.robot.body import Kinematics
 from services.robot.clock import TICK_S, now_s
-from services.robot.episode import Episode
+from services.robot.episode import RunningEpisode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
 from services.robot.pace import Running, Teller
@@ -22,7 +22,7 @@ RESEND_S: Final = 2.0
 GIVE_UP_S: Final = 30.0
 
 
-class LockstepEpisode(Episode[SimulatedView]):
+class LockstepEpisode(RunningEpisode[SimulatedView]):
     """An episode in this process, for whoever acts on its views; the same seed gives the same poses as by messages."""
 
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:

@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 
 from schemas.base import Velocity
 from services.simulator.base import Actuator, Motion, WheelSpeeds
-from services.simulator.robots import Drive, RobotModel
+from services.simulator.robots import DriveTrain, RobotModel
 from services.simulator.scene.meshes import outline, quads, sides
 from services.simulator.scene.vulkan import load_sapien
 from services.simulator.world.place import Place, Pose, Solid
@@ -87,7 +87,7 @@ def lead(now: WheelSpeeds, wanted: WheelSpeeds, track_m: float, duration_s: floa
     return WheelSpeeds(mean - half, mean + half)
 
 
-def add_robot(scene: Any, robot: RobotModel, drive: Drive, pose: Pose) -> Any:
+def add_robot(scene: Any, robot: RobotModel, drive: DriveTrain, pose: Pose) -> Any:
     """Put a robot into a scene, at rest, and return its articulation.
 
     The root is the chassis, its origin the middle of the wheels' axis, x ahead. The two joints are the left and the
@@ -141,7 +141,7 @@ def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
     return link
 
 
-def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: Drive, side: float) -> Any:
+def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: DriveTrain, side: float) -> Any:
     """Return a driven wheel, to the left with `side` 1 and to the right with -1.
 
     It touches the floor as a ball, in one point, which rolls more smoothly than a cylinder of many faces. The hull
@@ -180,7 +180,7 @@ class PhysicalBase:
     0.01 mm at 100 m from the world's origin, and to 0.1 mm at 1 km. Without SAPIEN there is an `UnavailableError`.
     """
 
-    def __init__(self, place: Place, drive: Drive | None = None) -> None:
+    def __init__(self, place: Place, drive: DriveTrain | None = None) -> None:
         self._robot = place.robot
         self._drive = drive or place.robot.drive
         #: Seconds from nominal speed to standing, along and about.

@@ -9,7 +9,7 @@ _CAR_M: Final = 1.5
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveTrain:
     """The robot's wheels and how well they obey."""
 
     speed_m_s: float = 2.0  # Speed of `forward` and `backward`.
@@ -21,7 +21,7 @@ class Drive:
     radius_sigma: float = 0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
 
     @property
-    def car(self) -> "Drive":
+    def car(self) -> "DriveTrain":
         """The same that steers as a small car does."""
         return replace(self, radius_m=_CAR_M, turn_rate_rad_s=self.speed_m_s / _CAR_M)
 
@@ -33,7 +33,7 @@ class CameraMount(NamedTuple):
     height_m: float
 
 
-class Tag(NamedTuple):
+class TagMount(NamedTuple):
     """A square ArUco marker lying on the robot, its upper edge towards the front, seen from above."""
 
     number: int  # Which marker of OpenCV's dictionary `DICT_4X4_50`.
@@ -45,13 +45,13 @@ class Tag(NamedTuple):
 class RobotModel:
     """A robot with two driven wheels on one axis, and casters."""
 
-    drive: Drive
+    drive: DriveTrain
     camera: CameraMount
     radius_m: float
     """Of the smallest circle about the middle of the axis that holds the whole robot; planning keeps this free."""
     height_m: float  # Of the body (without the camera's mast).
     mass_kg: float
-    tag: Tag | None = None
+    tag: TagMount | None = None
 
     @property
     def top_m(self) -> float:

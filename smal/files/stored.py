@@ -13,7 +13,7 @@ from smal.files import container
 from smal.files.container import ModelError, NoModelError, open_regular
 
 FORMAT_VERSION = 1
-_KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}
+_KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "PaperModel")}
 
 Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]  # What a file says of itself, and its arrays.
 

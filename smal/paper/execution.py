@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from smal.movement import Atom
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Recognition:
 
 
 @dataclass(frozen=True)
-class Decision:
+class PaperDecision:
     """What to do next, and why.
 
     "action": the policy's action; "goal": stop, since a demonstration ended here with success; "dead_end": stop, since
@@ -44,7 +44,7 @@ class Decision:
 class DecisionMaker:
     """Plans l atoms whenever a state is recognized, and hands them out one by one."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: PaperModel) -> None:
         self._model = model
         self.reset()
 
@@ -56,16 +56,16 @@ class DecisionMaker:
         """Take the next atom of the plan; stop when there is none."""
         return self._plan.popleft() if self._plan else Atom.STOP
 
-    def decide(self, recognition: Recognition) -> Decision:
+    def decide(self, recognition: Recognition) -> PaperDecision:
         """Replace the plan according to what was recognized."""
         if recognition.status == "collecting":
-            return Decision("wait", ())
+            return PaperDecision("wait", ())
         model, state, stop = self._model, recognition.state, (Atom.STOP,) * self._model.sequence_length
         if state is None:
-            decision = Decision("stop", stop)
+            decision = PaperDecision("stop", stop)
         elif (action := int(model.policy[state])) >= 0:
-            decision = Decision("action", tuple(map(Atom, model.actions[action].tolist())), state, action)
+            decision = PaperDecision("action", tuple(map(Atom, model.actions[action].tolist())), state, action)
         else:
-            decision = Decision("goal" if state in model.transitions.goals else "dead_end", stop, state)
+            decision = PaperDecision("goal" if state in model.transitions.goals else "dead_end", stop, state)
         self._plan = deque(decision.atoms)
         return decision

@@ -7,7 +7,7 @@ from typing import Final
 
 from smal.features import Centering, FeatureSettings
 from smal.paper.action_space import learn_action_space
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from smal.paper.policy import check_discount, policy_iteration
 from smal.paper.reward import learn_reward
 from smal.paper.state_space import learn_state_space
@@ -57,7 +57,7 @@ def learn(
     demonstrations: Sequence[Demonstration],
     settings: LearningSettings | None = None,
     progress: Callable[[str, int, int], None] = lambda _stage, _done, _total: None,
-) -> Model:
+) -> PaperModel:
     """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 
     `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
@@ -83,7 +83,7 @@ def learn(
     progress("reward", 1, 1)
     policy = policy_iteration(transitions, reward, settings.gamma)
     progress("policy", 1, 1)
-    return Model(
+    return PaperModel(
         feature_settings=settings.features,
         mean=centering.mean,
         sequence_length=length,

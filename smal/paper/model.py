@@ -21,7 +21,7 @@ _STREAMS = ("state_streams", "atoms")
 
 
 @dataclass(frozen=True, eq=False)
-class Model(Stored):
+class PaperModel(Stored):
     """A learned model of the paper's scheme: of demonstrations d, each of f_d frames."""
 
     scheme = "paper"

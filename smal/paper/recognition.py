@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.paper.execution import Recognition
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from smal.paper.novelty import describe_match
 from smal.paper.state_matching import solve
 
@@ -15,7 +15,7 @@ from smal.paper.state_matching import solve
 class Recognizer:
     """Keeps the last l frames and matches them with the states of a model, each time to a relative duality gap."""
 
-    def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
+    def __init__(self, model: PaperModel, tolerance: float = 1e-3) -> None:
         self._model, self._centering = model, model.centering
         self._templates = np.asfortranarray(model.templates, dtype=np.float32)
         self._parameters = model.sequence_length, model.lambda1, model.lambda2, tolerance

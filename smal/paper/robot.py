@@ -1,4 +1,4 @@
-"""`Robot` takes an image and returns an atom, by the paper's scheme."""
+"""`PaperRobot` takes an image and returns an atom, by the paper's scheme."""
 
 from collections.abc import Sequence
 
@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from smal.features import extract
 from smal.movement import Atom
-from smal.paper.execution import Decision, DecisionMaker
-from smal.paper.model import Model
+from smal.paper.execution import DecisionMaker, PaperDecision
+from smal.paper.model import PaperModel
 from smal.paper.recognition import Recognizer
 
 
-class Robot:
+class PaperRobot:
     """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of its action; decides each stride, or l."""
 
-    decision: Decision  # The last one that was due.
+    decision: PaperDecision  # The last one that was due.
 
-    def __init__(self, model: Model, stride: int | None = None) -> None:
+    def __init__(self, model: PaperModel, stride: int | None = None) -> None:
         self._model, self._stride = model, stride or model.sequence_length
         self._recognizer, self._maker = Recognizer(model), DecisionMaker(model)
         self.reset()
@@ -27,7 +27,7 @@ class Robot:
         self._recognizer.reset()
         self._maker.reset()
         self._tick = 0
-        self.decision = Decision("wait", ())
+        self.decision = PaperDecision("wait", ())
 
     def step(
         self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None

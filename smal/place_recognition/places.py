@@ -46,17 +46,17 @@ _PART: Final = _STRETCH * _STRETCHES
 _BLOCK: Final = 256  # Queries whose cosines are computed at a time.
 
 
-class Part(NamedTuple):
+class TraversePart(NamedTuple):
     """Some queries, centred, in order: which of all is the first, and which are answered, not only looked at."""
 
     first: int
     queries: Array
     own: slice
 
-    def blocks(self) -> "list[Part]":
+    def blocks(self) -> "list[TraversePart]":
         """Return it in pieces."""
         begins = range(0, len(self.queries), _BLOCK)
-        return [Part(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None)) for begin in begins]
+        return [TraversePart(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None)) for begin in begins]
 
 
 class Evidence:
@@ -94,7 +94,7 @@ class Places:
         self._first = np.searchsorted(frames, frames - tolerance)
         self._end = np.searchsorted(frames, frames + tolerance, "right")
 
-    def levels(self, part: Part) -> Levels:
+    def levels(self, part: TraversePart) -> Levels:
         """Return how far queries stand out here."""
         levels = np.empty((len(part.queries), len(self._references)), np.uint16)
         for begin in range(0, len(levels), _BLOCK):
@@ -108,7 +108,7 @@ class Places:
                 level[max(query - self._apart + 1, 0) :] = _NEVER
         return levels
 
-    def answers(self, evidence: Evidence, part: Part, levels: Levels | None = None) -> list[Best]:
+    def answers(self, evidence: Evidence, part: TraversePart, levels: Levels | None = None) -> list[Best]:
         """Return the best answers to the queries of a part that are its own, in order, by all of its queries."""
         levels = self.levels(part) if levels is None else levels
         found = [self.best(there, none) for _, there, none in smoothed(self.chain, levels, evidence.of)][::-1]
@@ -149,9 +149,9 @@ def match_places(
     frames = (known + np.append(known[1:], len(references)) - 1) // 2
     places, moved = Places(references[known], frames, tolerance, apart), queries[asked]
 
-    def part(first: int, end: int, margin: int = 0) -> Part:
+    def part(first: int, end: int, margin: int = 0) -> TraversePart:
         begin = max(first - margin, 0)
-        return Part(begin, moved[begin : end + margin], slice(first - begin, end - begin))
+        return TraversePart(begin, moved[begin : end + margin], slice(first - begin, end - begin))
 
     if lag is None:
         answers = _smoothed(places, part, len(asked), progress, parallel)
@@ -182,7 +182,7 @@ def alike(references: Array, cosine: float) -> int:
 
 
 def _smoothed(
-    places: Places, part: Callable[..., Part], count: int, progress: Progress, parallel: Parallel
+    places: Places, part: Callable[..., TraversePart], count: int, progress: Progress, parallel: Parallel
 ) -> Iterator[Best]:
     """Yield the best answers to so many queries, each by those before and after it."""
     learned = _stretches(part, count)
@@ -199,7 +199,7 @@ def _smoothed(
         progress(done)
 
 
-def _stretches(part: Callable[..., Part], count: int) -> list[Part]:
+def _stretches(part: Callable[..., TraversePart], count: int) -> list[TraversePart]:
     """Return what is learned from: all of so many queries, or a few stretches of them, evenly spread."""
     if count <= _PART:
         return [part(0, count)]
@@ -223,7 +223,7 @@ def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
 
 
 def _followed(
-    places: Places, part: Callable[..., Part], frames: NDArray[np.intp], lag: int, progress: Progress
+    places: Places, part: Callable[..., TraversePart], frames: NDArray[np.intp], lag: int, progress: Progress
 ) -> Iterator[Best]:
     """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
     recent, chain = deque[tuple[int, Array, Array]](), places.chain

@@ -81,7 +81,7 @@ class Situation:
         return Intent(kind, None, self.heading_rad, self.directions, self.weights)
 
 
-class Task:
+class Mission:
     """What the robot was sent to do: its route, and what it says of the goal when nothing is left to do."""
 
     def __init__(self, route: Route) -> None:
@@ -103,7 +103,7 @@ class Behaviour:
 class Done(Behaviour):
     """Stand, having said something of the goal."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Mission) -> None:
         self._task = task
 
     def propose(self, now: Situation) -> Intent | None:
@@ -172,7 +172,7 @@ class Search(Behaviour):
     """
 
     def __init__(
-        self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround, config: PlannerConfig
+        self, taught: VisualMap, chassis: Chassis, task: Mission, look: LookAround, config: PlannerConfig
     ) -> None:
         self._config = config
         self._taught = taught
@@ -306,7 +306,7 @@ class Guess(Behaviour):
 class DeadEnd(Behaviour):
     """Stand, since no taught way leads on to the goal."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Mission) -> None:
         self._task = task
 
     def propose(self, now: Situation) -> Intent | None:
@@ -324,7 +324,7 @@ class Wait:
     """
 
     def __init__(
-        self, taught: VisualMap, chassis: Chassis, task: Task, look: LookAround, config: PlannerConfig
+        self, taught: VisualMap, chassis: Chassis, task: Mission, look: LookAround, config: PlannerConfig
     ) -> None:
         self._config = config
         self._taught = taught

@@ -21,10 +21,10 @@ from smal.planning.behaviours import (
     Follow,
     Guess,
     LookAround,
+    Mission,
     Said,
     Search,
     Situation,
-    Task,
     Wait,
 )
 from smal.planning.config import PLANNER_CONFIG, PlannerConfig
@@ -83,7 +83,7 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._steering.reset()
         self._doing: Kind | None = None
-        self._task = Task(self._route)
+        self._task = Mission(self._route)
         look = LookAround(self._taught, self._chassis, self._config)
         self._search = Search(self._taught, self._chassis, self._task, look, self._config)
         self._wait = Wait(self._taught, self._chassis, self._task, look, self._config)

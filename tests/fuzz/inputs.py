@@ -27,7 +27,7 @@ from smal.files.stored import FORMAT_VERSION
 from smal.likelihood import GRID, SHARES
 from smal.map import VisualMap
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.paper.transitions import NO_ACTION, learn_transitions
 from tests.services.recordings.recorded_messages import applied, event, observation
 

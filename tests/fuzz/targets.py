@@ -30,7 +30,7 @@ from services.experiments.showing.summary import lines
 from services.experiments.showing.ways import Ways
 from services.importers import run as importer
 from services.importers.drive import ImportFailure, Tally
-from services.importers.job import Format, Job
+from services.importers.job import Format, ImportJob
 from services.kit.errors import JobError
 from services.kit.root import below, name_below, open_below
 from services.recordings.encoding import decode_image
@@ -325,7 +325,7 @@ def _import(form: Format, source: Path) -> bool:
     out, tally = inputs.scratch() / "out", Tally()
     out.mkdir(exist_ok=True)
     try:
-        report = importer.run(Job(format=form, path=str(source), folder=str(out), robot="burger"), tally)
+        report = importer.run(ImportJob(format=form, path=str(source), folder=str(out), robot="burger"), tally)
     except ImportFailure as error:
         check_line(error)
         return False

@@ -18,7 +18,7 @@ from services.robot.gate import MAX_AGE_S
 from services.ros2 import messages
 from services.ros2.messages import MessageError
 from services.ros2.senses import picture
-from services.ros2.wheels import Track
+from services.ros2.wheels import WheelTrack
 from tests.ros2.fake_turtlebot import encoded
 from tests.ros2.rig import AHEAD_S, BEGIN, CAMERA, ODOM, PICTURE, ROS, Rig
 
@@ -177,11 +177,11 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
 
 
 def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone_in_it_counts() -> None:
-    track = Track(0.2, 0.6, 0.25)
+    track = WheelTrack(0.2, 0.6, 0.25)
     track.add(0.0, 1.0, 0.0, 0.0)
     assert track.add(0.5, 1.1, 0.0, 0.3).ahead_m == pytest.approx(0.1, rel=0.05)
     assert track.leaps == 0
-    track = Track(0.2, 0.6, 0.25)
+    track = WheelTrack(0.2, 0.6, 0.25)
     track.add(0.0, 1.0, 0.0, 0.0)
     before = track.add(1.5, 1.02, 0.0, 0.9)
     assert track.add(2.7, 0.01, 0.0, 0.05)[1:4] == before[1:4]
@@ -190,7 +190,7 @@ def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone
 
 @given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
 def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[float, float]], turned: float) -> None:
-    one, other = Track(1.0, 10.0, 0.25), Track(1.0, 10.0, 0.25)
+    one, other = WheelTrack(1.0, 10.0, 0.25), WheelTrack(1.0, 10.0, 0.25)
     x = y = heading = 0.0
     told = one.add(0.0, x, y, heading), other.add(0.0, 7.0, -3.0, turned)
     for number, (ahead, turn) in enumerate(steps, 1):

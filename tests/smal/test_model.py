@@ -13,19 +13,19 @@ from smal.files import container
 from smal.files.container import ModelError, replacing
 from smal.files.stored import FORMAT_VERSION
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from tests.smal.worlds import COLOR, corridor, drive
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> PaperModel:
     views = corridor(30)
     drives = [drive(views, start, seed=start, name=f"drive {start}") for start in range(2)]
     return learn([*drives, drive(views, 3, 9, name="ü", end=11)], LearningSettings(features=COLOR, sequence_length=3))
 
 
 @pytest.fixture
-def saved(model: Model, tmp_path: Path) -> Path:
+def saved(model: PaperModel, tmp_path: Path) -> Path:
     path = tmp_path / "x.smal"
     model.save(path)
     return path
@@ -47,8 +47,8 @@ def assert_same(one: object, other: object) -> None:
         assert one == other
 
 
-def test_round_trip(model: Model, saved: Path) -> None:
-    assert_same(Model.load(saved), model)
+def test_round_trip(model: PaperModel, saved: Path) -> None:
+    assert_same(PaperModel.load(saved), model)
     assert list(saved.parent.iterdir()) == [saved]
 
 
@@ -65,12 +65,14 @@ def test_round_trip(model: Model, saved: Path) -> None:
         ("transitions", lambda model: dataclasses.replace(model.transitions, offsets=model.transitions.offsets[::-1])),
     ],
 )
-def test_parts_that_no_learning_gives_are_refused(model: Model, name: str, harm: Callable[[Model], Any]) -> None:
+def test_parts_that_no_learning_gives_are_refused(
+    model: PaperModel, name: str, harm: Callable[[PaperModel], Any]
+) -> None:
     with pytest.raises(ValueError, match="streams" if name == "atoms" else name):
         dataclasses.replace(model, **{name: harm(model)})
 
 
-def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_saving_replaces_atomically(model: PaperModel, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = saved.read_bytes()
     monkeypatch.setattr(container.os, "fsync", lambda _: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
@@ -85,11 +87,11 @@ def test_every_alteration_is_refused(saved: Path) -> None:
         content[at] ^= 1
         saved.write_bytes(content)
         with pytest.raises(ModelError):
-            Model.load(saved)
+            PaperModel.load(saved)
         content[at] ^= 1
 
 
-def test_what_a_file_says_of_itself_is_read_without_the_rest(model: Model, saved: Path) -> None:
+def test_what_a_file_says_of_itself_is_read_without_the_rest(model: PaperModel, saved: Path) -> None:
     content, path = saved.read_bytes(), saved.with_name("part.smal")
     end = 20 + struct.unpack_from("<Q", content, 12)[0]
     for size in range(0, end, end // 50):
@@ -114,15 +116,15 @@ def test_other_version_and_missing_file(saved: Path) -> None:
     content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
     saved.write_bytes(content)
     with pytest.raises(ModelError, match=f"format {FORMAT_VERSION + 1}.*reads format {FORMAT_VERSION}"):
-        Model.load(saved)
+        PaperModel.load(saved)
     with pytest.raises(ModelError, match="No such file"):
-        Model.load(saved.parent / "none")
+        PaperModel.load(saved.parent / "none")
 
 
 def test_features_computed_differently_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smal.features.settings.DESCRIPTOR_VERSION", 0)
     with pytest.raises(ModelError, match="learn it again"):
-        Model.load(saved)
+        PaperModel.load(saved)
 
 
 def test_a_link_stays_one(tmp_path: Path) -> None:
@@ -138,7 +140,7 @@ def test_a_link_stays_one(tmp_path: Path) -> None:
 
 
 def test_what_would_be_too_large_to_read_is_not_written(
-    model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch
+    model: PaperModel, saved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = saved.read_bytes()
     monkeypatch.setattr(container, "LARGEST", container.LARGEST_HEADER + len(before) // 2)

@@ -16,7 +16,7 @@ from smal.features import onnx as onnx_features
 from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from tests.fuzz.inputs import smallest_model
 
 pytest.importorskip("onnxruntime")
@@ -196,7 +196,7 @@ def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(onnx_features, "_given", {})
     monkeypatch.setattr("onnxruntime.InferenceSession", None)
     (tmp_path / "mix.onnx").unlink()
-    model = Model.load(path)
+    model = PaperModel.load(path)
     assert model.feature_settings == settings
     os.mkfifo(tmp_path / "fifo")
     for named in (f"onnx:{tmp_path}/fifo", "onnx:/dev/zero", text):
@@ -204,7 +204,7 @@ def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: 
             meta, arrays, _ = container.read(file, "x", FORMAT_VERSION)
         container.write(path, FORMAT_VERSION, meta | {"modalities": [named]}, arrays)
         with pytest.raises(ModelError, match="a network is named by its contents, onnx:SHA-256:SIZE, not 'onnx:/"):
-            Model.load(path)
+            PaperModel.load(path)
 
 
 def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> None:

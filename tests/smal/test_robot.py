@@ -13,7 +13,7 @@ from smal import Atom, Model, Robot
 from smal.features import extract
 from smal.files.container import ModelError
 from smal.movement import Motion
-from smal.paper.robot import Robot as PaperRobot
+from smal.paper.robot import PaperRobot
 from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn

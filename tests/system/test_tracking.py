@@ -9,7 +9,7 @@ from schemas import topics
 from schemas.motion import Pose, TrackedPose
 from schemas.rpc import ResetRequest
 from services.cli.episodes.client import EpisodeClient
-from services.cli.options import Camera, Simulator
+from services.cli.options import CameraOptions, Simulator
 from services.cli.stack import stack_for
 from services.expert.driver import ExpertService
 
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
 
 def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> None:
-    simulator = Simulator(Camera(64, 48)).flags("indoor")
+    simulator = Simulator(CameraOptions(64, 48)).flags("indoor")
     services = ("router", "robot", "features", "tracker")
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client, expert = EpisodeClient("tracking", access.settings), ExpertService()

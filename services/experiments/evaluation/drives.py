@@ -30,7 +30,7 @@ Via = Sequence[tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class RecordedDrive:
     """A drive that teaches, with images as JPEG, and its true poses (f, 3), metres and radians, which teach nothing."""
 
     demonstration: Demonstration
@@ -87,7 +87,7 @@ def drive(
     }
 
 
-def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
+def drive_of(held: dict[str, NDArray[Any]]) -> RecordedDrive:
     """Return the drive that arrays of `drive` are."""
     recovery = bool(held["recovery"])
     name = f"{'recovery' if recovery else 'drive'}-{held['seed']}"
@@ -103,7 +103,7 @@ def drive_of(held: dict[str, NDArray[Any]]) -> Drive:
         odometry=held["odometry"],
         camera=Camera.of_field(FIELD_OF_VIEW_DEG),
     )
-    return Drive(made, held["poses"])
+    return RecordedDrive(made, held["poses"])
 
 
 def save_arrays(path: Path, **arrays: NDArray[Any]) -> None:

@@ -20,7 +20,7 @@ _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
 
 
 @dataclass(frozen=True)
-class Taught:
+class TaughtErrand:
     """One drive: where it begins, where the person lies, what that place is called, and by way of where it leads."""
 
     start: Pose
@@ -30,11 +30,11 @@ class Taught:
 
 
 @dataclass(frozen=True)
-class Task:
+class ErrandTask:
     """What is taught, and what is then asked for, to be found; ``meaning`` is for people."""
 
     meaning: str
-    taught: tuple[Taught, ...]
+    taught: tuple[TaughtErrand, ...]
     start: Pose
     goal: str
     victim: Pose
@@ -44,25 +44,25 @@ class Task:
 _WEST = Pose(3.0, 0.0, 0.0)
 _SOUTH_WEST, _NORTH_WEST = Pose(0.0, -44.0, _NORTHWARDS), Pose(0.0, 44.0, _SOUTHWARDS)
 _NORTH, _SOUTH = Pose(86.0, 53.6, 0.0), Pose(86.0, -53.6, 0.0)
-_TO_NORTH, _TO_SOUTH = Taught(_WEST, _NORTH, "north"), Taught(_WEST, _SOUTH, "south")
-_JOINED = (Taught(_SOUTH_WEST, _NORTH, "north"), Taught(_NORTH_WEST, _SOUTH, "south"))
+_TO_NORTH, _TO_SOUTH = TaughtErrand(_WEST, _NORTH, "north"), TaughtErrand(_WEST, _SOUTH, "south")
+_JOINED = (TaughtErrand(_SOUTH_WEST, _NORTH, "north"), TaughtErrand(_NORTH_WEST, _SOUTH, "south"))
 _DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))  # By way of the far corner of the quarter.
 
 TASKS: Final = {
-    "shorter way": Task(
+    "shorter way": ErrandTask(
         "taught a detour, then a shorter way; sent where both lead", (_DETOUR, _TO_NORTH), _WEST, "north", _NORTH
     ),
-    "fork, to the left": Task(
+    "fork, to the left": ErrandTask(
         "taught two ways that part; sent to the end of the one", (_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH
     ),
-    "fork, to the right": Task(
+    "fork, to the right": ErrandTask(
         "the same, sent to the end of the other", (_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH
     ),
-    "joined, northwards": Task(
+    "joined, northwards": ErrandTask(
         "taught two ways that share a stretch; sent from the begin of one to the end of the other",
         _JOINED, _NORTH_WEST, "north", _NORTH,
     ),
-    "joined, southwards": Task("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
+    "joined, southwards": ErrandTask("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
 }  # fmt: skip
 
 

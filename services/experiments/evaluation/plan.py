@@ -52,7 +52,7 @@ class Criterion:
 
 
 @dataclass(frozen=True)
-class Recognizer:
+class RecognizerName:
     """A way to say which demonstrated frame the robot is at: Eq. 9 of a length, or the nearest frames."""
 
     eq9: bool
@@ -126,9 +126,13 @@ class WorldPlan:
         return Path(self.world).stem
 
     @property
-    def recognizers(self) -> tuple[Recognizer, ...]:
+    def recognizers(self) -> tuple[RecognizerName, ...]:
         """Who recognizes: Eq. 9 at all lengths (l = 1 is the single image), the nearest frame, and the nearest five."""
-        return (*(Recognizer(True, length) for length in self.lengths), Recognizer(False, 1), Recognizer(False, 5))
+        return (
+            *(RecognizerName(True, length) for length in self.lengths),
+            RecognizerName(False, 1),
+            RecognizerName(False, 5),
+        )
 
     @property
     def first_judged_tick(self) -> int:
@@ -137,7 +141,7 @@ class WorldPlan:
 
 
 @dataclass(frozen=True)
-class Plan:
+class EvaluationPlan:
     """An evaluation; `omitted` is what it leaves out. Searches may take `patience` times the longest taught drive."""
 
     name: str
@@ -177,7 +181,7 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
 
 _INDOOR: Final = Criterion(0.35, 25.0)
 _OUTDOOR: Final = Criterion(3.0, 25.0)
-FULL: Final = Plan(
+FULL: Final = EvaluationPlan(
     "full",
     (
         *(
@@ -192,7 +196,7 @@ FULL: Final = Plan(
     ),
 )  # fmt: skip
 
-QUICK: Final = Plan(
+QUICK: Final = EvaluationPlan(
     "quick",
     (
         WorldPlan(
@@ -210,7 +214,7 @@ QUICK: Final = Plan(
 PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
 
 
-def with_each(plan: Plan, change: Callable[[Trial], Trial]) -> Plan:
+def with_each(plan: EvaluationPlan, change: Callable[[Trial], Trial]) -> EvaluationPlan:
     """Return a plan in which each trial is changed; of those that are the same then, one is left."""
 
     def changed(trial: Trial) -> Iterator[Trial]:
@@ -222,7 +226,7 @@ def with_each(plan: Plan, change: Callable[[Trial], Trial]) -> Plan:
     return replace(plan, worlds=tuple(worlds))
 
 
-def in_world(world: str, aside_m: float) -> Plan:
+def in_world(world: str, aside_m: float) -> EvaluationPlan:
     """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition."""
     criterion = Criterion(2.0 * aside_m, 25.0)  # Twice as far as searches begin beside the way.
-    return Plan(f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),))
+    return EvaluationPlan(f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),))

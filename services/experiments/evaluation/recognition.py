@@ -13,7 +13,7 @@ from services.simulator.simulation import Simulation
 from smal.evaluation.ground_truth import judge_by_poses
 from smal.features import Centering, FeatureSettings, extract
 from smal.movement import Atom
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from smal.paper.phase import matched_phase
 from smal.paper.sequences import last_frames
 from smal.paper.state_matching import solve
@@ -37,7 +37,7 @@ def query_drive(
     return {"poses": np.array(poses)} | {name: np.stack(seen) for name, seen in kept.items()}
 
 
-def recognize_states(model: Model, views: NDArray[np.float32]) -> Matches:
+def recognize_states(model: PaperModel, views: NDArray[np.float32]) -> Matches:
     """Recognize states (Eq. 9) at each `JUDGED_TICKS`-th view (f, m): frames of all drives, scored as in Eq. 8."""
     length, frame_of = model.sequence_length, demonstrated_frames(model)
     matches, centred = Matches.none(len(views)), model.centering.apply(views)
@@ -52,7 +52,7 @@ def recognize_states(model: Model, views: NDArray[np.float32]) -> Matches:
     return matches
 
 
-def demonstrated_frames(model: Model) -> Callable[[int, float], int]:
+def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
     """Return what tells which frame of all drives a phase of a state is; beyond its template, one that came after."""
     counts = [len(atoms) for atoms in model.atoms]
     starts = np.cumsum([0, *counts[:-1]])

@@ -27,7 +27,7 @@ from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
 from smal.movement import Atom, Motion, placed, seen_from
-from smal.robot import Place, Robot
+from smal.robot import Robot, TaughtPlace
 
 PICTURE_TICKS: Final = 10  # Frames from one kept picture of an example route to the next.
 
@@ -43,7 +43,7 @@ class Driver(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchRun:
     """What happened in one search."""
 
     outcome: Outcome  # See `schemas.episode.Episode`.
@@ -52,7 +52,7 @@ class Search:
     clearance_m: NDArray[np.float64]  # (ticks + 1,): from its side to the nearest thing or person.
     shortest_m: float  # Way from the start to where the victim counts as found.
     #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
-    places: tuple[Place | None, ...] = ()
+    places: tuple[TaughtPlace | None, ...] = ()
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # At chosen ticks, (height, width, 3) RGB.
     kidnap_tick: int = 0
     right: bool | None = None  # Whether "not here" was so.
@@ -89,7 +89,7 @@ def search(
     *,
     until_said: bool = False,
     waits: bool = False,
-) -> Search:
+) -> SearchRun:
     """Let somebody search who sees degraded images, `until_said` to their word; keep each `picture_ticks`-th.
 
     Who `waits` is kept from running into things, and does not see them.
@@ -101,7 +101,7 @@ def search(
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
     tells = hasattr(kind, "where")
-    poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
+    poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[TaughtPlace | None](), {}
     clearance_m = [simulation.clearance_m]
     ended: Ended | None = None
     while ended is None:
@@ -129,7 +129,7 @@ def search(
     made = np.array(atoms, dtype=np.int8)
     kidnapped = request.kidnap_tick or 0
     free = np.array(clearance_m)
-    return Search(ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right)
+    return SearchRun(ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right)
 
 
 def _said(driver: Driver) -> Said | None:
@@ -138,7 +138,7 @@ def _said(driver: Driver) -> Said | None:
     return "found" if driver.done else None  # type: ignore[attr-defined]
 
 
-def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
+def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
     """Return what a search says, for JSON, by the true poses of all taught frames, (n, 3), and what counts as right."""
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
     said: dict[str, Any] = {
@@ -166,7 +166,7 @@ def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) ->
 
 
 def _is_right(
-    place: Place | None, true: NDArray[np.float64], taught: NDArray[np.float64], criterion: Criterion
+    place: TaughtPlace | None, true: NDArray[np.float64], taught: NDArray[np.float64], criterion: Criterion
 ) -> bool:
     if place is None:
         return False

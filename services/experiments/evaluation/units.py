@@ -16,7 +16,7 @@ from schemas.rpc import ResetRequest
 from services.experiments.engine import digest_of
 from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
-from services.experiments.evaluation.drives import Drive, drive, drive_of, load_arrays, save_arrays
+from services.experiments.evaluation.drives import RecordedDrive, drive, drive_of, load_arrays, save_arrays
 from services.experiments.evaluation.errands import TASKS, run_errand
 from services.experiments.evaluation.plan import (
     CLOUDS_SEED,
@@ -25,8 +25,8 @@ from services.experiments.evaluation.plan import (
     RUNS,
     TEACHING_SEED,
     Criterion,
-    Plan,
-    Recognizer,
+    EvaluationPlan,
+    RecognizerName,
     Trial,
     WorldPlan,
 )
@@ -39,8 +39,8 @@ from smal.evaluation.teach_and_repeat import TeachAndRepeat
 from smal.features import Centering, FeatureSettings
 from smal.model import Model
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model as PaperModel
-from smal.paper.robot import Robot as PaperRobot
+from smal.paper.model import PaperModel
+from smal.paper.robot import PaperRobot
 from smal.robot import Robot
 from smal.teaching.mapping import learn as learn_map
 
@@ -118,12 +118,12 @@ def simulation_in(
 
 
 @lru_cache(maxsize=1)
-def _drives(units: tuple["Teach", ...], folder: Path) -> tuple[Drive, ...]:
+def _drives(units: tuple["Teach", ...], folder: Path) -> tuple[RecordedDrive, ...]:
     return tuple(drive_of(load_arrays(unit.file(folder))) for unit in units)
 
 
 @lru_cache(maxsize=2)
-def _paper_model(unit: "Learn", folder: Path) -> PaperModel:
+def _paper_model(unit: "LearnUnit", folder: Path) -> PaperModel:
     return PaperModel.load(unit.file(folder))
 
 
@@ -142,7 +142,7 @@ class Teach(Unit):
 
 
 @dataclass(frozen=True)
-class Learn(Unit):
+class LearnUnit(Unit):
     """Learn a map of drives (length 0), or a model of the paper."""
 
     length: int
@@ -180,7 +180,7 @@ class Query(Unit):
 class Recognize(Unit):
     """Have a method recognize the frames of held-out drives."""
 
-    recognizer: Recognizer
+    recognizer: RecognizerName
     degradation: str
     criterion: Criterion
 
@@ -191,7 +191,7 @@ class Recognize(Unit):
             held = load_arrays(query.file(folder))
             views = held[self.degradation]
             if self.recognizer.eq9:
-                matches = recognition.recognize_states(_paper_model(*self.needed(Learn), folder), views)
+                matches = recognition.recognize_states(_paper_model(*self.needed(LearnUnit), folder), views)
             else:
                 centering = Centering.fit([one.demonstration.rows for one in taught], FEATURES)
                 drives = [centering.apply(one.demonstration.rows) for one in taught]
@@ -241,14 +241,14 @@ class Searches(Unit):
                 save_arrays(self.file(folder), poses=one.poses, **jpegs)
         return {"searches": found, "file": shown}
 
-    def _driver(self, taught: tuple[Drive, ...], folder: Path) -> Driver:
+    def _driver(self, taught: tuple[RecordedDrive, ...], folder: Path) -> Driver:
         demonstrations = [one.demonstration for one in taught]
         match self.trial.controller:
             case "smal" | "smal-waits" | "smal-unguarded":
-                (learned,) = self.needed(Learn)
+                (learned,) = self.needed(LearnUnit)
                 return Robot(Model.load(learned.file(folder)), seed=self.which)
             case "paper":
-                return PaperRobot(_paper_model(*self.needed(Learn), folder))
+                return PaperRobot(_paper_model(*self.needed(LearnUnit), folder))
             case "teach-and-repeat" | "teach-and-repeat-told" as name:
                 return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told"))
             case nearest:
@@ -269,7 +269,7 @@ class Errand(Unit):
         return run_errand(self.site.world, CameraSettings(*self.site.camera), FEATURES, self.errand, seeds)
 
 
-def units(plan: Plan) -> list[Unit]:
+def units(plan: EvaluationPlan) -> list[Unit]:
     """Return all units of a plan, each once and after those that it needs; what tells most comes first."""
     found: dict[Unit, None] = {}
 
@@ -284,7 +284,7 @@ def units(plan: Plan) -> list[Unit]:
     return list(found)
 
 
-def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
+def _units_of(world: WorldPlan, plan: EvaluationPlan) -> Iterator[Unit]:
     site = Site.of(world.world, plan.camera, plan.base)
 
     def teaching(drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:
@@ -292,8 +292,8 @@ def _units_of(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
         from_route = tuple(Teach(site, (), first + k, "recovery") for k in range(recoveries))
         return tuple(Teach(site, (), first + k) for k in range(drives)) + from_route
 
-    def learned(taught: tuple[Teach, ...], length: int) -> tuple[Learn]:
-        return (Learn(site, taught, length),)
+    def learned(taught: tuple[Teach, ...], length: int) -> tuple[LearnUnit]:
+        return (LearnUnit(site, taught, length),)
 
     for trial in world.trials:
         length = {"smal": 0, "paper": trial.length}.get(trial.controller.partition("-")[0])

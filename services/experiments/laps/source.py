@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from services.experiments.laps.finding import Frames, Lap, find_laps
 from services.experiments.words import remark
 from services.importers.drive import Tally
-from services.importers.job import Job
+from services.importers.job import ImportJob
 from services.importers.run import run
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
@@ -32,7 +32,9 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
     tub, tally = (source / "manifest.json").is_file(), Tally()
     with TemporaryDirectory() as folder:
         if tub:
-            run(Job(format="donkeycar", path=str(source), folder=folder, robot="car", speed=1, turn_rate=1), tally)
+            run(
+                ImportJob(format="donkeycar", path=str(source), folder=folder, robot="car", speed=1, turn_rate=1), tally
+            )
         files = find_recordings([Path(folder) if tub else source])
         teaching = Teacher(HELD, shortest=2).read_all(files, advance)
     remarks = tally.lines() if tub else teaching.remarks

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.experiments.drawing import COLOURS, MUTED, draw_reliability, styled
-from services.experiments.matching.report import Quality
+from services.experiments.matching.report import MatchQuality
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.place_recognition import Matches
 
@@ -18,7 +18,7 @@ _WRONG: Final = "#c62828"
 
 @styled
 def draw_matches(
-    matches: Matches, references: int, truth: IntervalTruth | None, quality: Quality | None, title: str
+    matches: Matches, references: int, truth: IntervalTruth | None, quality: MatchQuality | None, title: str
 ) -> Figure:
     """Draw which reference, of so many, every query frame matches; below it the truth, beside it how good they are."""
     reliability = None if quality is None else quality.reliability

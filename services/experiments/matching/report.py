@@ -23,7 +23,7 @@ _SHOWN: Final = 12  # Matches that are printed where no file takes them all.
 
 
 @dataclass(frozen=True, eq=False)
-class Quality:
+class MatchQuality:
     """How good matches are: the curve, how reliable probabilities are, and numbers and 95 % intervals by name."""
 
     curve: PrecisionRecall
@@ -60,7 +60,7 @@ class Result:
     queries: Traverse
     matches: Matches
     unsure: int
-    quality: Quality | None
+    quality: MatchQuality | None
     seconds: dict[str, float]
     probable: bool  # Whether scores are probabilities.
 

@@ -38,7 +38,7 @@ _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
-class Source:
+class TraverseSource:
     """Names of frames, in order, and of files that are no images; a picture of each frame, anew with each call."""
 
     path: Path
@@ -61,14 +61,14 @@ def natural_key(name: str) -> tuple[list[str | int], str]:
     return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
 
 
-def open_source(path: Path, argument: str) -> Source:
+def open_source(path: Path, argument: str) -> TraverseSource:
     """Find the frames that an argument names; UsageError when there is none, RecordingError of a bad recording."""
     if not path.is_file():
         return _folder(path, argument)
     return _recording(path) if path.suffix == ".mcap" else _video(path, argument)
 
 
-def _folder(path: Path, argument: str) -> Source:
+def _folder(path: Path, argument: str) -> TraverseSource:
     try:
         with os.scandir(path) as entries:
             # What is neither a file nor a folder could be a pipe, which nobody ever writes to; a link to nothing was
@@ -84,15 +84,15 @@ def _folder(path: Path, argument: str) -> Source:
         raise UsageError(f"{argument} {path}: no image in this folder (files: {len(names)})")
     known = set(frames)
     pictures = [path / name for name in frames]
-    return Source(path, frames, tuple(name for name in names if name not in known), lambda: pictures)
+    return TraverseSource(path, frames, tuple(name for name in names if name not in known), lambda: pictures)
 
 
-def _recording(path: Path) -> Source:
+def _recording(path: Path) -> TraverseSource:
     recording = read_recording(path, topics=[JPEG])
     remark(recording.remarks())
     frames = [(one.episode, tick, one.images[tick]) for one in recording.episodes for tick in sorted(one.images)]
     names = tuple(f"{episode} frame {tick}" for episode, tick, _ in frames)
-    return Source(path, names, (), lambda: (_jpeg(payload) for _, _, payload in frames))
+    return TraverseSource(path, names, (), lambda: (_jpeg(payload) for _, _, payload in frames))
 
 
 def _jpeg(payload: memoryview) -> bytes:
@@ -102,7 +102,7 @@ def _jpeg(payload: memoryview) -> bytes:
         return b""
 
 
-def _video(path: Path, argument: str) -> Source:
+def _video(path: Path, argument: str) -> TraverseSource:
     """Find the frames of a video by decoding it once: what it says of their number is often not so."""
     with quiet_opencv():
         video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -114,7 +114,7 @@ def _video(path: Path, argument: str) -> Source:
         raise UsageError(f"{argument} {path}: {neither}")
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
         remark([f"{path}: only {len(times_s)} of the {said} frames that it should have can be read"])
-    return Source(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path))
+    return TraverseSource(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path))
 
 
 def _bitmaps(path: Path) -> Iterator[bytes]:

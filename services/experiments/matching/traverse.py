@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.codec import printable
 from services.experiments.engine import Engine
 from services.experiments.matching.feature_cache import FeatureCache, Features
-from services.experiments.matching.sources import Picture, Source, loaded, quiet_opencv, read_color, read_depth
+from services.experiments.matching.sources import Picture, TraverseSource, loaded, quiet_opencv, read_color, read_depth
 from services.experiments.progress import bar_of
 from services.experiments.words import listed, remark
 from services.kit.errors import JobError
@@ -24,7 +24,7 @@ from smal.features.extraction import in_parallel
 class Traverse:
     """A source, and what of it is compared: raw features (n, m) of readable frames, and their numbers (n,)."""
 
-    source: Source
+    source: TraverseSource
     features: Features
     numbers: NDArray[np.int64]
 
@@ -49,7 +49,7 @@ class _Frame(NamedTuple):
 
 
 def describe_frames(
-    source: Source, settings: FeatureSettings, depth: Source | None, title: str, engine: Engine
+    source: TraverseSource, settings: FeatureSettings, depth: TraverseSource | None, title: str, engine: Engine
 ) -> Traverse:
     """Compute the features of frames and, where they need it, of depth images; JobError where that cannot be."""
     count = len(source.frames)

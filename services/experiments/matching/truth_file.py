@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from schemas.codec import printable
-from services.experiments.matching.sources import Source, loaded
+from services.experiments.matching.sources import TraverseSource, loaded
 from services.kit.errors import UsageError
 from smal.evaluation.ground_truth import IntervalTruth
 
@@ -82,7 +82,7 @@ def read_positions(path: Path, frames: int) -> Positions:
     return positions
 
 
-def gps_positions(references: Source, queries: Source) -> tuple[Positions, Positions]:
+def gps_positions(references: TraverseSource, queries: TraverseSource) -> tuple[Positions, Positions]:
     """Return where EXIF says that images were taken, metres on one plane; UsageError where none says it."""
     degrees = []
     for source in (references, queries):

@@ -9,7 +9,7 @@ from services.experiments.showing.summary import taught_drives
 from services.recordings.dataset import Teacher
 from services.recordings.recorded import episode_of
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.teaching.demonstration import Demonstration, drives_to_goals
 
 

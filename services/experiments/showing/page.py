@@ -21,7 +21,7 @@ from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.planning import cost_to_go
 from smal.teaching.demonstration import Demonstration
 

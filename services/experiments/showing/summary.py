@@ -9,7 +9,7 @@ from schemas.codec import printable
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.planning import cost_to_go
 
 
@@ -42,7 +42,7 @@ def numbers_of(model: PaperModel) -> dict[str, int]:
     }
 
 
-class Taught(NamedTuple):
+class TaughtSummary(NamedTuple):
     """A drive that a model was taught: the names of its parts, its frames, and where it led."""
 
     parts: tuple[str, ...]
@@ -50,16 +50,18 @@ class Taught(NamedTuple):
     end: str
 
 
-def taught_drives(model: Model | PaperModel) -> list[Taught]:
+def taught_drives(model: Model | PaperModel) -> list[TaughtSummary]:
     """Return the drives of a model, in their order."""
     if isinstance(model, Model):
         each = zip(model.mapped.names, model.mapped.frames.tolist(), model.mapped.goals, strict=True)
-        return [Taught(parts, frames, f"to {goal}") for parts, frames, goal in each]
+        return [TaughtSummary(parts, frames, f"to {goal}") for parts, frames, goal in each]
     ends = [
         f"{'recovery: ' if recovery else ''}{'reached' if good else 'did not reach'} the goal"
         for recovery, good in zip(model.recovery, model.successful, strict=True)
     ]
-    return [Taught((name,), len(atoms), end) for name, atoms, end in zip(model.names, model.atoms, ends, strict=True)]
+    return [
+        TaughtSummary((name,), len(atoms), end) for name, atoms, end in zip(model.names, model.atoms, ends, strict=True)
+    ]
 
 
 def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:

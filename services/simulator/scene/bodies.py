@@ -7,7 +7,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from services.simulator.robots import RobotModel, Tag
+from services.simulator.robots import RobotModel, TagMount
 from services.simulator.scene.meshes import UPRIGHT, ball, drum, quads, tube
 from services.simulator.scene.surfaces import Finish, Piece, Surface, Vector
 from services.simulator.tables import table
@@ -18,7 +18,7 @@ _MODULES: Final = 6
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyMesh:
     """An entry of the table `bodies`, which says what is in it."""
 
     mirrored: bool
@@ -26,7 +26,7 @@ class Body:
     limbs: list[tuple[str, Vector, Vector, tuple[float, float], int]]
 
 
-_BODIES: Final = table("bodies", dict[str, Body])
+_BODIES: Final = table("bodies", dict[str, BodyMesh])
 
 
 def body(name: str) -> Iterator[Piece]:
@@ -50,7 +50,7 @@ def turtlebot(model: RobotModel) -> Iterator[Piece]:
         yield Finish("tyre"), drum((0.0, side - 0.011, wheel), (0.0, side + 0.011, wheel), wheel)
 
 
-def tag(marker: Tag) -> Surface:
+def tag(marker: TagMount) -> Surface:
     """Return a marker on a white plate, its upper edge towards x."""
     known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     square = cv2.aruco.generateImageMarker(known, marker.number, _MODULES * _MODULE_PX)

@@ -13,7 +13,7 @@ from services.simulator.scene.buildings import barriers, buildings
 from services.simulator.scene.ground import cast_shade, ground
 from services.simulator.scene.meshes import Mesh, ball, make, tube
 from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
-from services.simulator.scene.surfaces import Finish, Piece, Scene, Surface, surfaces
+from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, Surface, surfaces
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
@@ -34,7 +34,7 @@ _SMALL_DETAIL: Final = 3
 _TIERS: Final = 4
 
 
-def build_scene(world: World, light: Daylight) -> Scene:
+def build_scene(world: World, light: Daylight) -> SceneSurfaces:
     """Make the meshes, pictures and lights of a world; takes seconds."""
     terrain = world.place
     if isinstance(terrain, Room):
@@ -47,7 +47,7 @@ def build_scene(world: World, light: Daylight) -> Scene:
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
     # More sky shines from opposite the sun than from elsewhere, so that shaded walls keep their shape.
     east, north = -0.9 * np.array(light.direction[:2]) / max(math.hypot(*light.direction[:2]), 1e-9)
-    return Scene(
+    return SceneSurfaces(
         ambient=light.sky,
         lights=((light.direction, light.sun), ((float(east), float(north), -0.2), light.fill)),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.simulator.scene import bodies
 from services.simulator.scene.furniture import furnish
 from services.simulator.scene.meshes import UPRIGHT, block, flat, front, quads
-from services.simulator.scene.surfaces import Finish, Piece, Scene, Surface, Vector, surfaces
+from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, Surface, Vector, surfaces
 from services.simulator.scene.textures import as_picture, coloured, layered, noise
 from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
@@ -43,14 +43,14 @@ _SEED: Final = 11
 _LINO: Final = (150, 156, 156)
 
 
-def build(room: Room, light: Daylight) -> Scene:
+def build(room: Room, light: Daylight) -> SceneSurfaces:
     """Make the meshes and pictures of a room."""
     furniture = (piece for one in room.furniture for piece in furnish(one))
     hung = (piece for fitting in room.fittings for piece in hang(fitting, room))
     x, y = room.east_west_m, room.north_south_m
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     tag = room.robot.tag
-    return Scene(
+    return SceneSurfaces(
         # As bright and in the colour that the time of day gives them.
         ambient=_times(_AMBIENT, light.lamps),
         lights=tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS),

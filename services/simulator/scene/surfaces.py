@@ -25,7 +25,7 @@ class Surface:
     glows: bool = False
 
 
-class Scene(NamedTuple):
+class SceneSurfaces(NamedTuple):
     """Everything to be drawn."""
 
     ambient: Vector  # The light from everywhere.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from schemas.motion import MAX_SAMPLES
 from services.robot.body import ImuReading, OdometryReading
 from services.simulator.base import STEP_S, Motion, WheelSpeeds, move
-from services.simulator.robots import Drive
+from services.simulator.robots import DriveTrain
 from services.simulator.world.place import Pose
 
 GRAVITY_M_S2: Final = 9.81
@@ -70,7 +70,7 @@ class Shake:
     builds the swinging up, and it dies away when the robot stands. It is stepped exactly, see `_propagation`.
     """
 
-    def __init__(self, strength: float, drive: Drive, rng: np.random.Generator) -> None:
+    def __init__(self, strength: float, drive: DriveTrain, rng: np.random.Generator) -> None:
         self._amplitude, self._drive, self._rng = strength * _SHAKE_RAD, drive, rng
         # Angles, and their rates by the second, in units of the amplitude: (2, 3).
         self._state = np.zeros((2, 3))
@@ -138,7 +138,7 @@ class Odometer:
     its error grows with the way.
     """
 
-    def __init__(self, drive: Drive, error: float, rng: np.random.Generator) -> None:
+    def __init__(self, drive: DriveTrain, error: float, rng: np.random.Generator) -> None:
         self._tick_m = math.tau * drive.wheel_radius_m / _TICKS_PER_TURN
         radii = 1.0 + error * _RADIUS_SIGMA * rng.standard_normal(2)
         self._believed_m = self._tick_m * float(radii[0]), self._tick_m * float(radii[1])
@@ -180,7 +180,7 @@ class Sensors:
     on how much the camera shakes, 1 on a floor that is not quite even; `error` one on what the others measure wrong.
     """
 
-    def __init__(self, drive: Drive, shake: float, error: float = 1.0) -> None:
+    def __init__(self, drive: DriveTrain, shake: float, error: float = 1.0) -> None:
         self._drive, self._strength, self._error = drive, shake, error
 
     def begin(

@@ -46,7 +46,7 @@ Span = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Part:
+class FurniturePart:
     """A part of a piece: an entry of the table `furniture`, which says what is in it."""
 
     wears: str = ""
@@ -58,7 +58,7 @@ class Part:
     up: Span = (0.0, 0.0, 1.0, 0.0)
 
 
-PARTS: Final = table("furniture", dict[FurnitureKind, tuple[Part, ...]])
+PARTS: Final = table("furniture", dict[FurnitureKind, tuple[FurniturePart, ...]])
 
 
 @checked(frozen=True, kw_only=True, config=STRICT)
@@ -112,7 +112,7 @@ class Furniture:
             return shapely.Point(0.0, 0.0).buffer(self.width_m / 2, quad_segs=_QUADRANT_SEGMENTS)
         return shapely.box(-self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2)
 
-    def box(self, part: Part) -> tuple[Box, float, float]:
+    def box(self, part: FurniturePart) -> tuple[Box, float, float]:
         """Return a part's box in the own frame, and from which height to which it goes."""
         (x_min, x_max), (y_min, y_max), (low, high) = (
             (begin * size + begin_m, end * size + end_m)

@@ -16,7 +16,7 @@ from shapely.errors import GEOSException
 
 from schemas.codec import describe, printable
 from services.kit.going_on import go_on
-from services.simulator.world.osm import Extract, Surroundings, read_osm
+from services.simulator.world.osm import Extract, MapSurroundings, read_osm
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.room import RoomFile
 from services.simulator.world.route import lane_graph, obstacles_of, plan_route
@@ -45,7 +45,7 @@ class Wishes:
     start: Pose | None = None
     victim: Pose | None = None  # By hand, in the metres of the world; None for what the map says, else by rule.
     seed: int = 0  # Another one gives another task by rule.
-    around: Surroundings | None = None  # The part of the map to take; None for all of it.
+    around: MapSurroundings | None = None  # The part of the map to take; None for all of it.
 
 
 def known_worlds() -> list[str]:

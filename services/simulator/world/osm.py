@@ -47,7 +47,7 @@ class OutlineError(ValueError):
     """Points do not enclose an area; the message says why and follows the name of what they belong to."""
 
 
-class Surroundings(NamedTuple):
+class MapSurroundings(NamedTuple):
     """The part of a file to read: a square about a place on the earth."""
 
     latitude_deg: float
@@ -83,7 +83,7 @@ class Extract(NamedTuple):
     repeated: list[Unread]  # Ways that are drawn as part of a relation.
 
 
-def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
+def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
     """Read an OpenStreetMap XML file, or a part `around` the new origin; WorldError where it is of no use."""
     try:
         _check_file(path)

@@ -11,7 +11,7 @@ from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from services.kit.errors import JobError
-from services.simulator.robots import Drive, RobotModel
+from services.simulator.robots import DriveTrain, RobotModel
 
 Shape = TypeVar("Shape", bound=BaseGeometry)
 Rgb = tuple[int, int, int]
@@ -138,7 +138,7 @@ class World:
     place: Place
     start: Pose
     victim: Pose
-    drive: Drive | None = None  # Of the robot; that of the place's if not given.
+    drive: DriveTrain | None = None  # Of the robot; that of the place's if not given.
 
     @property
     def name(self) -> str:

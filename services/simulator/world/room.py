@@ -151,7 +151,7 @@ def _grown(piece: Furniture, distance_m: float) -> Polygon:
 
 
 @dataclass(frozen=True, config=STRICT)
-class Spot:
+class RoomSpot:
     """Where somebody stands, and where they look."""
 
     x_m: Metres
@@ -170,8 +170,8 @@ class RoomFile(Room):
 
     format: Literal["smal.room/1"]
     note: Annotated[str, Field(max_length=2000)] = ""  # For people; nothing reads it.
-    start: Spot  # Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off.
-    victim: Spot
+    start: RoomSpot  # Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off.
+    victim: RoomSpot
     hidden: bool = True
     """Whether the victim must be out of sight from every start; false allows a victim that is seen at once."""
 

@@ -38,7 +38,7 @@ from smal.features import FeatureSettings
 from smal.filter import Belief, Filter, Newness
 from smal.model import Model
 from smal.movement import Atom, placed, seen_from
-from smal.particles import View
+from smal.particles import ViewEvidence
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
 from smal.settings import SETTINGS
@@ -75,7 +75,7 @@ class Variant:
             yield
 
 
-def _without_scouts(self: Filter, seen: View) -> None:
+def _without_scouts(self: Filter, seen: ViewEvidence) -> None:
     """Weigh as `Filter` does, but let nobody look elsewhere: who is not lost is where the wheels lead."""
     tracked, _, sent, lost = self._odds
     tracked = (tracked + sent) * self._tracked.update(seen, self._rng)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from services.experiments.evaluation import plan as plans
-from services.experiments.evaluation.plan import Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.plan import Criterion, EvaluationPlan, Trial, WorldPlan
 from services.experiments.evaluation.units import units
 from tests.services.cli.conftest import ROOT, Smal
 from tests.services.waiting import DEADLINE_S, eventually
@@ -27,11 +27,11 @@ if __name__ == "__main__":
 """
 
 
-def tiny(world: str) -> Plan:
+def tiny(world: str) -> EvaluationPlan:
     """Return a plan of three units."""
     trials = Trial("teach-and-repeat", 1, 1), Trial("teach-and-repeat", 1, 1, start="anywhere")
     small = WorldPlan(world, Criterion(3.0, 25.0), trials=trials)
-    return Plan("quick", (small,), patience=0.1, camera=(80, 60))
+    return EvaluationPlan("quick", (small,), patience=0.1, camera=(80, 60))
 
 
 def done_in(folder: Path) -> dict[str, dict[str, object]]:
@@ -75,7 +75,7 @@ def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(
     tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No world of that name: the worker says so, and the command ends."""
-    nowhere = Plan("quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),))
+    nowhere = EvaluationPlan("quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),))
     monkeypatch.setitem(plans.PLANS, "quick", nowhere)
     status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick")
     assert status == 1

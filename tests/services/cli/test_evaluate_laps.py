@@ -11,7 +11,7 @@ import pytest
 from services.experiments.laps.asking import judge
 from services.experiments.laps.source import read_laps
 from services.importers.drive import Tally
-from services.importers.job import Job
+from services.importers.job import ImportJob
 from services.importers.run import run
 from services.kit.jpeg import encode_jpeg
 from smal.settings import SETTINGS
@@ -73,7 +73,7 @@ def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: P
 def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_known(
     tub: Path, tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = Job(format="donkeycar", path=str(tub), folder=str(tmp_path), robot="car", speed=5.0, turn_rate=2.5)
+    job = ImportJob(format="donkeycar", path=str(tub), folder=str(tmp_path), robot="car", speed=5.0, turn_rate=2.5)
     (recording,) = run(job, Tally()).files
     monkeypatch.setattr("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
     for module in ("source", "asking"):

@@ -23,7 +23,7 @@ from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
 from smal.features import FeatureSettings, extract
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.teaching.demonstration import drives_to_goals
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header, seen

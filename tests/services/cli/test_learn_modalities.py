@@ -9,7 +9,7 @@ from services.cli import learn as learning
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 from smal.model import Model
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from tests.services.cli.test_learn import drive as drive_with
 from tests.services.cli.test_learn import teach
 from tests.services.recordings.test_recorder_files import record

@@ -17,7 +17,7 @@ from services.recordings.dataset import Teacher, find_recordings
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model as PaperModel
+from smal.paper.model import PaperModel
 from smal.settings import SETTINGS
 from smal.teaching.mapping import learn as learn_map
 from tests.services.cli.conftest import Mistake, Smal

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from services.console.browser_messages import Add
-from services.console.jobs import Job, Jobs
+from services.console.jobs import BackgroundJob, Jobs
 from services.console.library import Library
 from services.console.service import ConsoleService
 from services.kit.node import ServiceError
@@ -40,9 +40,9 @@ def jobs_of(monkeypatch: pytest.MonkeyPatch) -> JobsOf:
     return of
 
 
-def learning(out: Path) -> Job:
+def learning(out: Path) -> BackgroundJob:
     arguments = ("learn", "a.mcap")
-    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
+    return BackgroundJob("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
 
 
 def ended(shown: list[dict[str, object]]) -> dict[str, object]:

@@ -16,7 +16,7 @@ from mcap.records import Chunk
 from schemas.base import Message
 from schemas.rpc import LoadReply, LoadRequest
 from services.console.library import Library
-from services.console.listing import Reader, Recording, end_after
+from services.console.listing import ListedRecording, Reader, end_after
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
@@ -67,7 +67,7 @@ def test_a_reader_ends_that_has_worked_for_too_long() -> None:
 
 
 def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library: Library) -> None:
-    path, listed = library.root / "drives" / "drive-1.mcap", Recording("drives/drive-1.mcap", 1.0, 5)
+    path, listed = library.root / "drives" / "drive-1.mcap", ListedRecording("drives/drive-1.mcap", 1.0, 5)
     with closing(Reader()) as reader:
         assert reader.read(path, listed).outcome == "found"
         reader.stop()

@@ -17,7 +17,7 @@ from services.expert.driver import ExpertService, RouteDriver
 from services.robot.body import Kinematics
 from services.robot.clock import TICK_S
 from services.simulator.base import move, wheel_speeds
-from services.simulator.robots import RESCUEBOT, Drive
+from services.simulator.robots import RESCUEBOT, DriveTrain
 from services.simulator.world.place import Pose as PlanarPose
 
 DRIVE = RESCUEBOT.drive
@@ -49,7 +49,7 @@ def follow(route: list[tuple[float, float]], *, car: bool = False) -> list[Plana
     return poses
 
 
-def drive_on(driver: RouteDriver, pose: PlanarPose, drive: Drive = DRIVE) -> PlanarPose:
+def drive_on(driver: RouteDriver, pose: PlanarPose, drive: DriveTrain = DRIVE) -> PlanarPose:
     wanted = driver.velocity(pose.x, pose.y, pose.heading)
     assert wanted == Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m).bounded(wanted)
     return move(pose, wheel_speeds(wanted, drive), drive.track_m, TICK_S)

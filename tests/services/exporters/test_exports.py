@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.base import KEYS
-from services.exporters.drives import FORMATS, Nominal, read, write
+from services.exporters.drives import FORMATS, NominalSpeeds, read, write
 from services.importers.drive import Tally
 from services.kit.cameras import camera_of
 from services.kit.errors import JobError
@@ -33,7 +33,7 @@ LOST_IN_VIDEO = 6.0
 
 def exported(
     files: Sequence[Path], form: Any, folder: Path, speed: float | None = None, turn_rate: float | None = None
-) -> tuple[Nominal, Tally]:
+) -> tuple[NominalSpeeds, Tally]:
     tally = Tally()
     drives = read(files, speed, turn_rate, tally)
     folder.mkdir(parents=True)

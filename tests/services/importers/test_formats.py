@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from services.importers.drive import Tally
-from services.importers.job import Job, Report
+from services.importers.job import ImportJob, ImportReport
 from services.importers.run import run
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
@@ -27,15 +27,17 @@ MADE = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["st
 FRAMES = len(sources.drive(20.0))
 
 
-def imported(path: Path, form: str, folder: Path, **fields: object) -> tuple[Report, Tally]:
+def imported(path: Path, form: str, folder: Path, **fields: object) -> tuple[ImportReport, Tally]:
     folder.mkdir(exist_ok=True)
     tally = Tally()
-    job = Job.model_validate({"format": form, "path": str(path), "folder": str(folder), "robot": "burger"} | fields)
+    job = ImportJob.model_validate(
+        {"format": form, "path": str(path), "folder": str(folder), "robot": "burger"} | fields
+    )
     return run(job, tally), tally
 
 
-def episode_of(source: Report | Path | str) -> RecordedEpisode:
-    (episode,) = read_recording(Path(source.files[0] if isinstance(source, Report) else source)).episodes
+def episode_of(source: ImportReport | Path | str) -> RecordedEpisode:
+    (episode,) = read_recording(Path(source.files[0] if isinstance(source, ImportReport) else source)).episodes
     return episode
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.importers.job import Report
+from services.importers.job import ImportReport
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
@@ -29,7 +29,7 @@ BEGIN_S = (22.0, 25.48, 28.96)  # When laps of it begin, seconds after the secon
 
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
 def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp_path: Path) -> None:
-    def lap(number: int) -> Report:
+    def lap(number: int) -> ImportReport:
         begin_s, episodes = BEGIN_S[number], ("22-08-27_1",)
         folder = tmp_path / str(number)
         return imported(CIRCLES, "donkeycar", folder, episodes=episodes, from_s=begin_s, to_s=begin_s + 3.45)[0]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.importers.drive import Drive, ImportFailure, Tally, motion_of
+from services.importers.drive import ImportedDrive, ImportFailure, Tally, motion_of
 from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, nominal, odometry, shares_of, ticks
 
 
@@ -96,7 +96,7 @@ def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
 
 
 def tracked(rows: list[tuple[float, float, float, float]], times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    drive = Drive.of_rows("lap", np.zeros(0), lambda: iter(()), [], rows, Tally())
+    drive = ImportedDrive.of_rows("lap", np.zeros(0), lambda: iter(()), [], rows, Tally())
     found = odometry(drive, times_s, None)
     assert found is not None
     return found

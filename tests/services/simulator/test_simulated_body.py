@@ -10,7 +10,7 @@ from schemas.rpc import ResetRequest
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
-from services.simulator.robots import Drive
+from services.simulator.robots import DriveTrain
 from services.simulator.sensors.camera import FOCAL, depth_message
 from services.simulator.sensors.depth import measured
 from services.simulator.simulation import Simulation
@@ -20,7 +20,7 @@ from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
-PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
+PERFECT = DriveTrain(tick_sigma=0.0, radius_sigma=0.0)
 HEADER = Message(robot="r", episode="e", tick=0, stamp_ns=0)
 
 

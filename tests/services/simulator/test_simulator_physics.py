@@ -14,7 +14,7 @@ from services.robot.clock import TICK_S
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.physics import PhysicalBase
-from services.simulator.robots import RESCUEBOT, TURTLEBOT, Drive, RobotModel
+from services.simulator.robots import RESCUEBOT, TURTLEBOT, DriveTrain, RobotModel
 from services.simulator.world.place import Pose, Solid
 
 robots = pytest.mark.parametrize("robot", [RESCUEBOT, TURTLEBOT], ids=["rescuebot", "turtlebot"])
@@ -29,7 +29,7 @@ class Hall:
         self.solids, self.robot = things, model
 
 
-def perfect(robot: RobotModel) -> Drive:
+def perfect(robot: RobotModel) -> DriveTrain:
     return replace(robot.drive, tick_sigma=0.0, radius_sigma=0.0)
 
 

@@ -14,7 +14,7 @@ from schemas.rpc import ResetRequest
 from services.robot.clock import TICK_S
 from services.simulator.base import KinematicBase
 from services.simulator.lockstep import LockstepEpisode
-from services.simulator.robots import Drive
+from services.simulator.robots import DriveTrain
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world
@@ -25,7 +25,7 @@ from services.simulator.world.varying import vary
 from tests.services.simulator.simulator_driving import StubCamera, drive_to
 
 YARD = load_world("yard")
-PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
+PERFECT = DriveTrain(tick_sigma=0.0, radius_sigma=0.0)
 
 
 @given(

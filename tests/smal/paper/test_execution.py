@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from smal.movement import Atom
-from smal.paper.execution import Decision, DecisionMaker, Recognition
+from smal.paper.execution import DecisionMaker, PaperDecision, Recognition
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
 from tests.smal.worlds import COLOR, corridor, drive
@@ -20,23 +20,23 @@ RECOVERY = dataclasses.replace(drive(VIEWS, 40, seed=9, name="recovery", end=72)
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> PaperModel:
     return learn([*DRIVES, RECOVERY], LearningSettings(features=COLOR, tau=0.6))
 
 
-def seen(model: Model, frames: np.ndarray, tick: int = 0) -> list[Recognition]:
+def seen(model: PaperModel, frames: np.ndarray, tick: int = 0) -> list[Recognition]:
     recognizer = Recognizer(model)
     return [recognizer.observe(tick + k, frame, due=True) for k, frame in enumerate(frames)]
 
 
-def test_drives_share_their_states(model: Model) -> None:
+def test_drives_share_their_states(model: PaperModel) -> None:
     each = np.concatenate([np.unique(stream) for stream in model.state_streams])
     assert model.states < 60
     assert (np.bincount(each) > 1).sum() > 0.5 * model.states
     assert model.transitions.goals.size == 1
 
 
-def test_every_state_leads_to_the_goal(model: Model) -> None:
+def test_every_state_leads_to_the_goal(model: PaperModel) -> None:
     T = model.transitions.matrix
     value = model.value
     assert model.reward[model.transitions.goals[0]] == pytest.approx(1.0)
@@ -46,7 +46,7 @@ def test_every_state_leads_to_the_goal(model: Model) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.5, 4.0])
-def test_the_state_is_that_of_eq_9_however_strange_the_view(model: Model, noise: float) -> None:
+def test_the_state_is_that_of_eq_9_however_strange_the_view(model: PaperModel, noise: float) -> None:
     query = drive(VIEWS, 3, seed=77, noise=noise).features[:40]
     centred = model.centering.apply(query)
     for tick, found in enumerate(seen(model, query)):
@@ -66,7 +66,7 @@ def test_the_state_is_that_of_eq_9_however_strange_the_view(model: Model, noise:
         assert found.duality_gap <= 1e-3
 
 
-def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: Model) -> None:
+def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: PaperModel) -> None:
     recognizer, query = Recognizer(model), DRIVES[0].features
     statuses = [recognizer.observe(tick, query[tick], due=True).status for tick in (*range(6), *range(7, 13))]
     assert statuses == ["collecting"] * 4 + ["recognized"] * 2 + ["collecting"] * 4 + ["recognized"] * 2
@@ -74,7 +74,7 @@ def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: Model) -> None
     assert recognizer.observe(13, query[13], due=True).status == "collecting"
 
 
-def test_bad_features_are_refused_and_not_taken_in(model: Model) -> None:
+def test_bad_features_are_refused_and_not_taken_in(model: PaperModel) -> None:
     recognizer, query = Recognizer(model), DRIVES[0].features
     for tick in range(4):
         recognizer.observe(tick, query[tick], due=True)
@@ -88,23 +88,23 @@ def test_bad_features_are_refused_and_not_taken_in(model: Model) -> None:
     assert recognizer.observe(4, query[4], due=True).status == "recognized"
 
 
-def test_the_whole_action_of_the_policy_is_made_and_then_the_robot_stops(model: Model) -> None:
+def test_the_whole_action_of_the_policy_is_made_and_then_the_robot_stops(model: PaperModel) -> None:
     maker = DecisionMaker(model)
     for state in np.flatnonzero(model.policy >= 0).tolist():
         decision = maker.decide(Recognition("recognized", 0, state))
         action = int(model.policy[state])
-        assert decision == Decision("action", tuple(model.actions[action].tolist()), state, action)
+        assert decision == PaperDecision("action", tuple(model.actions[action].tolist()), state, action)
         assert [maker.next_atom() for _ in range(LENGTH + 1)] == [*decision.atoms, Atom.STOP]
 
 
-def test_waiting_keeps_the_plan_and_all_else_replaces_it(model: Model) -> None:
+def test_waiting_keeps_the_plan_and_all_else_replaces_it(model: PaperModel) -> None:
     maker = DecisionMaker(model)
     known = Recognition("recognized", 0, int(np.flatnonzero(model.policy >= 0)[0]))
     plan = maker.decide(known).atoms
     assert maker.next_atom() == plan[0]
-    assert maker.decide(Recognition("collecting", 1)) == Decision("wait", ())
+    assert maker.decide(Recognition("collecting", 1)) == PaperDecision("wait", ())
     assert maker.next_atom() == plan[1]
-    assert maker.decide(Recognition("unknown", 2)) == Decision("stop", (Atom.STOP,) * LENGTH)
+    assert maker.decide(Recognition("unknown", 2)) == PaperDecision("stop", (Atom.STOP,) * LENGTH)
     assert [maker.next_atom() for _ in range(LENGTH)] == [Atom.STOP] * LENGTH
     maker.decide(known)
     maker.reset()
@@ -117,8 +117,8 @@ def test_where_nothing_is_to_follow_the_robot_stops() -> None:
     assert model.states - np.unique(model.transitions.state).size == 1
     maker, stop = DecisionMaker(model), (Atom.STOP,) * LENGTH
     goal, end = int(model.transitions.goals[0]), int(model.state_streams[1][-1])
-    assert maker.decide(Recognition("recognized", 0, goal)) == Decision("goal", stop, goal)
-    assert maker.decide(Recognition("recognized", 5, end)) == Decision("dead_end", stop, end)
+    assert maker.decide(Recognition("recognized", 0, goal)) == PaperDecision("goal", stop, goal)
+    assert maker.decide(Recognition("recognized", 5, end)) == PaperDecision("dead_end", stop, end)
 
 
 @pytest.mark.parametrize("length", [1, 2, 10])

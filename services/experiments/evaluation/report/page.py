@@ -29,11 +29,11 @@ from services.experiments.evaluation.plan import (
     QUERY_SEED,
     RUN_SEED,
     TEACHING_SEED,
-    Plan,
+    EvaluationPlan,
 )
 from services.experiments.evaluation.report.summary import SOON_S, Recognized, Success, WorldResults, results_of
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import Learn, Query, Searches, Teach, code_fingerprint, units
+from services.experiments.evaluation.units import LearnUnit, Query, Searches, Teach, code_fingerprint, units
 from services.experiments.words import counted
 from services.kit.jpeg import decode_jpeg
 from services.kit.model_service import LEAST_TICKS
@@ -60,7 +60,7 @@ _PEERS: Final = {
 VIEWS: Final = 6  # Camera images beside an example route.
 
 
-def write_page(plan: Plan, results: Results) -> Path:
+def write_page(plan: EvaluationPlan, results: Results) -> Path:
     """Write ``index.html``, ``results.json`` and the figures of all units that are done; return the page."""
     planned, findings = units(plan), results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
@@ -102,7 +102,7 @@ def _seconds(results: Results) -> float:
     return sum(float(found["cpu_s"]) for found in results.findings.values())
 
 
-def _introduction(plan: Plan, results: Results) -> Iterator[str]:
+def _introduction(plan: EvaluationPlan, results: Results) -> Iterator[str]:
     yield (
         "<p>The experiments of Han, Yang, Zhang and Zhang, <em>Sequence-based Multimodal Apprenticeship Learning for "
         "Robot Perception and Decision Making</em> (ICRA 2017), repeated in simulation, and taken further. A scripted "
@@ -233,7 +233,7 @@ def _or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else f"{value:{form}}"
 
 
-def _method(plan: Plan, results: Results) -> Iterator[str]:
+def _method(plan: EvaluationPlan, results: Results) -> Iterator[str]:
     width, height = plan.camera
     yield "<h2>Conditions</h2>"
     yield (
@@ -257,7 +257,7 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         here = {unit: found for unit, found in results.findings.items() if unit.site.world == world.world}
         frames = [found["frames"] for unit, found in here.items() if isinstance(unit, Teach)]
         states = ", ".join(f"{here[one]['states']} ({counted(len(one.needs), 'drive')}, l = {one.length})"
-                           for one in here if isinstance(one, Learn) and one.length)  # fmt: skip
+                           for one in here if isinstance(one, LearnUnit) and one.length)  # fmt: skip
         rows.append([world.title, str(len(frames)), f"{sum(frames):,}", states])
     yield html.table(["world", "drives", "frames", "states learned"], rows, left=1)
     yield (

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.plan import JUDGED_TICKS, Recognizer, Trial, WorldPlan
+from services.experiments.evaluation.plan import JUDGED_TICKS, RecognizerName, Trial, WorldPlan
 from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import (
@@ -26,7 +26,7 @@ SOON_S: Final = 3.0  # Within which a kidnapped robot should know where it is.
 class Recognized:
     """How well one method recognizes in one world, from the frame on at which every method has a whole window."""
 
-    recognizer: Recognizer
+    recognizer: RecognizerName
     degradation: str
     judgement: Judgement
     curve: PrecisionRecall
@@ -139,7 +139,7 @@ def results_of(world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, 
     )
 
 
-def recognized(world: WorldPlan, recognizer: Recognizer, degradation: str, parts: Sequence[Finding]) -> Recognized:
+def recognized(world: WorldPlan, recognizer: RecognizerName, degradation: str, parts: Sequence[Finding]) -> Recognized:
     """Judge one method by what was found out of each held-out drive."""
     names = "tick", "score", "answered", "right", "findable"
     tick, score, *flags = (np.concatenate([part[name] for part in parts]) for name in names)

@@ -6,11 +6,21 @@ import cv2
 import numpy as np
 
 from services.experiments.evaluation.drives import save_arrays
-from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, EvaluationPlan, Trial, WorldPlan
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import Errand, Finding, Learn, Query, Recognize, Searches, Teach, Unit, units
+from services.experiments.evaluation.units import (
+    Errand,
+    Finding,
+    LearnUnit,
+    Query,
+    Recognize,
+    Searches,
+    Teach,
+    Unit,
+    units,
+)
 
-SMALL = Plan(
+SMALL = EvaluationPlan(
     "small",
     (
         WorldPlan(
@@ -39,7 +49,7 @@ def finding(unit: Unit) -> Finding:
     match unit:
         case Teach():
             return {"frames": 50}
-        case Learn():
+        case LearnUnit():
             return {"states": 40} if unit.length else {}
         case Query():
             return {"frames": QUERIES}

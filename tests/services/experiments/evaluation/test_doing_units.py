@@ -12,7 +12,7 @@ import pytest
 
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation import units as work
-from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.plan import CONTROLLERS, Criterion, EvaluationPlan, Trial, WorldPlan
 from services.experiments.evaluation.results import timed
 from services.experiments.evaluation.search import finding, search
 from services.experiments.evaluation.units import Finding, Recognize, Searches, Unit, units
@@ -22,16 +22,16 @@ from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from smal.features import FeatureSettings
 from smal.movement import Atom
-from smal.robot import Place
+from smal.robot import TaughtPlace
 from tests.services.simulator.simulator_driving import StubCamera
 
 
-def plan(world: Path) -> Plan:
+def plan(world: Path) -> EvaluationPlan:
     """Return a plan in which every unit does something."""
     special = Trial("smal", 1, 1, kidnap_tick=10), Trial("smal", 1, 1, degradation="occluded")
     trials = (*(Trial(name, 1, 1) for name in CONTROLLERS), *special)
     small = WorldPlan(str(world), Criterion(1.0, 25.0), queries=1, lengths=(5,), recognized=("clean",), trials=trials)
-    return Plan("small", (small,), patience=0.2)
+    return EvaluationPlan("small", (small,), patience=0.2)
 
 
 class PlaceCamera(StubCamera):
@@ -90,7 +90,7 @@ class Says:
     done = False
 
     def __init__(self, right: Pose) -> None:
-        self._right = Place(0, 0, 0.0, 0.0, right.heading, 1.0)
+        self._right = TaughtPlace(0, 0, 0.0, 0.0, right.heading, 1.0)
 
     def reset(self) -> None:
         self._tick = -1
@@ -104,7 +104,7 @@ class Says:
         return self._tick < 2
 
     @property
-    def where(self) -> Place:
+    def where(self) -> TaughtPlace:
         return replace(self._right, ahead=50.0) if self._tick < 4 else self._right
 
 

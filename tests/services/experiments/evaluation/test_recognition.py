@@ -8,7 +8,7 @@ from services.experiments.evaluation.recognition import NearestImitation, demons
 from smal.features import FeatureSettings, extract
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model
+from smal.paper.model import PaperModel
 from smal.teaching.demonstration import Demonstration
 from tests.services.chain import picture
 from tests.smal.worlds import COLOR
@@ -38,7 +38,7 @@ def test_the_same_seed_damages_the_same_frames_in_the_same_way() -> None:
 LENGTH = 4
 
 
-def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> Model:
+def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> PaperModel:
     """Learn drives through random places; the later ones pass places of the first again."""
     rng, features = np.random.default_rng(seed), FeatureSettings()
     places = rng.random((40, features.size), dtype=np.float32)

@@ -26,7 +26,7 @@ from services.simulator.simulation import Simulation
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.movement import Atom
-from smal.paper.robot import Robot as PaperRobot
+from smal.paper.robot import PaperRobot
 from smal.robot import Robot
 from tests.services.robot.driving import simulated
 

@@ -11,9 +11,9 @@ import pytest
 from services.experiments import engine as engines
 from services.experiments.engine import Engine
 from services.experiments.evaluation import units as of_plan
-from services.experiments.evaluation.plan import Criterion, Plan, in_world, with_each
+from services.experiments.evaluation.plan import Criterion, EvaluationPlan, in_world, with_each
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import Finding, Learn, Searches, Site, Teach, units
+from services.experiments.evaluation.units import Finding, LearnUnit, Searches, Site, Teach, units
 from services.kit.errors import JobError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
 
@@ -29,13 +29,13 @@ def test_each_unit_is_once_and_after_those_that_it_needs() -> None:
 def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def names(one: Plan, kind: str) -> set[str]:
+    def names(one: EvaluationPlan, kind: str) -> set[str]:
         return {unit.name for unit in units(one) if type(unit).__name__ == kind}
 
     (world,) = SMALL.worlds
     otherwise = replace(SMALL, worlds=(replace(world, drives=4, criterion=Criterion(2.0, 25.0)),))
     assert not names(SMALL, "Recognize") & names(otherwise, "Recognize")
-    for kind in ("Teach", "Learn", "Recognize", "Searches"):
+    for kind in ("Teach", "LearnUnit", "Recognize", "Searches"):
         assert not names(SMALL, kind) & names(replace(SMALL, camera=(128, 96)), kind)
         assert not names(SMALL, kind) & names(replace(SMALL, base="car"), kind)
     shorter = replace(SMALL, patience=1.5)
@@ -52,7 +52,7 @@ def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
 
 
 def test_where_something_stands_in_the_way_smal_is_compared_with_itself_without_its_parts() -> None:
-    def drivers(one: Plan) -> set[str]:
+    def drivers(one: EvaluationPlan) -> set[str]:
         return {unit.trial.controller for unit in units(one) if isinstance(unit, Searches)}
 
     free = in_world("campus", 1.5)
@@ -85,7 +85,7 @@ class Killed(Teach):
         return {"seed": self.seed}
 
 
-class After(Learn):
+class After(LearnUnit):
     """Needs a drive, and says what its worker knows of it."""
 
     def do(self, _folder: Path) -> Finding:
