@@ -88,7 +88,7 @@ def taught_paper(taught: Path) -> Path:
     """Learn the paper's model from the same drive, beside the other; return its file."""
     model = taught / "paper.smal"
     if not model.exists():
-        done = run_smal("learn", taught / "drives", "--scheme", "paper", "--out", model)
+        done = run_smal("paper", "learn", taught / "drives", "--out", model)
         assert done.returncode == 0, done.stderr
     return model
 

@@ -25,6 +25,7 @@ COMMANDS: Final = {
     "recording": ("services.cli.recording:app", "Tell what is in recordings; check and repair them."),
     "replay": ("services.cli.replay:replay", "Put a recording on the topics, in place of its robot."),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
+    "paper": ("services.cli.paper:app", "Learn by the paper's scheme."),
     "model": ("services.cli.model:app", "Look at what was learned."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),

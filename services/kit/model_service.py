@@ -65,10 +65,11 @@ def identity_of(model: AnyModel) -> str:
 def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None) -> str | None:
     """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
     if scheme not in (None, model.scheme):
-        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}; learn again with --scheme {scheme}"
+        command = "smal paper learn" if scheme == "paper" else "smal learn"
+        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}; learn again with `{command}`"
     if isinstance(model, Model):
         if stride not in (None, 1):
-            return f"stride {stride}: the filter decides at every frame; for a stride learn again with --scheme paper"
+            return f"stride {stride}: the filter decides at every frame; for a stride use `smal paper learn`"
         try:
             chosen_goal(model.mapped.goals, goal)
         except ValueError as error:

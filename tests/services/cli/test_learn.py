@@ -17,6 +17,7 @@ from schemas.episode import Outcome, Purpose
 from schemas.motion import Odometry
 from schemas.observation import Observation
 from services.cli.learn import learn
+from services.cli.paper import learn as learn_paper
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
@@ -88,7 +89,7 @@ def test_a_model_with_shared_states_is_learned(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
-    learn([drives], out, scheme="paper", length=5, json_file=report)
+    learn_paper([drives], out, length=5, json_file=report)
     model = PaperModel.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
     assert model.successful == (True, True, True, False)
@@ -148,7 +149,7 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     foreign.write_bytes(b"not a recording")
     living = EpisodeWriter.begin(drives, event("living", 0, "started"))
     leave(drives, drive("left-behind", frames=20)[:-1])
-    learn([drives], tmp_path / "model.smal", scheme="paper")
+    learn_paper([drives], tmp_path / "model.smal")
     said = capsys.readouterr().err
     (whole,) = read_recording(cut).episodes
     assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
@@ -174,7 +175,7 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     assert f"keyframes       {keyframes}\n" in text
     assert "goals           victim\n" in text
     assert "states" not in text
-    learn([path], tmp_path / "paper.smal", scheme="paper")
+    learn_paper([path], tmp_path / "paper.smal")
     model = PaperModel.load(tmp_path / "paper.smal")
     text = capsys.readouterr().out
     assert f"states          {model.states}\n" in text

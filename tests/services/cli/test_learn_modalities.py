@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from services.cli import learn as learning
+from services.cli.paper import learn
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 from smal.model import Model
@@ -17,8 +18,6 @@ from tests.services.recordings.test_recorder_files import record
 FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
 drive = partial(drive_with, features=FEATURES, frames=16)
-#: A map of views takes seconds with these features; ``test_learn`` has it.
-learn = partial(learning.learn, scheme="paper")
 
 
 @pytest.fixture
@@ -59,10 +58,10 @@ def test_a_map_has_no_depth(tmp_path: Path) -> None:
     path = record(tmp_path, drive("drive-0", features=features))
     with pytest.raises(UsageError) as caught:
         learning.learn([path], out, modalities=features)
-    said = "a map of views has no depth; leave depth out, or give --scheme paper"
+    said = "a map of views has no depth; leave depth out, or use `smal paper learn`"
     assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
     learning.learn([path], out)
     assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",))
     # Where nothing else was recorded the usual features are computed from the images.
     path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
-    assert learning._features([path], "filter", None) == FEATURES
+    assert learning._features([path], None) == FEATURES

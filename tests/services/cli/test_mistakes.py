@@ -22,7 +22,7 @@ from tests.services.simulator.map_text import block_of_houses
 LONG = "r" * 31
 RUN = "run --world yard --model"
 DEMONSTRATE = "demonstrate --world yard"
-LEARN = "learn --scheme paper --out new"
+LEARN = "paper learn --out new"
 IMPORT, EXPORT, LAPS = "import folder --out new", "export folder --out new", "evaluate --out new --laps"
 WORLD = "world import map.osm --out new.json"
 
@@ -83,8 +83,7 @@ MISTAKES = [
     (f"{LEARN} drives --json none/report.json", 2, "--json none/report.json: no folder none"),
     (f"{LEARN} empty.mcap", 1, "empty.mcap: empty"),
     (f"{LEARN} failed.mcap", 1, "cannot learn from these recordings: "),
-    ("learn drives --out new --length 1", 2, "--length 1: only the paper's scheme has it; give --scheme paper$"),
-    ("learn drives --out new --memory 1", 2, "--memory 1: only the paper's scheme has it; give --scheme paper$"),
+    ("learn drives --out new --length 1", 2, "--length"),
     ("model show text.smal", 2, "not a SMAL model"),
     ("model show mapped.smal --recordings full", 2, "give --out too"),
     ("model show mapped.smal --recordings none --out full", 2, "no such file or folder"),

@@ -1,0 +1,58 @@
+"""What `smal learn` and `smal paper learn` share: recordings are read, and what was learned is told."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from services.cli import outputs
+from services.experiments.progress import Bars
+from services.experiments.words import counted, remark
+from services.kit.errors import JobError, UsageError
+from services.recordings.dataset import Teacher, Teaching
+from smal.features import FeatureSettings
+
+
+def check_out(out: Path, json_file: Path | None) -> None:
+    """Check where the model and the report are to be written, before anything is read."""
+    if out.is_dir():
+        raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
+    outputs.check_file(json_file, "--json")
+
+
+def taught_by(files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars) -> Teaching:
+    """Read recordings; JobError if none of them teaches anything."""
+    teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bars)
+    bars.close()
+    if not teaching.demonstrations and len(teaching.remarks) == 1:
+        raise JobError(teaching.remarks[0])
+    remark(teaching.remarks)
+    if not teaching.demonstrations:
+        raise JobError(f"nothing to learn from in {counted(len(files), 'recording')}, for the reasons above")
+    return teaching
+
+
+def tell(
+    rows: dict[str, Any], out: Path, began_s: float, json_file: Path | None, content: dict[str, Any] | None = None
+) -> None:
+    """Print what was found, and write it as JSON if that is wanted: the content, which is the rows if not given."""
+    if json_file is not None:
+        outputs.write_json(json_file, "--json", {"model": str(out)} | (rows if content is None else content))
+    for name, value in (rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}).items():
+        typer.echo(f"{name.replace('_', ' '):16}{value}")
+
+
+def tell_learned(
+    found: dict[str, Any],
+    teaching: Teaching,
+    features: FeatureSettings,
+    out: Path,
+    began_s: float,
+    json_file: Path | None,
+) -> None:
+    """Tell what a new model was learned from, and what was found."""
+    used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
+    recorded = f"{teaching.recordings} ({counted(teaching.episodes, 'episode')} used)"
+    rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found
+    tell(rows, out, began_s, json_file, used | {"modalities": features.modalities} | found)
