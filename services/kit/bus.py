@@ -268,16 +268,16 @@ class Bus:
         return partial(lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key)))
 
     def look(self, keys: str, timeout_s: float) -> frozenset[str]:
-        """Return the keys of all liveliness tokens that stand now; without a router there are none.
+        """Return the keys of all liveliness tokens that stand now; without a router, or a session, there are none.
 
         A process asks when it has time: a flood of tokens cannot outrun it, as it would if the router sent each one on.
         """
         # No callback: Zenoh ends one under a lock that other threads wait for while they hold Python's.
-        replies = (
-            self._lanes["ordinary"]
-            .session.liveliness()
-            .get(keys, zenoh.handlers.FifoChannel(_MOST_TOKENS), timeout=timeout_s)
-        )
+        channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(_MOST_TOKENS)
+        try:
+            replies = self._lanes["ordinary"].session.liveliness().get(keys, channel, timeout=timeout_s)
+        except zenoh.ZError:  # The session has been closed, by this process or for a new one.
+            return frozenset()
         return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def answer(self, key: str, tell: Callable[[], Strict | None]) -> None:

@@ -182,11 +182,13 @@ class Group(Generic[S]):
         self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
         self._news = threading.Event()
         self._ended = threading.Event()
+        self._looking = threading.Thread(target=self._keep_looking, name="tokens", daemon=True)
 
     def run(self) -> None:
         """Serve until stopped."""
         http = None
         with ExitStack() as closing_last:
+            closing_last.callback(self._join_looking)
             self._bus = closing_last.enter_context(closing(self._settings.open_bus(role_of(self._name))))
             try:
                 if self._settings.http is not None:
@@ -196,9 +198,7 @@ class Group(Generic[S]):
                 self._served_s = dict.fromkeys(self.robots, self._looked_s)
                 self._bus.answer(f"{self._prefix}/{self.instance}", self._tell)
                 go = self._bus.stand(f"{self._prefix}/{self.instance}")
-                looking = threading.Thread(target=self._keep_looking, name="tokens", daemon=True)
-                looking.start()
-                closing_last.callback(looking.join)
+                self._looking.start()
                 closing_last.callback(self._ended.set)
                 try:
                     with ends_soon():
@@ -239,6 +239,11 @@ class Group(Generic[S]):
             self._seen = seen
             if changed:
                 self._news.set()
+
+    def _join_looking(self) -> None:
+        """Wait for the thread that looks; the closed bus has ended its question, also at a frozen router."""
+        if self._looking.ident is not None:
+            self._looking.join()
 
     # -- proof of life ------------------------------------------------------------------------------------------------
 

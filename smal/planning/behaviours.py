@@ -34,7 +34,7 @@ class Situation:
     Attributes
     ----------
     belief, seen, around, strange, elapsed_s
-        As in `Planner.decide`; ``around`` is None for a robot that cannot go round things.
+        As in `Planner.decide`.
     doing, motion
         Kind and motion of the decision before.
     directions, weights
@@ -147,7 +147,7 @@ class LookAround(Behaviour):
         self._followed = self._followed + ahead if now.doing == "follow" else 0.0
         self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
         due = self._followed > self._length or self._guessed_s >= self._config.guess_s
-        if due or (now.unseen and now.sees and max(self._followed, self._guessed_s) > 0.0):
+        if due or (now.unseen and max(self._followed, self._guessed_s) > 0.0):
             self.again()
 
     def _turn(self, turned_rad: float) -> None:
@@ -185,12 +185,12 @@ class Search(Behaviour):
         self._searched_s = 0.0
         self._neared_s = 0.0
         self._came_s = 0.0
-        self._nears = False  # Whether the decision before went up to what it saw.
+        self._nears = False  # Whether it proposed before to go up to what it saw.
 
     def note(self, now: Situation) -> None:
         """Count the time of going up to something, and that of looking."""
-        if now.doing == "search" and self._nears:
-            # It may turn twice as long as it may drive.
+        if self._nears:
+            # It may turn, or wait before a thing, twice as long as it may drive.
             self._neared_s += now.elapsed_s * (1.0 + max(now.motion[0], 0.0)) / 2.0
         elif now.doing == "search" and not self._came_s:
             self._searched_s += now.elapsed_s
@@ -261,6 +261,7 @@ class Search(Behaviour):
         if self._searched_s < (self._config.stands_s if self._chassis.car else around_s):
             return Intent("search", STANDS if self._chassis.car else self._chassis.turn(1.0))
         self.arrived = False
+        self._neared_s = 0.0
         self._task.route = self._task.route.beyond(self._ends)
         if self._task.route.has_way(belief):
             return None
@@ -321,6 +322,7 @@ class Wait:
     People wait for a robot as it waits for them, so one has to give way: after `PlannerConfig.waits_s` the robot backs
     up. A robot that has waited in vain may be elsewhere than it believes: after twice that time it looks around, once.
     After three times it takes another taught way, if there is one, for `PlannerConfig.closed_s`.
+    Only a robot with odometry that turns on the spot goes round things.
     """
 
     def __init__(
@@ -332,6 +334,7 @@ class Wait:
         self._task = task
         self._look = look
         self._ahead = self._config.lookahead_s * chassis.speed
+        self._goes_round = taught.odometry and not chassis.car
         self._blocked_s = 0.0
         self._closed_s = 0.0
 
@@ -360,7 +363,8 @@ class Wait:
             self._take_another_way(now)
 
     def _take_another_way(self, now: Situation) -> None:
-        reach = now.around.reach_m if now.around else self._config.slows_s * self._chassis.speed
+        around = self._things(now)
+        reach = around.reach_m if around else self._config.slows_s * self._chassis.speed
         other = self._task.route.around(now.belief, reach)
         if other is not None:
             self._task.route = other
@@ -369,9 +373,14 @@ class Wait:
 
     def instead_of(self, intent: Intent, now: Situation) -> Intent:
         """Return the intent as far as nothing stands in the way; else what to do in its place."""
-        if now.around is None:
+        around = self._things(now)
+        if around is None:
             return self._before_strange_ground(intent, now)
-        return self._among_things(intent, now, now.around) if intent.motion is None else intent
+        return self._among_things(intent, now, around) if intent.motion is None else intent
+
+    def _things(self, now: Situation) -> Surroundings | None:
+        """Return the things that the robot can go round; None if it cannot."""
+        return now.around if self._goes_round else None
 
     def _among_things(self, intent: Intent, now: Situation, around: Surroundings) -> Intent:
         """Go round what stands in the way; near to things turn on the spot, and drive only straight."""
@@ -409,10 +418,11 @@ class Wait:
 
     def _wait(self, now: Situation) -> Intent:
         """Keep in view who moves before the robot; then make room."""
-        aside_rad = now.around.moving_rad if now.around else 0.0
+        around = self._things(now)
+        aside_rad = around.moving_rad if around else 0.0
         motion = STANDS
         if abs(aside_rad) > math.radians(self._taught.scene[0]) / 4.0:
             motion = self._chassis.turn(math.copysign(1.0, aside_rad))
-        elif self._periods and now.around and now.around.crowded and now.around.free_m(ahead=False) > 0.0:
+        elif self._periods and around and around.crowded and around.free_m(ahead=False) > 0.0:
             motion = -1.0, 0.0
         return Intent("blocked", motion, now.heading_rad)

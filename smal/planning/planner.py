@@ -130,7 +130,8 @@ class Planner:
             Whether what is sought is in view; None where nothing can tell: the robot then says that it has found it
             where it has arrived.
         around
-            What stands about the robot. With odometry, a robot that turns on the spot goes round it.
+            What stands about the robot. With odometry, a robot that turns on the spot goes round it. A thing that has
+            just come is not what is sought, for every robot.
         strange
             How far ahead the ground looks like none of the taught ground, in the map's unit. A robot that does not go
             round things slows down and waits before it.
@@ -139,8 +140,6 @@ class Planner:
         # A robot without decisions stands after a while: it has not gone on turning since.
         elapsed_s = min(taught.tick_s if elapsed_s is None else elapsed_s, self._config.stands_after_s)
         delay_s = min(delay_s, self._config.stands_after_s)
-        if not taught.odometry or self._chassis.car:
-            around = None
         now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
         for behaviour in self._behaviours:
             behaviour.note(now)

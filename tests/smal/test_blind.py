@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from smal.movement import STILL, Movement
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from tests.smal.synthetic_world import COLOR, Room, drive, usual_map
+from tests.smal.test_planning import SPLIT, STRAIGHT, belief
 
 ROOM = Room()
 FAILS_AT = 20  # Frame from which on the camera fails.
@@ -81,3 +83,14 @@ def test_camera_is_not_frozen_when_the_robot_stands() -> None:
     assert {belief.camera for belief in beliefs} == {"sees"}
     turned = [found.observe(picture, Movement(0.0, math.radians(10.0))) for _ in range(6)]
     assert turned[-1].camera == "frozen"
+
+
+def test_robot_looks_around_when_the_camera_sees_again_but_knows_no_view() -> None:
+    planner = Planner(STRAIGHT)
+    ticks = round(PLANNER_CONFIG.look_rad / STRAIGHT.turn_rad)
+    assert {planner.decide(SPLIT).kind for _ in range(ticks)} == {"look_around"}
+    here = belief((10, 0.0, 0.0, 0.0))
+    assert planner.decide(here).kind == "follow"
+    unseen = replace(here, unseen=1.0)
+    assert {planner.decide(replace(unseen, camera="blank")).kind for _ in range(5)} == {"blind"}
+    assert planner.decide(unseen).kind == "look_around"

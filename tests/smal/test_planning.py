@@ -406,3 +406,13 @@ def test_time_counts_and_not_frames() -> None:
     at_20_hz = [fast.decide(lost, 0.05).kind for _ in range(300)]
     assert at_10_hz.index("guess") == pytest.approx(at_20_hz.index("guess") / 2.0, abs=1)
     assert at_10_hz.count("guess") == pytest.approx(at_20_hz.count("guess") / 2.0, abs=2)
+
+
+def test_robot_goes_up_to_what_it_sees_when_it_did_so_at_another_end() -> None:
+    ways = (((50, 51), (0.0, 0.0, 0.0)), ((10, 61), (0.0, 0.0, 0.0)), ((61, 10), (0.0, 0.0, 0.0)))
+    planner = Planner(map_of(5.0, 9.0, stitches=ways))
+    for _ in range(200):
+        planner.decide(belief((50, 0.0, 0.0, 0.0)), seen=Glimpse(0.99, 0.5, 0.0))
+    assert (planner.route.tried, planner.arrived, planner.said) == ({0}, False, None)
+    beside = belief((136, 0.0, 0.0, 0.0))
+    assert planner.decide(beside, seen=Glimpse(0.99, 0.9, 0.2)).kind == "search"

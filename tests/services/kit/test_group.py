@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -398,3 +399,39 @@ def test_a_robot_that_no_instance_serves_is_reported(client: Bus, router_endpoin
     go()
     eventually(lambda: health(address) == "ok\n")
     robots.insist(image(1))
+
+
+class FrozenBus(Bus):
+    """A bus whose router answers no question about tokens: the question ends with the bus."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.asked = threading.Event()
+        self.closed = threading.Event()
+
+    def look(self, keys: str, timeout_s: float) -> frozenset[str]:
+        self.asked.set()
+        self.closed.wait(100.0)
+        return frozenset()
+
+    def close(self) -> None:
+        super().close()
+        self.closed.set()
+
+
+def test_an_instance_ends_when_its_router_is_frozen(router_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = FrozenBus("rescuebot", router_endpoint)
+    monkeypatch.setattr(FleetSettings, "open_bus", lambda _settings, _role: bus)
+    instance = Group("features", FleetSettings(router=router_endpoint), lambda _node, _settings: None)
+    thread = threading.Thread(target=instance.run, daemon=True)
+    thread.start()
+    assert bus.asked.wait(20.0)
+    instance.stop()
+    thread.join(50.0)
+    assert not thread.is_alive()
+
+
+def test_a_question_about_tokens_has_no_answer_when_the_session_is_closed(router_endpoint: str) -> None:
+    bus = Bus("rescuebot", router_endpoint)
+    bus.close()
+    assert bus.look(f"{PREFIX}/**", 1.0) == frozenset()

@@ -1,6 +1,7 @@
 """What the planner does before what nothing leads round, and with whoever walks up to it."""
 
 import math
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -89,11 +90,23 @@ def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
     assert not [one for one in waits(Planner(map_of(16.0)), ticks=90) if one.motion[0] < 0.0]
 
 
-def test_what_has_just_come_is_not_what_it_was_sent_to_find() -> None:
+@pytest.mark.parametrize("robot", ["turns on the spot", "car"])
+def test_what_has_just_come_is_not_what_it_was_sent_to_find(robot: str) -> None:
     thing: list[Box] = [(2.0, -0.3, 2.4, 0.3, 1.7)]
     end = belief((160, 0.0, 0.0, 0.0))
+    taught = map_of(16.0)
+    if robot == "car":
+        taught = replace(taught, movements=taught.movements + np.array([0.05, 0.0]) * (taught.movements[:, 1:] != 0.0))
     for before, said in (([], None), (thing, "found")):
-        planner, made = Planner(map_of(16.0)), looks(*[before] * 4, *[thing] * 3)
+        planner, made = Planner(taught), looks(*[before] * 4, *[thing] * 3)
         for _ in range(100):
             planner.decide(end, seen=Glimpse(0.999, 1.1, 0.0), around=made)
         assert planner.said == said
+
+
+def test_search_ends_when_a_thing_stands_before_the_target() -> None:
+    planner, made = Planner(map_of(16.0)), looks([(0.5, -0.4, 0.8, 0.4, 1.7)])
+    assert made.free_m(ahead=True) == 0.0
+    end = belief((160, 0.0, 0.0, 0.0))
+    decisions = [planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)]
+    assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
