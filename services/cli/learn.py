@@ -33,9 +33,9 @@ def learn(
     """Learn the taught ways from recorded drives: a map of views.
 
     One drive that reached the victim is enough, by the scripted expert or by hand. Recovery drives, drives that did not
-    reach the victim, collisions, and the robot's own runs teach nothing. What is left out of a recording is reported on
-    standard error. Only camera, wheel odometry and applied commands are used, never true poses. The paper's model is
-    learned by `smal paper learn`.
+    reach the victim, collisions, and the robot's own runs teach nothing. Each omission is reported on standard error.
+    Only camera, wheel odometry and applied commands are used, never true poses. The paper's model is learned by `smal
+    paper learn`.
 
     The modalities may be any of those in a recording, except depth. All of them can also be computed from the recorded
     images.

@@ -1,4 +1,4 @@
-"""What `smal learn` and `smal paper learn` share: recordings are read, and what was learned is told."""
+"""The parts that `smal learn` and `smal paper learn` share: they read the recordings, and report the model."""
 
 import time
 from pathlib import Path
@@ -15,14 +15,14 @@ from smal.features import FeatureSettings
 
 
 def check_out(out: Path, json_file: Path | None) -> None:
-    """Check where the model and the report are to be written, before anything is read."""
+    """Check the paths of the model and of the report, before any recording is read."""
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.check_file(json_file, "--json")
 
 
 def taught_by(files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars) -> Teaching:
-    """Read recordings; JobError if none of them teaches anything."""
+    """Read recordings; JobError if they teach nothing."""
     teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bars)
     bars.close()
     if not teaching.demonstrations and len(teaching.remarks) == 1:
@@ -36,7 +36,7 @@ def taught_by(files: list[Path], features: FeatureSettings, shortest: int, inclu
 def tell(
     rows: dict[str, Any], out: Path, began_s: float, json_file: Path | None, content: dict[str, Any] | None = None
 ) -> None:
-    """Print what was found, and write it as JSON if that is wanted: the content, which is the rows if not given."""
+    """Print the rows of a report, and write its content as JSON if asked to; without a content that is the rows."""
     if json_file is not None:
         outputs.write_json(json_file, "--json", {"model": str(out)} | (rows if content is None else content))
     for name, value in (rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}).items():
@@ -51,7 +51,7 @@ def tell_learned(
     began_s: float,
     json_file: Path | None,
 ) -> None:
-    """Tell what a new model was learned from, and what was found."""
+    """Report the recordings that taught a new model, and the model."""
     used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
     recorded = f"{teaching.recordings} ({counted(teaching.episodes, 'episode')} used)"
     rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found

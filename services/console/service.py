@@ -221,26 +221,24 @@ class ConsoleService:
         recordings = [one for name in ask.recordings if (one := self.library.recording(name)) and not one.useless]
         if len(recordings) != len(ask.recordings):
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
-        command: tuple[str, ...] = ("learn",)
         if isinstance(ask, Add):
             model = self.library.model(ask.model)
             name, out = Path(model.name).stem, self.library.path(model.name)
-            how: tuple[str, ...] = ("--add",)
+            command: tuple[str, ...] = ("learn", "--add")
             doing, done = f"Learning more for {name}", f"{name} has looked at these runs."
         else:
             name, out = ask.name, below(self.library.root, f"{MODELS}/{ask.name}.smal")
             doing, done = f"Learning {name}", f"{name} is learned: run it."
             # Whoever chooses a run of the robot's own wants it to teach.
             runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
-            how = runs
-            command = ("paper", "learn") if ask.scheme == "paper" else command
+            command = ("paper", "learn", *runs) if ask.scheme == "paper" else ("learn", *runs)
         paths = (str(self.library.path(one.name)) for one in recordings)
         job = BackgroundJob(
             "model",
             name,
             doing=doing,
             done=done,
-            arguments=(*command, *paths, "--progress", *how),
+            arguments=(*command, *paths, "--progress"),
             out=out,
             hidden=f"{self.library.root}/",
             renews=isinstance(ask, Add),

@@ -17,7 +17,6 @@ from smal.map import VisualMap
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
-from smal.planning.config import PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.settings import SETTINGS
@@ -103,12 +102,12 @@ class Behaviour:
 class Done(Behaviour):
     """Stand, having said something of the goal."""
 
-    def __init__(self, task: Mission) -> None:
-        self._task = task
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
 
     def propose(self, now: Situation) -> Intent | None:
         """Stand for good."""
-        return None if self._task.said is None else Intent("goal", STANDS)
+        return None if self._mission.said is None else Intent("goal", STANDS)
 
 
 class LookAround(Behaviour):
@@ -119,8 +118,8 @@ class LookAround(Behaviour):
     ever. It is also due when no view speaks for the robot's place any more.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, config: PlannerConfig) -> None:
-        self._config = config
+    def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
+        self._config = chassis.config
         self._chassis = chassis
         self._length = taught.correlation_length
         self._side = 1.0
@@ -171,13 +170,11 @@ class Search(Behaviour):
     Before it has arrived, the robot goes up to what it sees as near as where the ways ended.
     """
 
-    def __init__(
-        self, taught: VisualMap, chassis: Chassis, task: Mission, look: LookAround, config: PlannerConfig
-    ) -> None:
-        self._config = config
+    def __init__(self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround) -> None:
+        self._config = chassis.config
         self._taught = taught
         self._chassis = chassis
-        self._task = task
+        self._mission = mission
         self._look = look
         #: Whether the robot takes itself to be where it was taught that the goal is.
         self.arrived = False
@@ -231,12 +228,12 @@ class Search(Behaviour):
         return None
 
     def _say(self, what: Said) -> Intent:
-        self._task.said = what
+        self._mission.said = what
         return Intent("goal", STANDS)
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
-        self._ends = self._task.route.ends_near(belief, 2.0 * self._config.goal_s * self._taught.speed)
+        self._ends = self._mission.route.ends_near(belief, 2.0 * self._config.goal_s * self._taught.speed)
         self._neared_s = 0.0
         self._searched_s = 0.0
 
@@ -262,8 +259,8 @@ class Search(Behaviour):
             return Intent("search", STANDS if self._chassis.car else self._chassis.turn(1.0))
         self.arrived = False
         self._neared_s = 0.0
-        self._task.route = self._task.route.beyond(self._ends)
-        if self._task.route.has_way(belief):
+        self._mission.route = self._mission.route.beyond(self._ends)
+        if self._mission.route.has_way(belief):
             return None
         return self._say("not_here")
 
@@ -307,12 +304,12 @@ class Guess(Behaviour):
 class DeadEnd(Behaviour):
     """Stand, since no taught way leads on to the goal."""
 
-    def __init__(self, task: Mission) -> None:
-        self._task = task
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
 
     def propose(self, now: Situation) -> Intent | None:
         """Stand; if all ends were tried that a way led to, the goal is not here."""
-        self._task.said = "not_here" if self._task.route.tried else None
+        self._mission.said = "not_here" if self._mission.route.tried else None
         return Intent("dead_end", STANDS, now.heading_rad)
 
 
@@ -325,15 +322,12 @@ class Wait:
     Only a robot with odometry that turns on the spot goes round things.
     """
 
-    def __init__(
-        self, taught: VisualMap, chassis: Chassis, task: Mission, look: LookAround, config: PlannerConfig
-    ) -> None:
-        self._config = config
+    def __init__(self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround) -> None:
+        self._config = chassis.config
         self._taught = taught
         self._chassis = chassis
-        self._task = task
+        self._mission = mission
         self._look = look
-        self._ahead = self._config.lookahead_s * chassis.speed
         self._goes_round = taught.odometry and not chassis.car
         self._blocked_s = 0.0
         self._closed_s = 0.0
@@ -350,8 +344,8 @@ class Wait:
     def note(self, now: Situation) -> None:
         """Count how long the way has been blocked; look around, or take another way, when it is time to."""
         self._closed_s -= now.elapsed_s
-        if self._closed_s < 0.0 and self._task.route.closed.any():
-            self._task.route = self._task.route.reopened()
+        if self._closed_s < 0.0 and self._mission.route.closed.any():
+            self._mission.route = self._mission.route.reopened()
         before = self._periods
         if now.doing == "blocked":
             self._blocked_s += now.elapsed_s
@@ -365,9 +359,9 @@ class Wait:
     def _take_another_way(self, now: Situation) -> None:
         around = self._things(now)
         reach = around.reach_m if around else self._config.slows_s * self._chassis.speed
-        other = self._task.route.around(now.belief, reach)
+        other = self._mission.route.around(now.belief, reach)
         if other is not None:
-            self._task.route = other
+            self._mission.route = other
             self._closed_s = self._config.closed_s
             self._blocked_s = 0.0
 
@@ -392,7 +386,7 @@ class Wait:
                 intent = replace(intent, heading_rad=round_rad, stepwise=True)
         free_m = around.free_m(ahead=True)
         if free_m > 0.0:
-            return replace(intent, stepwise=intent.stepwise or free_m <= self._ahead)
+            return replace(intent, stepwise=intent.stepwise or free_m <= self._chassis.lookahead)
         to_turn_rad = intent.heading_rad - now.underway_rad
         if abs(to_turn_rad) < self._taught.turn_rad / 2.0:
             return self._wait(now)
@@ -400,7 +394,7 @@ class Wait:
 
     def _round_rad(self, heading_rad: float, belief: Belief, around: Surroundings) -> float | None:
         taught = self._taught
-        way = self._task.route.way_ahead(belief, self._ahead, around.reach_m)
+        way = self._mission.route.way_ahead(belief, self._chassis.lookahead, around.reach_m)
         step_m = self._chassis.speed * taught.tick_s
         return way_round(around, way, taught.turn_rad, step_m, taught.correlation_length, heading_rad)
 

@@ -74,8 +74,7 @@ class Planner:
         self._taught = visual_map
         self._config = config
         self._chassis = Chassis.of(visual_map, config)
-        self._ahead = self._config.lookahead_s * visual_map.speed
-        self._steering = Steering(self._chassis, visual_map.turn_rad, visual_map.tick_s)
+        self._steering = Steering(self._chassis, visual_map.tick_s)
         self._route = Route.plan(visual_map, chosen_goal(visual_map.goals, goal), config.go_over_s)
         self.reset()
 
@@ -83,13 +82,13 @@ class Planner:
         """Forget what was being done, for a new episode."""
         self._steering.reset()
         self._doing: Kind | None = None
-        self._task = Mission(self._route)
-        look = LookAround(self._taught, self._chassis, self._config)
-        self._search = Search(self._taught, self._chassis, self._task, look, self._config)
-        self._wait = Wait(self._taught, self._chassis, self._task, look, self._config)
+        self._mission = Mission(self._route)
+        look = LookAround(self._taught, self._chassis)
+        self._search = Search(self._taught, self._chassis, self._mission, look)
+        self._wait = Wait(self._taught, self._chassis, self._mission, look)
         follow = Follow(look, self._wait)
         self._behaviours: tuple[Behaviour, ...] = (
-            Done(self._task), self._search, Blind(look), follow, look, Guess(), DeadEnd(self._task)
+            Done(self._mission), self._search, Blind(look), follow, look, Guess(), DeadEnd(self._mission)
         )  # fmt: skip
 
     @property
@@ -100,12 +99,12 @@ class Planner:
     @property
     def said(self) -> Said | None:
         """What the robot says of its goal, having nothing left to do."""
-        return self._task.said
+        return self._mission.said
 
     @property
     def route(self) -> Route:
         """The route that it follows."""
-        return self._task.route
+        return self._mission.route
 
     def decide(
         self,
@@ -158,8 +157,8 @@ class Planner:
         around: Surroundings | None,
         strange: float,
     ) -> Situation:
-        taught, route = self._taught, self._task.route
-        directions, left_to_go, to_end = route.aims(belief, self._ahead)
+        taught, route = self._taught, self._mission.route
+        directions, left_to_go, to_end = route.aims(belief, self._chassis.lookahead)
         # Places from which no way leads to the goal have no say.
         weights = belief.weights * route.leads_on(belief)
         mean = complex((weights * np.exp(1j * directions)).sum()) / max(float(weights.sum()), 1e-12)

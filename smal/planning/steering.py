@@ -63,6 +63,11 @@ class Chassis(NamedTuple):
         """Return the chassis with which a map was taught."""
         return cls(taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements), config)
 
+    @property
+    def lookahead(self) -> float:
+        """How far ahead on the taught way it aims, in the map's unit."""
+        return self.config.lookahead_s * self.speed
+
     def arc(self, linear: Floats | float, angular: Floats | float, time_s: float) -> Floats:
         """Return where velocities (v,) lead in a time: ahead, left, turned (v, 3)."""
         turned = np.asarray(angular) * self.turn_rad_s * time_s
@@ -104,15 +109,13 @@ class Steering:
     ----------
     chassis
         How the robot moves.
-    turn_rad
-        How far it turns in a taught tick, radians.
     tick_s
         The taught tick, seconds.
     """
 
-    def __init__(self, chassis: Chassis, turn_rad: float, tick_s: float) -> None:
+    def __init__(self, chassis: Chassis, tick_s: float) -> None:
         self._chassis = chassis
-        self._turn_rad = turn_rad
+        self._turn_rad = chassis.turn_rad_s * tick_s
         self._tick_s = tick_s
         self.reset()
 

@@ -201,7 +201,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
 
 def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
     """Return the motions of a robot among things, at the headings of one frame after the other."""
-    steering = Steering(Chassis.of(STRAIGHT, PLANNER_CONFIG), STRAIGHT.turn_rad, STRAIGHT.tick_s)
+    steering = Steering(Chassis.of(STRAIGHT, PLANNER_CONFIG), STRAIGHT.tick_s)
     intents = [Intent("follow", heading_rad=math.radians(one), stepwise=True) for one in headings_deg]
     return [steering.steer(intent, elapsed_s, 0.0) for intent in intents]
 
