@@ -72,7 +72,8 @@ def describe(error: ValidationError) -> str:
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""
     # Which of Python's errors a rule of ours raises means nothing to who reads this.
-    what, given = first["msg"].removeprefix("Value error, "), first["input"]
+    what = first["msg"].removeprefix("Value error, ")
+    given = first["input"]
     subject, should, allowed = what.partition(" should ")
     if subject in ("Input", "String") and should and isinstance(given, str | int | float):
         what = f"{(given[:40] if isinstance(given, str) else given)!r} must {allowed.partition(', unable to parse')[0]}"

@@ -49,7 +49,8 @@ class Command(_Moving):
         """Accept a key, ``atom`` at a fraction ``speed``, in place of a velocity."""
         if not isinstance(fields, dict) or "atom" not in fields:
             return fields
-        atom, speed = fields["atom"], fields.get("speed", 1.0)
+        atom = fields["atom"]
+        speed = fields.get("speed", 1.0)
         if atom not in ATOMS or not isinstance(speed, int | float):
             raise ValueError(f"a key is one of {', '.join(ATOMS)} and a number, got {atom!r:.20} and {speed!r:.20}")
         key = KEYS[atom]

@@ -31,7 +31,8 @@ Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 #: What a rectilinear lens sees is less than a right angle from its axis.
 _MOST_RAD: Final = {"plumb_bob": math.radians(89.0), "rational_polynomial": math.radians(89.0), "equidistant": math.pi}
 #: Of fields of view from 170 to 5 degrees, over the width of the image.
-_LEAST_FOCAL, _MOST_FOCAL = 0.04, 12.0
+_LEAST_FOCAL = 0.04
+_MOST_FOCAL = 12.0
 _MOST_DISTORTION: Final = 1e6
 
 
@@ -93,7 +94,8 @@ class Camera:
         middle_u, middle_v = self.middle(shape)
         focal = self.focal * shape[1]
         v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
-        across, down = (u - middle_u) / focal, (v - middle_v) / focal
+        across = (u - middle_u) / focal
+        down = (v - middle_v) / focal
         out = np.maximum(np.hypot(across, down), 1e-9)
         angle = self.angle(out)
         return np.sin(angle) * across / out, np.sin(angle) * down / out, np.cos(angle)
@@ -146,7 +148,9 @@ class Scene:
         # How far along the ray the ground or the wall is, whichever comes first.
         # Roots of sums of squares: `np.hypot` takes four times as long.
         reach = 1.0 / np.maximum(y / self.height, np.sqrt(right * right + deep * deep) / self.distance)
-        x, y, z = reach * right - left, reach * y, reach * deep + ahead
+        x = reach * right - left
+        y = reach * y
+        z = reach * deep + ahead
         off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
         # Far outside of the image its border is repeated.
         radius = np.minimum(self.camera.radius(np.arctan2(off, z)), 100.0) * focal / off

@@ -90,7 +90,8 @@ class Newness:
     def __init__(self, visual_map: VisualMap) -> None:
         self._map = visual_map
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
-        self._used, self.step = 0.0, np.zeros(3)
+        self._used = 0.0
+        self.step = np.zeros(3)
 
     def of(self, centred: NDArray[np.float32]) -> float:
         """Return how new the next view is, by its centred features (m,), and remember it.
@@ -103,9 +104,12 @@ class Newness:
         looks = self._map.likelihood.correlation(float(centred @ self._counted))
         same = min(looks, math.sqrt(looks * self._map.expected(self.step)))
         new = (1.0 - same) / (1.0 + same)
-        newness, self._used = max(new - self._used, 0.0), max(new, self._used)
+        newness = max(new - self._used, 0.0)
+        self._used = max(new, self._used)
         if same < self._map.next_correlation:
-            self._counted, self._used, self.step = centred, 0.0, np.zeros(3)
+            self._counted = centred
+            self._used = 0.0
+            self.step = np.zeros(3)
         return newness
 
 
@@ -138,22 +142,26 @@ class Filter:
         self._jumped: Particles | None = None
         at_start, anywhere, lost = SETTINGS.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
-        self._newness, self._frozen = Newness(self._map), Frozen(self._map)
+        self._newness = Newness(self._map)
+        self._frozen = Frozen(self._map)
         self._started = False
         self._unseen = 0.0
         self._camera: CameraState = "sees"
         #: The last view that told something, and the step from there.
-        self._last, self._since = np.zeros(self._map.basis.shape[1], dtype=np.float32), np.zeros(3)
+        self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
+        self._since = np.zeros(3)
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
         if belief is not None:
             which = systematic(belief.weights, SETTINGS.particles, self._rng)
-            keyframes, between = belief.keyframes[which], self._map.correlation_length / SETTINGS.views_a_length
+            keyframes = belief.keyframes[which]
+            between = self._map.correlation_length / SETTINGS.views_a_length
             self._tracked = self._beside(keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0)
             here = self._map.key_poses[keyframes]
             self._tracked.poses += placed(belief.offsets[which], here) - here
             self._tracked.tracked += belief.tracked
-            self._odds, self._started = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost), True
+            self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
+            self._started = True
 
     def observe(
         self, raw_features: NDArray[Any], movement: Movement = STILL, noise: MotionNoise = BY_ODOMETRY
@@ -181,7 +189,8 @@ class Filter:
         centred = self._centering.apply(raw_features)
         step = np.array([movement.ahead, 0.0, movement.turn_rad])
         if self._started:
-            self._since, self._newness.step = placed(step, self._since), placed(step, self._newness.step)
+            self._since = placed(step, self._since)
+        self._newness.step = placed(step, self._newness.step)
         self._frozen.look(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
@@ -191,9 +200,11 @@ class Filter:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
         self._odds = self._odds._replace(tracked=max(self._odds.tracked, 1e-12))  # From 0 it never came back.
-        self._started, self._evidence = True, 0.0
+        self._started = True
+        self._evidence = 0.0
         if seen.newness > 0.0:
-            self._last, self._since = seen.components, np.zeros(3)
+            self._last = seen.components
+            self._since = np.zeros(3)
             self._weigh(seen)
             self._note_sure()
         self._note_seen(seen, abs(movement.ahead))
@@ -207,7 +218,8 @@ class Filter:
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
-        places, turns = np.full(TURNS_DEG.size, 1), np.arange(TURNS_DEG.size)
+        places = np.full(TURNS_DEG.size, 1)
+        turns = np.arange(TURNS_DEG.size)
         cosines = self._map.best_look(
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
@@ -238,8 +250,10 @@ class Filter:
         rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
         jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
         _, anywhere, nowhere = SETTINGS.first
-        out, back = nowhere / (anywhere + nowhere), SETTINGS.back * seen.newness
-        gone, found = (tracked + jumped) * jump, lost * back
+        out = nowhere / (anywhere + nowhere)
+        back = SETTINGS.back * seen.newness
+        gone = (tracked + jumped) * jump
+        found = lost * back
         kept = 1.0 - jump
         self._odds = _Odds(
             tracked * kept, jumped * kept, sent + (gone * (1.0 - out) + found), lost - found + gone * out
@@ -270,10 +284,13 @@ class Filter:
         sent *= likelihood
         if self._jumped is not None:
             scouts = Particles.joined((self._jumped, jumped), (scouts, sent)).resampled(self._rng)
-        self._jumped, jumped = scouts, jumped + sent
+        self._jumped = scouts
+        jumped = jumped + sent
         if jumped > tracked:
             self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped)).resampled(self._rng)
-            self._jumped, tracked, jumped = None, tracked + jumped, 0.0
+            self._jumped = None
+            tracked = tracked + jumped
+            jumped = 0.0
         total = tracked + jumped + lost
         self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
         self._evidence = math.log(total)
@@ -300,7 +317,8 @@ class Filter:
         scouts = self._beside(seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0)
         # They are drawn by all that the view says, of which a part alone is new.
         rest = (new / says).ravel()[drawn]
-        scouts.weights, scouts.shares = rest / rest.sum(), shares
+        scouts.weights = rest / rest.sum()
+        scouts.shares = shares
         return scouts, float((prior[:, None] * new).sum())
 
     def _beside(

@@ -94,7 +94,9 @@ class VisualMap:
     @classmethod
     def of_content(cls, numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
         """Make it of what a file says; errors as of `Stored.of_content`."""
-        goals, names, size = numbers["goals"], numbers["names"], numbers["size"]
+        goals = numbers["goals"]
+        names = numbers["names"]
+        size = numbers["size"]
         if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
             raise TypeError("the goals of the map must be a list, and the names of its drives lists")
         if not isinstance(size, list):
@@ -161,7 +163,8 @@ class VisualMap:
     @cached_property
     def _middles(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows of `views` in the overview, and which fifth keyframe each is a look of."""
-        step, first = SETTINGS.views_a_length, SETTINGS.views_a_length // 2
+        step = SETTINGS.views_a_length
+        first = SETTINGS.views_a_length // 2
         of = np.append(np.arange(len(self.keyframes)), self.looks).astype(np.intp)
         rows = np.flatnonzero(of % step == first)
         return rows, of[rows] // step
@@ -258,7 +261,8 @@ class VisualMap:
         Of a short way these are all; of a longer one those about where the overview is most alike, and the sample of
         elsewhere.
         """
-        count, step = len(self.keyframes), SETTINGS.views_a_length
+        count = len(self.keyframes)
+        step = SETTINGS.views_a_length
         if count <= SETTINGS.looked_at:
             return np.arange(count), np.ones(count)
         _, middle = self._middles
@@ -324,9 +328,12 @@ def _unsound(one: VisualMap) -> list[str]:
 
 
 def _fit(one: VisualMap) -> dict[str, bool]:
-    frames, count, joined = len(one.poses), len(one.keyframes), len(one.stitched)
+    frames = len(one.poses)
+    count = len(one.keyframes)
+    joined = len(one.stitched)
     ends = np.flatnonzero(np.diff(one.drives, prepend=-1, append=-1))
-    keys, offsets = one.keyframes, one.stitch_offsets
+    keys = one.keyframes
+    offsets = one.stitch_offsets
     return {
         "poses": one.poses.shape == (frames, 3) and bool((np.abs(one.poses) <= _LONGEST).all()),
         "drives": one.drives.shape == (frames,) and bool(np.isin(np.diff(one.drives, prepend=0), (0, 1)).all()),

@@ -61,7 +61,8 @@ class Model(Stored):
         meta = self.feature_settings.content | {"map": numbers, "sights": sights, "words": words}
         arrays |= cells | ratios | {"mean": self.centering.mean}
         if self.ground is not None:
-            meta, arrays = meta | {"strange": self.ground.strange}, arrays | {"ground": self.ground.colours}
+            meta = meta | {"strange": self.ground.strange}
+            arrays = arrays | {"ground": self.ground.colours}
         return meta, arrays
 
     @classmethod

@@ -39,7 +39,8 @@ class Movement:
     @classmethod
     def between(cls, before: Sequence[float], after: Sequence[float]) -> "Movement":
         """Return the movement from one pose (x, y, heading in radians) to the next."""
-        (x0, y0, heading), (x1, y1, new) = before, after
+        (x0, y0, heading) = before
+        (x1, y1, new) = after
         ahead = (x1 - x0) * math.cos(heading) + (y1 - y0) * math.sin(heading)
         return cls(math.copysign(math.hypot(x1 - x0, y1 - y0), ahead), math.remainder(new - heading, math.tau))
 
@@ -60,7 +61,8 @@ class MotionNoise(NamedTuple):
     pace: float
 
 
-BY_ODOMETRY, BY_ATOMS = MotionNoise(*SETTINGS.wheels), MotionNoise(*SETTINGS.atoms)
+BY_ODOMETRY = MotionNoise(*SETTINGS.wheels)
+BY_ATOMS = MotionNoise(*SETTINGS.atoms)
 
 
 def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
@@ -71,7 +73,8 @@ def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
 def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return poses (..., 3) as seen from others (..., 3): ahead, left, and turned left in [-pi, pi)."""
     x, y, turned = np.moveaxis(poses - frames, -1, 0)
-    cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
+    cos = np.cos(frames[..., 2])
+    sin = np.sin(frames[..., 2])
     return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(turned)], axis=-1)
 
 
@@ -79,7 +82,8 @@ def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray
     """Return the poses (..., 3) that are seen so from others (..., 3), the opposite of `seen_from`; turns add up."""
     ahead, left, turned = np.moveaxis(offsets, -1, 0)
     x, y, heading = np.moveaxis(frames, -1, 0)
-    cos, sin = np.cos(heading), np.sin(heading)
+    cos = np.cos(heading)
+    sin = np.sin(heading)
     return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1)
 
 
@@ -98,7 +102,8 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
     """
     # However long it stands: the time to tell grows with the square of the frames that are compared.
     moved = np.append(True, np.diff(poses, axis=0).any(axis=1) | (np.diff(drives) != 0))
-    poses, drives = poses[moved], drives[moved]
+    poses = poses[moved]
+    drives = drives[moved]
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
     on = np.zeros(len(poses), dtype=np.bool_)
     frame = 0
@@ -106,7 +111,8 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
         on[frame] = True
         end = np.searchsorted(drives, drives[frame], "right")
         end = min(end, np.searchsorted(way, way[frame] + SETTINGS.mended * length, "right"))
-        later, since = poses[frame + 1 : end], way[frame + 1 : end] - way[frame]
+        later = poses[frame + 1 : end]
+        since = way[frame + 1 : end] - way[frame]
         apart = np.hypot(*(later - poses[frame])[:, :2].T)
         # Who turns on the spot creeps ahead a little.
         back = shows_same(later, poses[frame], length) & (apart < np.maximum(since, 0.1 * length) / 2.0)

@@ -34,7 +34,8 @@ class Particles:
 
     def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
         self._map = visual_map
-        self.keyframes, self.poses = keyframes, poses
+        self.keyframes = keyframes
+        self.poses = poses
         self.tracked = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
         self.pace = np.zeros(len(poses))  # By how many standard deviations the robot is faster than it is said to be.
@@ -93,7 +94,8 @@ class Particles:
         likelihood = self.shares[:, None] * np.exp(seen.newness * log_ratio)
         joint = likelihood * self.weights
         total = float(joint.sum())
-        self.weights, shares = joint.sum(axis=0) / total, joint.sum(axis=1) / total
+        self.weights = joint.sum(axis=0) / total
+        shares = joint.sum(axis=1) / total
         self.shares = shares + (shares @ _CHANGES - shares) * seen.newness
         if (self.weights**2).sum() > 2.0 / len(self.weights):
             self.resampled(rng)
@@ -126,7 +128,10 @@ class Particles:
         g = aside - p
 
         def between(some: Any, rows: NDArray[np.intp]) -> NDArray[np.float64]:  # noqa: ANN401 - a slice or numbers
-            first, left, turn, off = p[some], g[some], t[some], f[some]
+            first = p[some]
+            left = g[some]
+            turn = t[some]
+            off = f[some]
             places = np.stack([first, first + 1])
             less, more = self._map.cosines(components, rows, places, np.stack([turn, turn + 1])[:, None])
             here, beside = ((1.0 - off) * less + off * more) / _norm(off, by_turn[rows, places, turn])
@@ -148,7 +153,8 @@ class Particles:
         names = ("keyframes", "poses", "tracked", "pace")
         keyframes, poses, tracked, pace = (np.concatenate([getattr(one, name) for one, _ in sets]) for name in names)
         made = cls(sets[0][0]._map, keyframes, poses)
-        made.tracked, made.pace = tracked, pace
+        made.tracked = tracked
+        made.pace = pace
         made.weights = np.concatenate([one.weights * (share / total) for one, share in sets])
         made.shares = np.sum([one.shares * (share / total) for one, share in sets], axis=0)
         return made
@@ -156,8 +162,10 @@ class Particles:
     def resampled(self, rng: np.random.Generator) -> Self:
         """Keep as many as usual, drawn by their weights, alike in weight."""
         which = systematic(self.weights, SETTINGS.particles, rng)
-        self.keyframes, self.poses = self.keyframes[which], self.poses[which]
-        self.tracked, self.pace = self.tracked[which], self.pace[which]
+        self.keyframes = self.keyframes[which]
+        self.poses = self.poses[which]
+        self.tracked = self.tracked[which]
+        self.pace = self.pace[which]
         self.weights = np.full(which.size, 1.0 / which.size)
         return self
 

@@ -60,7 +60,8 @@ class Localizer:
         self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed)
         goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
-        sight, word = model.sights.get(goal or ""), model.words.get(goal or "")
+        sight = model.sights.get(goal or "")
+        word = model.words.get(goal or "")
         self._witness = Witness(sight, word) if sight or word else None
         to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
         self._near = (mapped.key_goals == goal) & (np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed)
@@ -70,8 +71,11 @@ class Localizer:
         """Forget everything, for a new episode, or but a belief, and the pose by the wheels at its frame."""
         self._filter.reset(belief)
         self._pose = pose if self._map.odometry else None
-        self._since_near, self._time_s = math.inf, 0.0
-        self._strange_s, self._step_s, self._strange = 0.0, 0.0, math.inf
+        self._since_near = math.inf
+        self._time_s = 0.0
+        self._strange_s = 0.0
+        self._step_s = 0.0
+        self._strange = math.inf
         if self._witness is not None:
             self._witness.reset()
 
@@ -112,7 +116,8 @@ class Localizer:
         """
         best = int(belief.weights.argmax())
         if self._ground is None or picture is None or belief.lost > 0.5:
-            self._strange_s, self._strange = 0.0, math.inf
+            self._strange_s = 0.0
+            self._strange = math.inf
         elif abs(belief.offsets[best, 2]) < math.radians(SETTINGS.spacing_deg):
             key = int(belief.keyframes[best])
             way = way_from(self._map, key, belief.offsets[best], swept(self._map.speed))
@@ -140,12 +145,14 @@ class Localizer:
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
             raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
-        movement, noise = STILL, BY_ATOMS
+        movement = STILL
+        noise = BY_ATOMS
         odometry = odometry if self._map.odometry else None
         if odometry is not None and not all(map(math.isfinite, odometry)):
             raise ValueError(f"the pose by the wheels must be finite, got {tuple(odometry)}")
         if odometry is not None and self._pose is not None:
-            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
+            movement = Movement.between(self._pose, odometry)
+            noise = BY_ODOMETRY
         elif atoms:
             ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
             table = self._map.movements

@@ -24,7 +24,8 @@ FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3
 STEP_M: Final = 0.2  # Of every frame, metres.
 FRAMES: Final = 20
-HEIGHT, WIDTH = 48, 64
+HEIGHT = 48
+WIDTH = 64
 #: Colours of left wall, right wall, floor and ceiling, half a metre a cell.
 _PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(np.float32)
 Pose = tuple[float, float, float]
@@ -32,7 +33,8 @@ Pose = tuple[float, float, float]
 
 def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1) -> NDArray[np.uint8]:
     """Return what a camera half a metre above the floor sees, 2 m from both walls; x is along the corridor."""
-    height, width = scale * HEIGHT, scale * WIDTH
+    height = scale * HEIGHT
+    width = scale * WIDTH
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
     left, up = ((size / 2 - 0.5 - at) / (0.7 * width) for size, at in ((width, columns), (height, rows)))
     ray = np.array([math.cos(heading_rad) - math.sin(heading_rad) * left,
@@ -40,12 +42,19 @@ def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1)
     with np.errstate(divide="ignore"):
         reach = np.stack([(2 - y_m) / ray[1], (-2 - y_m) / ray[1], -0.5 / ray[2], 2 / ray[2]])
     reach[reach <= 0] = np.inf
-    surface, reach = reach.argmin(axis=0), np.minimum(reach.min(axis=0), 30.0)
-    x, y, z = x_m + reach * ray[0], y_m + reach * ray[1], reach * ray[2]
-    along, across = (x + 3) * 2, np.where(surface < 2, z + 0.5, y + 2) * 2
-    a, b = np.clip(along, 0, 58.99), np.clip(across, 0, 10.99)
-    i, j = a.astype(int), b.astype(int)
-    f, g = (a - i)[..., None], (b - j)[..., None]
+    surface = reach.argmin(axis=0)
+    reach = np.minimum(reach.min(axis=0), 30.0)
+    x = x_m + reach * ray[0]
+    y = y_m + reach * ray[1]
+    z = reach * ray[2]
+    along = (x + 3) * 2
+    across = np.where(surface < 2, z + 0.5, y + 2) * 2
+    a = np.clip(along, 0, 58.99)
+    b = np.clip(across, 0, 10.99)
+    i = a.astype(int)
+    j = b.astype(int)
+    f = (a - i)[..., None]
+    g = (b - j)[..., None]
     near, far = ((1 - g) * _PAINT[surface, i + k, j] + g * _PAINT[surface, i + k, j + 1] for k in (0, 1))
     fog = np.exp(-reach / 6)[..., None]
     return np.asarray(fog * ((1 - f) * near + f * far) + (1 - fog) * 128, dtype=np.uint8)

@@ -32,7 +32,8 @@ def built(folder: Path) -> list[Object]:
         data = dict(literal.split("=", 1) for literal in one["literals"])
         objects.append({"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": one["name"]}, "data": data})
     for patch in kustomization.get("patches", []):
-        told, target = yaml.safe_load((folder / patch["path"]).read_text()), patch["target"]
+        told = yaml.safe_load((folder / patch["path"]).read_text())
+        target = patch["target"]
         chosen = [one for one in objects if _is(one, target)]
         assert chosen, f"{folder / patch['path']} is of nothing"
         del told["kind"], told["apiVersion"], told["metadata"]["name"]

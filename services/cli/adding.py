@@ -58,7 +58,8 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     teacher = Teacher(model.feature_settings, 2, include_runs=True, taught=model.mapped.size)
     teaching = teacher.read_all(files, bar)
     remark(teaching.remarks)
-    every, goals = whole_runs(teaching.demonstrations), model.mapped.goals
+    every = whole_runs(teaching.demonstrations)
+    goals = model.mapped.goals
     remark(f"{run.name} is left out: the model has no goal {run.goal}" for run in every if run.goal not in goals)
     runs = [run for run in every if run.goal in goals]
     try:

@@ -131,7 +131,8 @@ def retire(folder: Path) -> int:
 
 def read_authority(folder: Path) -> Authority:
     """Read the authority that signs, the one whose key is in the folder; UsageError where there is no such pair."""
-    path, authorities = folder / CA_KEY_FILE, _authorities(folder)
+    path = folder / CA_KEY_FILE
+    authorities = _authorities(folder)
     try:
         key = _read_key(path)
     except (OSError, ValueError) as error:
@@ -172,11 +173,13 @@ def _of_roles(folder: Path, authorities: list[x509.Certificate]) -> Iterator[Fin
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
     key_path = path.with_suffix(KEY_SUFFIX)
     try:
-        certificate, key = x509.load_pem_x509_certificate(path.read_bytes()), _read_key(key_path)
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        key = _read_key(key_path)
     except (OSError, ValueError) as error:
         return False, f"it or its key cannot be read: {_why(error)}"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    open_to, is_router = _open_to_others(key_path), _is_router(certificate)
+    open_to = _open_to_others(key_path)
+    is_router = _is_router(certificate)
     signers = [certificate] if role == ENGINE else authorities
     faults = (
         (names != [role], f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"),
@@ -201,7 +204,8 @@ def _open_to_others(secret: Path) -> str:
 
 
 def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[bool, str]:
-    now, end = datetime.now(UTC), certificate.not_valid_after_utc
+    now = datetime.now(UTC)
+    end = certificate.not_valid_after_utc
     if now > end:
         return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:

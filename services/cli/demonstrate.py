@@ -90,6 +90,7 @@ def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> Non
 
 
 def _complain(record: EpisodeRecord) -> None:
-    purpose, outcome = record.request.purpose, record.outcome
+    purpose = record.request.purpose
+    outcome = record.outcome
     if outcome == "collision" or (purpose == "drive" and outcome != "found"):
         tqdm.write(f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal learn leaves it out")

@@ -40,7 +40,8 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
 
     Example: smal doctor
     """
-    settings, results = reach.settings, []
+    settings = reach.settings
+    results = []
     checks: dict[str, Callable[[], str]] = {
         "python": check_python, "disk": check_disk, "zenoh": check_zenoh, "port": lambda: check_port(settings),
         "rendering": check_rendering,
@@ -95,7 +96,8 @@ def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.
 
 def check_zenoh() -> str:
     """Send a message from one client to another, through a router of this check's own."""
-    endpoint, arrived = free_endpoint(), threading.Event()
+    endpoint = free_endpoint()
+    arrived = threading.Event()
     message = Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop", linear=0.0, angular=0.0)
     with ExitStack() as stack:
         stack.enter_context(closing(Router(endpoint)))
@@ -112,7 +114,8 @@ def check_zenoh() -> str:
 
 def check_port(settings: ServiceSettings) -> str:
     """Look who listens on the router's port: nobody, a running stack, or somebody else; and who gets in there."""
-    endpoint, robot = settings.router, settings.robot
+    endpoint = settings.router
+    robot = settings.robot
     credentials = settings.credentials("watcher")
     check_credentials(endpoint, credentials)
     free = []

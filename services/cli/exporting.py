@@ -55,7 +55,8 @@ def _lines(form: Format, drives: list[ExportedDrive], out: Path) -> Iterator[str
     yield f"drives        {len(drives)} ({sum(drive.success for drive in drives)} reached their goal)"
     yield f"frames        {frames} ({frames / 10:.0f} s)"
     for robot, nominal in {drive.episode.robot: drive.nominal for drive in drives}.items():
-        speed, turn_rate = nominal.speed, nominal.turn_rate
+        speed = nominal.speed
+        turn_rate = nominal.turn_rate
         yield f"velocities    of {robot}: forward {speed.value:.3g} m/s ({speed.origin})"
         yield f"              left {turn_rate.value:.3g} rad/s ({turn_rate.origin})"
     example = {"rosbag2": f"ros2 bag play {out / drives[0].name}", "lerobot": f"LeRobotDataset('smal', root='{out}')"}

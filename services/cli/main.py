@@ -13,7 +13,9 @@ from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError, describe_os_error, out_of_memory
 from services.kit.version import program_version
 
-_EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
+_EXIT_FAILED = 1
+_EXIT_USAGE = 2
+_EXIT_INTERRUPTED = 130
 #: Where each command is, and what it does. Modules are loaded when a command runs: all of them take seconds.
 COMMANDS: Final = {
     "doctor": ("services.cli.doctor:doctor", "Check that this machine has what it takes."),
@@ -101,7 +103,8 @@ def _told(error: BaseException) -> tuple[str, int]:
     """Return what is told of an error in one line, and the exit status; raise one again that no user can cause."""
     match error:
         case typer.BadParameter(__cause__=Exception() as why):  # Typer asks pydantic, and repeats what that says.
-            error.message, error.__cause__ = _told(why)[0].removeprefix("message: "), None
+            error.message = _told(why)[0].removeprefix("message: ")
+            error.__cause__ = None
             return _told(error)
         case typer.TyperException():
             return error.format_message(), error.exit_code

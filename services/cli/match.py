@@ -160,10 +160,8 @@ def _truth(
     if known is asked and (by_radius or truth == "names"):
         raise UsageError("--loops: every frame is near itself and named so; --truth takes a file")
     if radius is not None and poses is not None:
-        here, there = (
-            truth_file.read_positions(poses[0], len(known.frames)),
-            truth_file.read_positions(poses[1], len(asked.frames)),
-        )
+        here = truth_file.read_positions(poses[0], len(known.frames))
+        there = truth_file.read_positions(poses[1], len(asked.frames))
         return truth_file.truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
     if radius is not None:
         return truth_file.truth_by_positions(

@@ -74,7 +74,8 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
     return parse
 
 
-_goal, _variation = checked(TypeAdapter(GoalName).validate_python), checked(lambda name: variation_named(name).name)
+_goal = checked(TypeAdapter(GoalName).validate_python)
+_variation = checked(lambda name: variation_named(name).name)
 Robot = Annotated[str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")]
 Robots = Annotated[
     int, Option(envvar="SMAL_ROBOTS", min=1, max=MAX_ROBOTS, help="How many robots; the others are ROBOT-2 and so on.")

@@ -83,7 +83,9 @@ class Player:
 
     def __init__(self, node: Node, track: Track, episode: str, wanted: dict[str, Topic]) -> None:
         self.episode = episode
-        self._node, self._track, self._wanted = node, track, wanted
+        self._node = node
+        self._track = track
+        self._wanted = wanted
         self._started: Episode | None = None
         self._last: Message | None = None
         node.detail = lambda: {"replayed": track.episode, "episode": episode, "tick": getattr(self._last, "tick", None)}

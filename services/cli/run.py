@@ -105,7 +105,8 @@ def run(
                 _check_features(bus, loaded.feature_settings)
                 for one in client.run_all(requests, access, "running", world=name):
                     if one.outcome == "aborted":  # It says nothing of the model.
-                        seed, where = one.request.seed, f" ({access.logs})" if access.logs else ""
+                        seed = one.request.seed
+                        where = f" ({access.logs})" if access.logs else ""
                         logs = f"see the logs of recognition and policy{where}"
                         raise JobError(f"run with seed {seed}: no command came; {logs}")
                     _check_models(bus, identity, use.goal)
@@ -119,7 +120,8 @@ def run(
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
-    found, (low, high) = round(summary["success_rate"] * len(records)), summary["wilson_95"]
+    found = round(summary["success_rate"] * len(records))
+    (low, high) = summary["wilson_95"]
     typer.echo(f"found the victim in {found} of {counted(len(records), 'run')} (95 % interval {low:.2f} to {high:.2f})")
     others = Counter(in_words(record.outcome, record.right) for record in records if record.outcome != "found")
     if others:

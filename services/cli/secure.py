@@ -49,7 +49,8 @@ def init(
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
-    hosts, names = _hosts(host), options.fleet_of(robot, robots)
+    hosts = _hosts(host)
+    names = options.fleet_of(robot, robots)
     settings = zenohd_configuration("tls/0.0.0.0:7447", names, ZENOHD_SEES)
     with outputs.new_folder(folder, "DIR") as made:
         made.chmod(0o700)

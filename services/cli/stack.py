@@ -22,7 +22,9 @@ from services.kit.settings import ServiceSettings, fleet
 from services.table import SERVICES
 
 STOP_TIMEOUT_S: Final = 5.0
-FIRST_S, LONGEST_S = 1.0, 30.0  # Least time between two starts of a service, doubled with every death, seconds.
+# Least time between two starts of a service, doubled with every death, seconds.
+FIRST_S = 1.0
+LONGEST_S = 30.0
 STEADY_S: Final = 60.0  # A service that has lived this long is taken for healthy again.
 PATIENCE_S: Final = 600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
 _TELL_S: Final = 10.0
@@ -185,7 +187,8 @@ class Stack:
         self._children.clear()
 
     def _start(self, process: str, spacing_s: float = FIRST_S) -> None:
-        plan, (service, robot) = self.plan, self._processes[process]
+        plan = self.plan
+        (service, robot) = self._processes[process]
         environment = {name: value for name, value in os.environ.items() if name not in _KEYS}
         environment |= {"SMAL_ROBOT": robot, "SMAL_ROBOTS": str(plan.robots), "SMAL_ROUTER": plan.endpoint}
         if plan.secure is not None:

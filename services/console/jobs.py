@@ -17,7 +17,9 @@ from services.kit.node import ServiceError
 
 _NICENESS: Final = 10  # How much it gives way to the services of the stack; see nice(1).
 _COMMAND: Final = (sys.executable, "-c", "from services.cli.main import main; main()")
-_LINES, _REMARKS = 200, 20  # Lines that are kept of what a command says, and of those the remarks that are shown.
+# Lines that are kept of what a command says, and of those the remarks that are shown.
+_LINES = 200
+_REMARKS = 20
 #: How long a command may say nothing, seconds. Learning tells of every hundredth of a stage. A map becomes a world
 #: without a word: one of 40,000 houses that overlap took 13 s of processor time, and one of 64 MB, the most that is
 #: taken, 43 s until it was refused for its 180,000 houses; on 2 cores with a load of 12 that was 70 and 116 s.

@@ -168,7 +168,8 @@ class Library:
                 raise ValueError(f"more than {_MOST_DRIVES} drives, or none of its length")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
             episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
-            fingerprint, longest = printable(str(meta["feature_fingerprint"])), int(meta["longest"])
+            fingerprint = printable(str(meta["feature_fingerprint"]))
+            longest = int(meta["longest"])
             return replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return replace(listed, useless=printable(str(error)).removeprefix(f"{file.name}: "))

@@ -22,7 +22,9 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.stream import RecordingError
 from services.robot.clock import TICK_S
 
-THUMBNAILS, _WIDTH = 6, 160  # Pictures along a drive, and their width; six of them fill a row of the list.
+# Pictures along a drive, and their width; six of them fill a row of the list.
+THUMBNAILS = 6
+_WIDTH = 160
 #: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them. Wall time would count what
 #: else the machine does.
 READ_S: Final = 120

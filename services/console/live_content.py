@@ -56,7 +56,8 @@ class Health:
         with ThreadPoolExecutor(len(self._services), "health") as pool:
             self.statuses = dict(zip(self._services, pool.map(self._status, self._services), strict=True))
         now = time.monotonic()
-        elapsed_s, self._asked_s = max(now - self._asked_s, 1e-3), now
+        elapsed_s = max(now - self._asked_s, 1e-3)
+        self._asked_s = now
         return [_row(name, before.get(name), status, elapsed_s) for name, status in self.statuses.items()]
 
     def detail(self, service: str, key: str) -> object:
@@ -154,7 +155,8 @@ class LiveContent:
     def _on_pose(self, pose: Pose) -> None:
         """Take note of where the robot truly is, and of the way that it has come in this episode."""
         if pose.episode != self._way_of:
-            self._way, self._way_of = [], pose.episode
+            self._way = []
+            self._way_of = pose.episode
         here = (round(pose.x_m, 2), round(pose.y_m, 2))
         if not self._way or math.dist(here, self._way[-1]) >= _APART_M:
             self._way.append(here)

@@ -59,7 +59,9 @@ class Board:
     @contextmanager
     def watched(self) -> Iterator[Newest]:
         """Give a watcher, in a running event loop, what tells it the newest; FullError when there are too many."""
-        loop, changed, seen = asyncio.get_running_loop(), asyncio.Event(), 0
+        loop = asyncio.get_running_loop()
+        changed = asyncio.Event()
+        seen = 0
         changed.set()
 
         def wake() -> None:

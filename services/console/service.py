@@ -163,7 +163,8 @@ class ConsoleService:
         self._jobs.begin(job)
 
     def _drive(self, ask: DriveRequest) -> None:
-        seed, goal = secrets.randbelow(2**31), ask.goal
+        seed = secrets.randbelow(2**31)
+        goal = ask.goal
         request = ResetRequest(name=ask.name, seed=seed, purpose="drive", goal=goal, driver="teleop", max_ticks=None)
         self._begin(ask, request, self._record)
 
@@ -223,12 +224,16 @@ class ConsoleService:
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
         if isinstance(ask, Add):
             model = self.library.model(ask.model)
-            name, out = Path(model.name).stem, self.library.path(model.name)
+            name = Path(model.name).stem
+            out = self.library.path(model.name)
             command: tuple[str, ...] = ("learn", "--add")
-            doing, done = f"Learning more for {name}", f"{name} has looked at these runs."
+            doing = f"Learning more for {name}"
+            done = f"{name} has looked at these runs."
         else:
-            name, out = ask.name, below(self.library.root, f"{MODELS}/{ask.name}.smal")
-            doing, done = f"Learning {name}", f"{name} is learned: run it."
+            name = ask.name
+            out = below(self.library.root, f"{MODELS}/{ask.name}.smal")
+            doing = f"Learning {name}"
+            done = f"{name} is learned: run it."
             # Whoever chooses a run of the robot's own wants it to teach.
             runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
             command = ("paper", "learn", *runs) if ask.scheme == "paper" else ("learn", *runs)

@@ -26,7 +26,10 @@ from services.console.who_drives import BEAT_S, LEASE_S, Seat
 
 PAGE: Final = Path(__file__).parent / "page"
 _APART_S: Final = 0.05  # A watcher is sent something at most so often.
-FULL, TAKEN, NONSENSE = 4001, 4002, 4003  # Of a socket: too many watch; somebody else drives; it makes no sense.
+# Of a socket: too many watch; somebody else drives; it makes no sense.
+FULL = 4001
+TAKEN = 4002
+NONSENSE = 4003
 _DIGITS: Final = 9  # Digits of the number of a picture, at most.
 #: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
 _LARGEST_MAP: Final = 64 << 20
@@ -73,7 +76,8 @@ class Web:
         return _picture(recording.thumbnails[number])
 
     async def _taught(self, request: Request) -> Response:
-        learned, keyframe = self._service.live.learned, _number(request.path_params["keyframe"])
+        learned = self._service.live.learned
+        keyframe = _number(request.path_params["keyframe"])
         if learned is None or keyframe is None or learned.identity != request.path_params["model"]:
             return _picture(None)
         return _picture(learned.image(keyframe))
@@ -103,7 +107,9 @@ class Web:
     async def _receive(self, request: Request, file: IO[bytes]) -> None:
         """Write what is sent into a file, while whoever sends it drives, and has not begun to send another one."""
         self._maps += 1
-        mine, size, word = self._maps, 0, request.headers.get("smal-seat", "")
+        mine = self._maps
+        size = 0
+        word = request.headers.get("smal-seat", "")
         async for chunk in request.stream():
             if not self._seat.knows(word):
                 raise HTTPException(403, _NOT_THEIRS)

@@ -36,7 +36,8 @@ class Seat:
         now = self._clock()
         if self._sitter is not None and now - self._heard_s <= LEASE_S:
             return False
-        self._sitter, self._heard_s = who, now
+        self._sitter = who
+        self._heard_s = now
         self.word = secrets.token_urlsafe(16)
         self._sent_s.clear()
         return True

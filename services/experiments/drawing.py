@@ -16,7 +16,10 @@ from smal.evaluation.reliability import Reliability
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-TEXT, MUTED, LINE, BACK = "#222222", "#5f5f5f", "#dddddd", "#ffffff"
+TEXT = "#222222"
+MUTED = "#5f5f5f"
+LINE = "#dddddd"
+BACK = "#ffffff"
 COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
 DASHES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))  # For those who do not tell colours apart.
 _STYLE: Final[dict[Any, Any]] = {
@@ -48,8 +51,10 @@ def figure(height_in: float) -> Figure:
 
 def look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:
     """Show the part of a map with bounds where points (n, 2) are, and half as much around it; a small map whole."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half_m, middle = 0.75 * float((high - low).max()), (low + high) / 2
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    half_m = 0.75 * float((high - low).max())
+    middle = (low + high) / 2
     x_min, y_min, x_max, y_max = bounds
     axes.set_xlim(max(x_min, middle[0] - half_m), min(x_max, middle[0] + half_m))
     axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))

@@ -61,7 +61,9 @@ class Engine:
     """
 
     def __init__(self, workers: int | None, scheduler: str | None = None, secure: Path | None = None) -> None:
-        self.scheduler, self._workers, self._secure = scheduler, workers, secure
+        self.scheduler = scheduler
+        self._workers = workers
+        self._secure = secure
         self._client: Client | None = None
         if scheduler is not None:
             _check(scheduler, secure)
@@ -101,7 +103,8 @@ class Engine:
             return
         # Few are shared out evenly: whoever has the last batch should not keep all others waiting.
         fair = length_hint(items, sys.maxsize) // max(_AHEAD * self._threads(), 1)
-        size, left = min(max(fair, 1), _BATCH), iter(items)
+        size = min(max(fair, 1), _BATCH)
+        left = iter(items)
         # An answer of its own: it may be megabytes, and goes to each worker once.
         once = self.client.submit(partial, function, pure=False)
         waiting: deque[Future[Any]] = deque()
@@ -120,7 +123,8 @@ class Engine:
         The first that can be done are, when those are done that they need. None waits at a worker for another one: who
         was there when a worker was killed is known.
         """
-        waiting, under_way = dict.fromkeys(tasks), dict["Future[Any]", Task]()
+        waiting = dict.fromkeys(tasks)
+        under_way = dict["Future[Any]", Task]()
         while waiting or under_way:
             free = max(self._threads(), 1) - len(under_way)
             missing = {*waiting, *under_way.values()}
@@ -135,7 +139,8 @@ class Engine:
         """Wait for one of some answers and return it; JobError where no scheduler is left, or no worker for long."""
         from distributed import CancelledError, wait  # noqa: PLC0415 - takes a second to import
 
-        there_s, at = time.monotonic(), f"--scheduler {self.scheduler}: " if self.scheduler else ""
+        there_s = time.monotonic()
+        at = f"--scheduler {self.scheduler}: " if self.scheduler else ""
         while time.monotonic() < there_s + _WORKER_S:
             try:
                 return next(iter(wait([*futures], timeout=_LOOK_S, return_when="FIRST_COMPLETED").done))

@@ -20,13 +20,18 @@ class Bars:
     """A progress bar for each stage of some work, none in a log file or a pipe; or lines of JSON for a program."""
 
     def __init__(self, unit: str = "it", *, as_json: bool = False) -> None:
-        self._unit, self._stage, self._as_json, self._percent = unit, "", as_json, -1
+        self._unit = unit
+        self._stage = ""
+        self._as_json = as_json
+        self._percent = -1
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show how much of a stage is done; as JSON each percent once."""
         if self._as_json:
-            before, self._stage, self._percent = (self._stage, self._percent), stage, 100 * done // max(total, 1)
+            before = (self._stage, self._percent)
+            self._stage = stage
+            self._percent = 100 * done // max(total, 1)
             if before != (self._stage, self._percent):
                 sys.stdout.write(json.dumps({"stage": stage, "done": done, "total": total}) + "\n")
                 sys.stdout.flush()
@@ -34,7 +39,8 @@ class Bars:
         if self._bar is None or stage != self._stage:
             self.close()
             how = {"desc": stage, "unit": self._unit, "disable": None}
-            self._stage, self._bar = stage, bar_of(**how, initial=done, total=total, smoothing=0)
+            self._stage = stage
+            self._bar = bar_of(**how, initial=done, total=total, smoothing=0)
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         if done == total:

@@ -68,7 +68,8 @@ class RouteDriver:
 
     def _project(self, position: NDArray[np.float64]) -> float:
         """Return how far along the route the nearest point is, of the stretch that can have been reached."""
-        near, far = self._progress_m, self._progress_m + 2 * self._lookahead_m
+        near = self._progress_m
+        far = self._progress_m + 2 * self._lookahead_m
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
         points = self._point_at(candidates)
         return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])
@@ -116,7 +117,8 @@ class ExpertService:
         return self._answer()
 
     def _answer(self) -> Command | None:
-        pose, observation = self._pose, self._observation
+        pose = self._pose
+        observation = self._observation
         if pose is None or observation is None or self._driver is None or self.arrived:
             return None
         if (pose.episode, pose.tick) != (observation.episode, observation.tick) or pose.episode != self._episode:

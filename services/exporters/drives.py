@@ -80,7 +80,9 @@ class ExportedDrive:
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
         """Yield what there is at each tick, and count what cannot be used; ``advance`` is called for each."""
-        poses, imus, applied = self.episode.odometry, self.episode.imu, self.episode.applied
+        poses = self.episode.odometry
+        imus = self.episode.imu
+        applied = self.episode.applied
         last_ns = -1
         for tick in self.ticks:
             advance()
@@ -108,7 +110,8 @@ class ExportedDrive:
         try:
             stamp_ns, jpeg = stamped_jpeg(bytes(self.episode.images[tick]))
         except ValueError:
-            stamp_ns, jpeg = -1, b""
+            stamp_ns = -1
+            jpeg = b""
         tally.count("images are damaged", int(not is_jpeg(jpeg)))
         return stamp_ns, jpeg if is_jpeg(jpeg) else None
 

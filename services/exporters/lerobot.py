@@ -23,11 +23,16 @@ from services.kit.jpeg import decode_jpeg
 
 CAMERA: Final = "observation.images.front"
 FPS: Final = round(1.0 / TICK_S)
-_CHUNK, _DATA_MB, _VIDEO_MB = 1000, 100, 200  # As the format has it: files a folder; megabytes, as others add to it.
+# As the format has it: files a folder; megabytes, as others add to it.
+_CHUNK = 1000
+_DATA_MB = 100
+_VIDEO_MB = 200
 _FIRST: Final = {"chunk_index": 0, "file_index": 0}
 #: As lerobot has it for random access: every other image stands for itself, and none is told by a later one. With this
 #: quality nobody sees a difference.
-_CODEC, _PIXELS, _OPTIONS = "h264", "yuv420p", {"crf": "18", "g": "2", "bf": "0"}
+_CODEC = "h264"
+_PIXELS = "yuv420p"
+_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _NAME: Final = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
 _NUMBER: Final = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
@@ -139,7 +144,8 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
         def add(pixels: Pixels) -> None:
             frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-            frame.time_base, frame.pts = Fraction(1, FPS), next(number)
+            frame.time_base = Fraction(1, FPS)
+            frame.pts = next(number)
             container.mux(stream.encode(frame))
 
         yield add
@@ -156,7 +162,8 @@ def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], rob
     _write_table(folder / DATA.format(**_FIRST), pa.table({name: _cells(values) for name, values in columns.items()}))
     rows = []
     for number, (episode, length, end) in enumerate(zip(episodes, lengths, ends, strict=True)):
-        film, statistics = f"videos/{CAMERA}", _statistics(columns, slice(end - length, end), [episode])
+        film = f"videos/{CAMERA}"
+        statistics = _statistics(columns, slice(end - length, end), [episode])
         row: dict[str, Any] = {"episode_index": number, "tasks": [episode.task], "length": length}
         row |= {f"data/{name}": index for name, index in _FIRST.items()}
         row |= {"dataset_from_index": end - length, "dataset_to_index": end}

@@ -21,7 +21,9 @@ from services.kit.ros_message import ros_message
 
 _IMU: Final = "sensor_msgs/msg/Imu"
 _TF: Final = "tf2_msgs/msg/TFMessage"
-_ODOM, _BASE, _CAMERA = "odom", "base_link", "camera_optical_frame"
+_ODOM = "odom"
+_BASE = "base_link"
+_CAMERA = "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
 _OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # Robot (ahead, left, up) to camera (right, down, ahead).
 _COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # Of each lens, as ROS has it.
@@ -74,7 +76,8 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
             yield "/odom", names.ODOMETRY, stamp_ns, odometry
             yield "/tf", _TF, stamp_ns, _transforms(stamp_ns, (_ODOM, _BASE), place, turn)
         if moment.jpeg is not None:
-            header, data = _header(stamp_ns, _CAMERA), np.frombuffer(moment.jpeg, np.uint8)
+            header = _header(stamp_ns, _CAMERA)
+            data = np.frombuffer(moment.jpeg, np.uint8)
             image = {"header": header, "format": "jpeg", "data": data}
             yield "/camera/image_raw/compressed", names.COMPRESSED, stamp_ns, image
             if drive.episode.camera is not None:
@@ -85,7 +88,9 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
 
 
 def _sees(camera: CameraInfo) -> Fields:
-    focal, x, y = camera.focal_px, camera.centre_x_px, camera.centre_y_px
+    focal = camera.focal_px
+    x = camera.centre_x_px
+    y = camera.centre_y_px
     distortion = np.zeros(_COEFFICIENTS[camera.lens])
     distortion[: len(camera.distortion)] = camera.distortion
     matrix = np.array([[focal, 0.0, x, 0.0], [0.0, focal, y, 0.0], [0.0, 0.0, 1.0, 0.0]])

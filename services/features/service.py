@@ -52,7 +52,8 @@ class FeaturesService:
         """Return the observation of one frame, or None while its depth is to come."""
         if not self.needs_depth:
             return self._observation(image, None)
-        waiting, self._image = self._image, image
+        waiting = self._image
+        self._image = image
         if waiting is not None and not _same_frame(waiting, image):
             self._give_up(waiting)
         return self._joined()
@@ -68,7 +69,8 @@ class FeaturesService:
         return detail | ({"without_depth": self.without_depth} if self.needs_depth else {})
 
     def _joined(self) -> Observation | None:
-        image, depth = self._image, self._depth
+        image = self._image
+        depth = self._depth
         if image is None or depth is None or not _same_frame(image, depth):
             return None
         # The depth stays: a colour image that is sent again, because an answer was lost, finds it.

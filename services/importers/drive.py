@@ -14,7 +14,9 @@ from smal.camera import Camera
 
 Array = NDArray[np.float64]
 MOST_SAMPLES: Final = 10_000_000  # Most of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
-FASTEST_M_S, FASTEST_RAD_S = 50.0, 100.0  # No wheeled robot is faster.
+# No wheeled robot is faster.
+FASTEST_M_S = 50.0
+FASTEST_RAD_S = 100.0
 LATEST_S: Final = 9e9  # A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
 _FURTHEST_M: Final = 4e7  # Round the earth, whose grids some odometry begins in.
 _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.

@@ -30,7 +30,8 @@ def as_jpeg(data: bytes) -> bytes:
     if not data.startswith((_JPEG, _PNG)):
         raise NotAnImage("images are neither JPEG nor PNG")
     # Before OpenCV, which makes room for what the header claims; and a PNG without an end makes libpng write of it.
-    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    width = int.from_bytes(data[16:20], "big")
+    height = int.from_bytes(data[20:24], "big")
     png = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
     sound = png if data.startswith(_PNG) else is_jpeg(data)
     pixels = decode_image_file(data) if sound else None
@@ -117,10 +118,12 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
 
 
 def _nearest(frames: Iterator[Any], times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    held, following = None, next(frames, None)
+    held = None
+    following = next(frames, None)
     for time_s in times_s.tolist():
         while following is not None and _off(following, time_s) <= _off(held, time_s):
-            held, following = following, next(frames, None)
+            held = following
+            following = next(frames, None)
         yield partial(_frame, held if _off(held, time_s) <= tolerance_s else None)
 
 

@@ -17,7 +17,9 @@ from services.importers.job import ImportJob
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
-ACTION, STATE, SUCCESS = "action", "observation.state", "next.success"
+ACTION = "action"
+STATE = "observation.state"
+SUCCESS = "next.success"
 POSE: Final = ("x_m", "y_m", "heading_rad")
 #: What bases call their velocities, and what the angular one is in radians a second; LeKiwi has degrees.
 _NAMES: Final[dict[tuple[str, ...], float]] = {
@@ -38,7 +40,9 @@ EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODE: Final = "episode_index"
-_ROWS, _IMAGES = 4096, 16  # Rows of numbers, and of images, that are read at a time.
+# Rows of numbers, and of images, that are read at a time.
+_ROWS = 4096
+_IMAGES = 16
 #: Most bytes, and entries, of a Parquet file's own description; that of ten million rows has a hundred thousand.
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
@@ -112,7 +116,8 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
 
 class _DataSet:
     def __init__(self, inside: Inside, job: ImportJob, tally: Tally) -> None:
-        self._inside, self._tally = inside, tally
+        self._inside = inside
+        self._tally = tally
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
         self._camera = _camera(self.info, job, inside.called(INFO))
         self._velocity = _velocity(self.info, job, inside.called(INFO))
@@ -150,7 +155,8 @@ class _DataSet:
                 yield episode
 
     def drive(self, episode: _Episode) -> ImportedDrive:
-        where, name = self._velocity, str(episode.number)
+        where = self._velocity
+        name = str(episode.number)
         columns = dict.fromkeys(["timestamp", where.feature])
         columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys({SUCCESS} & self.info.features.keys())
         found = dict(zip(columns, _numbers(self._inside, episode.data, [*columns], episode.number), strict=True))
@@ -184,7 +190,8 @@ class _DataSet:
     def _video(self, episode: _Episode, times_s: Array) -> Iterator[Image]:
         if times_s.size:
             with self._inside.open(episode.video) as file:
-                called, tolerance_s = self._inside.called(episode.video), 0.5 / self.info.fps
+                called = self._inside.called(episode.video)
+                tolerance_s = 0.5 / self.info.fps
                 yield from frames_at(file, called, episode.begin_s + times_s, tolerance_s)
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
@@ -243,7 +250,8 @@ def _batches(
     import pyarrow.compute as pc  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
 
-    called, wanted = inside.called(name), list(dict.fromkeys([_EPISODE, *columns]))
+    called = inside.called(name)
+    wanted = list(dict.fromkeys([_EPISODE, *columns]))
     try:
         with inside.open(name) as file:
             table = pq.ParquetFile(file, **_LIMITS)

@@ -69,7 +69,8 @@ def write(
     try:
         writer.write(started)
         for row, jpeg in chain(begin, images):
-            cause, atom = header(row), shares[row].atom(job.still, job.turning)
+            cause = header(row)
+            atom = shares[row].atom(job.still, job.turning)
             width, height = jpeg_size(jpeg) or (0, 0)
             writer.write(CompressedImage.after(cause, width=width, height=height, data=jpeg))
             if camera is not None and not made:
@@ -114,7 +115,8 @@ def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array |
     if way is None:
         return None
     poses, known = way
-    moved, passed_s = np.diff(poses, axis=0, prepend=poses[:1]), np.diff(times_s, prepend=times_s[0] - TICK_S)
+    moved = np.diff(poses, axis=0, prepend=poses[:1])
+    passed_s = np.diff(times_s, prepend=times_s[0] - TICK_S)
     heading = wrapped(poses[:, 2])
     speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / passed_s
     told = np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s])

@@ -34,8 +34,11 @@ from smal.camera import Camera
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20  # Largest message: a raw image of 4096x3072x4, and more.
 _LEAST_ROW: Final = 6  # Bytes of a row beside its blob: two lengths, and the header of three columns and more.
-COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
-TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+RAW = "sensor_msgs/msg/Image"
+TWIST = "geometry_msgs/msg/Twist"
+STAMPED = "geometry_msgs/msg/TwistStamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
 INFO: Final = "sensor_msgs/msg/CameraInfo"
 
 
@@ -192,7 +195,8 @@ class _Found:
         elif kind == ODOMETRY:
             odometry = _decoded(message)
             self._velocity(message, odometry.twist.twist)
-            place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+            place = odometry.pose.pose.position
+            turn = odometry.pose.pose.orientation
             yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
             _keep(self.tracks, topic, (time_s, place.x, place.y, yaw))
         elif kind == INFO and topic not in self.cameras:

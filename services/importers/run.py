@@ -67,7 +67,10 @@ def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> Import
 
 def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
     """Run a job, given as JSON, in a process of its own; ConfinedError when that cannot be."""
-    job, tally, done, told_s = ImportJob.model_validate_json(json.dumps(request)), Tally(), 0, 0.0
+    job = ImportJob.model_validate_json(json.dumps(request))
+    tally = Tally()
+    done = 0
+    told_s = 0.0
 
     def advance(total: int) -> None:
         nonlocal done, told_s

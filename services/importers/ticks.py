@@ -24,7 +24,8 @@ _ROUNDING_S: Final = 1e-6  # What times may be off by the rounding of numbers.
 _FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
 #: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
 #: of full throttle, and 10 % of full lock at that.
-_LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
+_LEAST_LINEAR = 0.02
+_LEAST_ANGULAR = 0.1
 #: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
 #: fastest few are noise, or a hand that slipped.
 QUANTILE: Final = 0.95
@@ -83,7 +84,8 @@ class Moves:
         stops = np.column_stack([ends_s, np.zeros((len(motion), 2)), np.ones(len(motion))])[silent]
         rows = np.concatenate([np.column_stack([motion, np.zeros(len(motion))]), stops])
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        self._times_s, self._stands = rows[:, 0], rows[:, 3] > 0.0
+        self._times_s = rows[:, 0]
+        self._stands = rows[:, 3] > 0.0
         gone = np.diff(self._times_s)[:, None] * rows[:-1, 1:3]
         self._sums = np.concatenate([np.zeros((1, 2)), np.cumsum(gone, axis=0)])
 
@@ -126,7 +128,8 @@ def odometry(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> tuple
         poses, known = _tracked(drive.track, times_s)
         if not known.any():
             return None
-        steps_m, passed_s = np.hypot(*np.diff(poses[known, :2], axis=0).T), np.diff(times_s[known])
+        steps_m = np.hypot(*np.diff(poses[known, :2], axis=0).T)
+        passed_s = np.diff(times_s[known])
         if (jumps := np.flatnonzero(steps_m > FASTEST_M_S * passed_s)).size:
             at = jumps[0]
             raise ImportFailure(
@@ -135,7 +138,8 @@ def odometry(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> tuple
             )
         poses = seen_from(poses, np.broadcast_to(poses[known][0], poses.shape))
     elif moves is not None:
-        poses, known = moves.way(times_s), np.ones(times_s.size, dtype=bool)
+        poses = moves.way(times_s)
+        known = np.ones(times_s.size, dtype=bool)
     else:
         return None
     if float(np.abs(poses[known, :2]).max()) > _FURTHEST_M:
@@ -161,7 +165,8 @@ class Nominal(NamedTuple):
 def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
     """Measure it on the samples of all drives, (n, 2): linear and angular; ImportFailure where no robot moves."""
     linear, angular = np.abs(velocities).T
-    driving, turning = linear[linear > _LEAST_LINEAR], angular[angular > _LEAST_ANGULAR]
+    driving = linear[linear > _LEAST_LINEAR]
+    turning = angular[angular > _LEAST_ANGULAR]
     if not driving.size:
         raise ImportFailure("the robot never drives: no velocity above 0.02; are its units metres a second?")
     fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR

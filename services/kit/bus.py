@@ -202,7 +202,8 @@ class Bus:
         self, topic: Topic, session: zenoh.Session | None = None
     ) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
         """Declare the publisher that a topic asks for, in the session of now."""
-        session, key = session or self.sessions[topic.outgoing], topic.key(self.robot)
+        session = session or self.sessions[topic.outgoing]
+        key = topic.key(self.robot)
         options = {"encoding": zenoh.Encoding(encoding_of(topic.message)), **zenoh_quality(quality(topic))}
         if not topic.recorded:
             return session.declare_publisher(key, **options)
@@ -228,7 +229,9 @@ class Bus:
         key = topic.key(self.robot)
 
         def on_sample(sample: zenoh.Sample) -> None:
-            encoding, put, summed = str(sample.encoding), sample.kind == _PUT, sample.attachment
+            encoding = str(sample.encoding)
+            put = sample.kind == _PUT
+            summed = sample.attachment
             size = len(sample.payload) + (0 if summed is None else len(summed))
             why = flaw(key, topic.message, str(sample.key_expr), size, encoding, put=put)
             payload = b"" if why else sample.payload.to_bytes()
@@ -374,7 +377,8 @@ class Bus:
 
         Where nobody serves the robot it is asked again for so long; by default as a move between instances may take.
         """
-        key, began_s = rpc_key(self.robot, service, verb), time.monotonic()
+        key = rpc_key(self.robot, service, verb)
+        began_s = time.monotonic()
         if patience_s is None:
             patience_s = MOVE_S if service in SERVICES and SERVICES[service].grouped else 0.0
         while (reply := self._ask(key, request, timeout_s)) is None and time.monotonic() < began_s + patience_s:
@@ -383,9 +387,12 @@ class Bus:
             raise RpcError(
                 f"{service} {verb}: no answer; is the service running for robot {self.robot}? (router {self.endpoint})"
             )
-        result, at, put = reply.result, key, True
+        result = reply.result
+        at = key
+        put = True
         if isinstance(result, zenoh.Sample):
-            at, put = str(result.key_expr), result.kind == _PUT
+            at = str(result.key_expr)
+            put = result.kind == _PUT
         if (why := flaw(key, None, at, len(result.payload), put=put)) is not None:
             raise RpcError(f"{service} {verb}: unfit reply: {why}")
         payload = result.payload.to_bytes()

@@ -9,7 +9,8 @@ from smal.camera import Camera
 
 def camera_of(info: CameraInfo) -> Camera:
     """Return the camera that a message tells of."""
-    width, height = info.width, info.height
+    width = info.width
+    height = info.height
     centre = (info.centre_x_px - width / 2) / width, (info.centre_y_px - height / 2) / width
     return Camera(info.focal_px / width, info.lens, info.distortion, centre)
 
@@ -27,7 +28,9 @@ def camera_info(cause: Message, camera: Camera, width: int, height: int) -> Came
 
 def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of its definition
     """Return the camera that a message of ROS tells of; ValueError where it tells of none."""
-    width, height, k = int(info.width), int(info.height), [float(one) for one in info.k]
+    width = int(info.width)
+    height = int(info.height)
+    k = [float(one) for one in info.k]
     if width <= 0 or not k[0] > 0.0:
         raise ValueError("no focal length in it; the camera is not calibrated")
     distortion = tuple(float(one) for one in info.d)

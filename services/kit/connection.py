@@ -33,7 +33,9 @@ class Declared(Generic[E]):
     """What was declared: ``entity`` is that of the session of now."""
 
     def __init__(self, make: Callable[[zenoh.Session], E], entity: E, *, sends: bool) -> None:
-        self.make, self.entity, self.sends = make, entity, sends
+        self.make = make
+        self.entity = entity
+        self.sends = sends
 
 
 class Connection:
@@ -76,7 +78,8 @@ class Connection:
             self.session.close()
 
     def _opened(self, patience_s: float) -> zenoh.Session:
-        session, lost = self._open(patience_s), list[str]()
+        session = self._open(patience_s)
+        lost = list[str]()
 
         def on_event(event: zenoh.TransportEvent) -> None:
             router = str(event.transport.zid)

@@ -92,7 +92,8 @@ class LaneEcho:
         return bool(self._connections[lane].session.info.routers_zid())
 
     def _publish(self, way: Way, key: str) -> Declared[zenoh.Publisher]:
-        connection, how = self._connections[way[0]], zenoh_quality(ECHO_QUALITY)
+        connection = self._connections[way[0]]
+        how = zenoh_quality(ECHO_QUALITY)
         declared = connection.declare(lambda session: session.declare_publisher(key, **how), sends=True)
         self._declared.append((connection, declared))
         return declared

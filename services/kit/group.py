@@ -150,7 +150,8 @@ class _Served:
             self.node.stop()
         if self.thread is not None and self.thread.is_alive():
             return False
-        go, self.go = self.go, lambda: None
+        go = self.go
+        self.go = lambda: None
         go()
         return True
 
@@ -162,7 +163,9 @@ class Group(Generic[S]):
     """
 
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
-        self._name, self._settings, self._serve = name, settings, serve
+        self._name = name
+        self._settings = settings
+        self._serve = serve
         self.log = logging.getLogger(name)
         self.instance = f"{secrets.token_hex(4)}-{settings.robots}"
         self.robots = fleet(settings.robot, settings.robots)

@@ -68,7 +68,8 @@ class Metrics(Collector):
     """
 
     def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
-        self._labels, self._status = (service, robot), status
+        self._labels = (service, robot)
+        self._status = status
         self.registry = CollectorRegistry()
         self.registry.register(self)
         ProcessCollector(registry=self.registry)
@@ -89,7 +90,8 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Turn the status into metrics."""
-        status, labels = self._status(), self._labels
+        status = self._status()
+        labels = self._labels
         for name, meaning in _COUNTS.items():
             counts = CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC)
             yield _by_topic(counts, labels, getattr(status, name))

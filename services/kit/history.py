@@ -99,7 +99,8 @@ def subscribe_whole(
         replay.hold()
         return zenoh.ext.declare_advanced_subscriber(session, key, in_order(on_live), recovery=recovery)
 
-    heard, on_token = connection.declare(hear), in_order(on_sender)
+    heard = connection.declare(hear)
+    on_token = in_order(on_sender)
     return heard, connection.declare(
         lambda session: session.liveliness().declare_subscriber(f"{senders}/**", on_token, history=True)
     )

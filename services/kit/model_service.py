@@ -31,7 +31,8 @@ from smal.planning import chosen_goal
 _DIGITS: Final = 16  # So many hex digits of a model's checksum tell one model from another.
 Wheels = tuple[float, float, float]  # A pose by odometry: metres, metres and radians.
 #: Frames after which a run times out, at least; and how many times those of the longest taught drive.
-LEAST_TICKS, PATIENCE = 3000, 3
+LEAST_TICKS = 3000
+PATIENCE = 3
 _log = logging.getLogger("models")
 AnyModel = Model | PaperModel  # Of either scheme.
 _MODELS: Final[WeakValueDictionary[tuple[int, ...], AnyModel]] = WeakValueDictionary()
@@ -243,6 +244,7 @@ def _snapshot(node: Node, service: ModelService[M_contra]) -> Snapshot | None:
     header: dict[str, object] = {"robot": node.robot, "episode": NO_EPISODE, "tick": 0, "stamp_ns": time.time_ns()}
     if state is not None:
         header = {name: getattr(state, name) for name in header}
-    checksum, model = service.loaded.identity, service.loaded.asked
+    checksum = service.loaded.identity
+    model = service.loaded.asked
     told = {"service": node.name, "checksum": checksum, "model": model, "state": state, "wheels": wheels}
     return Snapshot.model_validate(header | told)

@@ -349,7 +349,8 @@ class Node:
         """Count and tell of what is no message or request; any thread may call."""
         with self._counting:
             self._bad[name] += 1
-            count, due = self._bad[name], self._complaints["bad", name].due()
+            count = self._bad[name]
+            due = self._complaints["bad", name].due()
         if due:
             self.log.warning("dropped a bad message on %s (%d so far): %s", name, count, why)
 

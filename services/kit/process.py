@@ -113,7 +113,8 @@ def _ended_by_threads(name: str) -> Iterator[None]:
 
 
 def _end_by_thread(name: str, failed: threading.ExceptHookArgs) -> None:
-    error, thread = failed.exc_value, "a thread" if failed.thread is None else failed.thread.name
+    error = failed.exc_value
+    thread = "a thread" if failed.thread is None else failed.thread.name
     if error is None or out_of_memory(error):
         _end(name, NO_MEMORY)
     _end(name, f"the thread {thread!r} failed; this process ends and must be started again", error)

@@ -80,7 +80,8 @@ class Replay(Generic[T]):
         """Ask each sender once more when it is heard of: what comes from now on does not follow what came before."""
         with self._lock:
             for sender in self._senders.values():
-                sender.held, sender.asked = sender.held or [], False
+                sender.held = sender.held or []
+                sender.asked = False
 
     def live(self, name: str, number: int, sample: T, size: int) -> None:
         """Take a sample of `size` bytes that was just sent, the `number`-th of its sender; numbers grow."""
@@ -107,7 +108,8 @@ class Replay(Generic[T]):
                 self._release(sender)
 
     def _release(self, sender: _Sender[T]) -> None:
-        held, sender.held = sender.held or [], None
+        held = sender.held or []
+        sender.held = None
         for number, sample, size in held:
             self._budget.give(size)
             self._pass(sender, number, sample)

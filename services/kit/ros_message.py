@@ -31,7 +31,8 @@ def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) 
 
 
 def _value(store: Any, node: Any, value: Any) -> Any:  # noqa: ANN401 - as above
-    sort, about = node[0].name, node[1]
+    sort = node[0].name
+    about = node[1]
     if sort == "NAME":
         return ros_message(store, about, value)
     if sort == "BASE":

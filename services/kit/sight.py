@@ -26,7 +26,8 @@ class ObstacleSight:
 
     def around(self, episode: str) -> Surroundings | None:
         """Return what stands about the robot now, by the newest of both; None where no depth has told it."""
-        now, depth = self._odometry, self._depth
+        now = self._odometry
+        depth = self._depth
         if now is None or depth is None or depth.mounting is None or not episode == now.episode == depth.episode:
             return None
         self.mount = mount = Mount(**depth.mounting.model_dump())

@@ -12,7 +12,8 @@ from schemas.episode import Episode
 #: How fast a car, which cannot turn on the spot, drives ahead by a turn key alone: of its nominal speed.
 TURNS_AT: Final = 0.5
 #: Who has held on for so long while the robot stood before something has seen it, and insists by holding again so soon.
-STOOD_S, AGAIN_S = 1.0, 2.0
+STOOD_S = 1.0
+AGAIN_S = 2.0
 _NEVER: Final = math.inf, -math.inf
 
 
@@ -93,7 +94,8 @@ class Commands:
             first_s, last_s = self._stood_s
             self._insists = last_s - first_s >= STOOD_S and self._clock() - last_s <= AGAIN_S
             self._stood_s = _NEVER
-        self._held, self._until_s = held, until_s
+        self._held = held
+        self._until_s = until_s
         return self.poll()
 
     def poll(self) -> Command | None:
@@ -142,7 +144,9 @@ class Commands:
     def _enter(self, episode: str) -> None:
         if episode != self.episode:
             self.episode = episode
-            self._answered, self._car, self._stood_s = -1, False, _NEVER
+            self._answered = -1
+            self._car = False
+            self._stood_s = _NEVER
             self.no_episode()
 
     def _drive(self) -> Command | None:

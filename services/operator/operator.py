@@ -135,7 +135,8 @@ class Operator:
 
     def _on_pulse(self, pulse: Pulse) -> None:
         """Answer the robot's sign of life where the person is there."""
-        first, self._heard_s = not self._pulses, self._clock()
+        first = not self._pulses
+        self._heard_s = self._clock()
         self._pulses.append((self._heard_s, pulse))
         if self._there():
             self.beat()
@@ -155,7 +156,8 @@ class Operator:
             self._node.publish(self.commands.told(pulse.emergency_stop))
 
     def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
-        before, self.report = self.report, replace(self.report, **news)
+        before = self.report
+        self.report = replace(self.report, **news)
         if self.report != before:
             self._show(self.report)
 
@@ -176,7 +178,8 @@ class Operator:
         """
         for heard_s, pulse in reversed(self._pulses):
             if heard_s <= as_of_s:
-                node, sequence = self._node, next(self._beats)
+                node = self._node
+                sequence = next(self._beats)
                 fields = {"session": node.session, "name": node.name, "sequence": sequence, "answers": pulse.number}
                 node.publish(Heartbeat.after(pulse, **fields, present=present))
                 return
@@ -228,7 +231,8 @@ class Operator:
             def done() -> None:
                 begun(reply)
                 if reply.episode != self.commands.last_ended:
-                    self.mine, self.request = reply.episode, request
+                    self.mine = reply.episode
+                    self.request = request
 
             return done
 
@@ -299,7 +303,8 @@ class Operator:
 
         def answered() -> None:
             self.commands.answered()
-            self.asking, self._withdrawn = False, None
+            self.asking = False
+            self._withdrawn = None
 
         def ask() -> None:
             try:

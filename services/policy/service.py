@@ -53,7 +53,10 @@ class PolicyService:
         if self._before is not None and self._before[0].identity == loaded.identity:
             self._before = None  # To another goal, or back: at once.
         maker = _ByFilter(model, loaded.goal) if isinstance(model, Model) else _ByPaper(model)
-        self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
+        self._loaded = loaded
+        self._maker = maker
+        self._last = None
+        self._foreign = 0
         return loaded.reply()
 
     @property
@@ -76,7 +79,8 @@ class PolicyService:
         """Return the decision, if one is due at this frame, and the command for it."""
         if self._loaded is None or self._maker is None or state.status == "idle":
             return []
-        loaded, maker = self._loaded, self._maker
+        loaded = self._loaded
+        maker = self._maker
         if self._before is not None and state.model == self._before[0].identity:
             loaded, maker = self._before
         elif state.model == loaded.identity:

@@ -53,11 +53,16 @@ class RecognitionService:
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model from now on; where its keyframes are those of the one before, so is the belief."""
-        model, before, handed = loaded.model, self._loaded, self.hands_on()
+        model = loaded.model
+        before = self._loaded
+        handed = self.hands_on()
         if self._watches and (not isinstance(model, Model) or model.ground is None):
             raise ServiceError(NO_GROUND)
         localizer = _ByFilter(model, loaded, self._watches) if isinstance(model, Model) else _ByPaper(model, loaded)
-        self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
+        self._loaded = loaded
+        self._localizer = localizer
+        self._last = None
+        self._waiting = None
         if handed is not None and before is not None and _same_keyframes(model, before.model):
             self.resume(*handed)
         return loaded.reply()
@@ -119,7 +124,8 @@ class RecognitionService:
             raise ServiceError(
                 f"observations have the features {observation.fingerprint}, the model {wanted}; learn the model again"
             )
-        last, waiting = self._last, self._waiting
+        last = self._last
+        waiting = self._waiting
         if last is not None and (last.episode, last.tick) == (observation.episode, observation.tick):
             # The simulator sent the frame again because an answer was lost: the same answer, nothing else changed.
             return last
@@ -173,7 +179,8 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 
 class _ByFilter:
     def __init__(self, model: Model, loaded: LoadedModel, watches: bool) -> None:
-        self._identity, self._mapped = loaded.identity, model.mapped
+        self._identity = loaded.identity
+        self._mapped = model.mapped
         self._localizer = Localizer(model, goal=loaded.goal, watches=watches)
         self.by_odometry = self._mapped.odometry
         self.reset()
@@ -221,7 +228,8 @@ class _ByPaper:
     def __init__(self, model: PaperModel, loaded: LoadedModel) -> None:
         from smal.paper.recognition import Recognizer  # noqa: PLC0415 - who goes by a map needs none of it
 
-        self._length, self._loaded = model.sequence_length, loaded
+        self._length = model.sequence_length
+        self._loaded = loaded
         self._recognizer = Recognizer(model)
 
     def reset(self) -> None:

@@ -134,7 +134,9 @@ class RecorderService:
 
     def stop(self, _request: Nothing) -> RecordReply:
         """Finish every file, also of an episode that still runs, and record no more."""
-        folder, self._folder, self._cut = self._folder, None, set()
+        folder = self._folder
+        self._folder = None
+        self._cut = set()
         self._close_all()
         return self._settled(folder)
 
@@ -150,7 +152,8 @@ class RecorderService:
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
         self._began_s = self._clock()
         self._folder = folder.resolve()
-        self._files, self._lost = [], 0
+        self._files = []
+        self._lost = 0
         self._dropped_before = self._dropped_by_node()
         self._node.log.info("recording in %s", self._folder)
 
@@ -292,7 +295,8 @@ class RecorderService:
     def _close_all(self) -> None:
         for recording in self._open.values():
             if not recording.closing:
-                recording.closing, recording.deadline_s = True, self._clock() + GRACE_S
+                recording.closing = True
+                recording.deadline_s = self._clock() + GRACE_S
 
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
@@ -300,7 +304,8 @@ class RecorderService:
         self._done.add(episode)
 
     def _finish(self, recording: _Recording) -> None:
-        writer, recording.writer = recording.writer, None
+        writer = recording.writer
+        recording.writer = None
         if writer is None:
             return
         path = writer.seal()
@@ -357,5 +362,6 @@ def _events_in(path: Path) -> Iterator[Episode]:
 
 def _figures(writer: EpisodeWriter) -> Counter[str]:
     """Return the figures of one recording, to be added up."""
-    ledger, messages = writer.ledger, writer.messages - writer.waiting
+    ledger = writer.ledger
+    messages = writer.messages - writer.waiting
     return Counter(messages=messages, size=writer.size, duplicates=ledger.duplicates, gap_ticks=ledger.gap_ticks)

@@ -190,13 +190,16 @@ class _Reading:
                 episode.said = {name: getattr(message, name) for name in _SAID}
                 self._began |= message.event == "started"
                 if message.event == "ended":
-                    episode.outcome, episode.judge, self._end = message.outcome, message.judge, message.tick
+                    episode.outcome = message.outcome
+                    episode.judge = message.judge
+                    self._end = message.tick
             case CommandApplied():
                 last = self._drivers.get(message.tick)
                 if last is None or message.sequence > last[0]:
                     self._drivers[message.tick] = message.sequence, message.source or "nobody"
             case CompressedImage() if episode.width is None:
-                episode.width, episode.height = message.width, message.height
+                episode.width = message.width
+                episode.height = message.height
             case CameraInfo():
                 episode.field_of_view_deg = camera_of(message).field_deg
             case Observation():

@@ -84,7 +84,8 @@ class Teacher:
         # Vectors of more modalities than the wanted ones hold these.
         holding = [held for held in features_in(path) if set(self._features.describing) <= set(held.modalities)]
         held = min(holding, key=lambda held: held.size, default=self._features)
-        free, taught = self._allowance.left, len(self.teaching.demonstrations)
+        free = self._allowance.left
+        taught = len(self.teaching.demonstrations)
         try:
             recording = read_recording(path, held.fingerprint, self._allowance)
         except RecordingError as error:

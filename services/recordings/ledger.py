@@ -66,7 +66,8 @@ class Ledger:
 
     def admit(self, message: Message) -> bool:
         """Whether a message is new."""
-        topic, tick = message.topic_name, message.tick
+        topic = message.topic_name
+        tick = message.tick
         if not self._seen[topic, min(place_of(message), _MOST_PLACES)].add(tick):
             self.duplicates += 1
             return False

@@ -68,7 +68,10 @@ class _Look:
     def __init__(self, data: memoryview) -> None:
         self._data = data
         self._events: set[int] = set()
-        self.chunks, self.size, self.episode, self.ended = 0, len(MAGIC), "", False
+        self.chunks = 0
+        self.size = len(MAGIC)
+        self.episode = ""
+        self.ended = False
         if MAGIC.startswith(bytes(data[: self.size + 1])):
             return
         whole = False

@@ -81,10 +81,15 @@ def _take(episode: RecordedEpisode, stored: Stored, fingerprint: str | None) -> 
     tick = message.tick
     match message:
         case Episode():
-            episode.world, episode.seed, episode.goal = message.world, message.seed, message.goal
-            episode.purpose, episode.driver = message.purpose, message.driver
+            episode.world = message.world
+            episode.seed = message.seed
+            episode.goal = message.goal
+            episode.purpose = message.purpose
+            episode.driver = message.driver
             if message.event == "ended":
-                episode.outcome, episode.end_tick, episode.box = message.outcome, tick, message.box
+                episode.outcome = message.outcome
+                episode.end_tick = tick
+                episode.box = message.box
         case Observation() if message.fingerprint == fingerprint:
             episode.features.setdefault(tick, partial(_features, stored.payload))
         case CommandApplied():

@@ -40,7 +40,8 @@ _MOST_RATIO: Final = 256  # A file may unpack to so many times its size: all tha
 #: compression of Zstandard those of a robot that stands, with an exact clock, take 8.8.
 _LEAST_RECORD: Final = 4
 #: Bytes of a mapped file that may be in memory at once, and how much the system maps round each place that is read.
-_RESIDENT, _AROUND = 16 * 2**20, 2**16
+_RESIDENT = 16 * 2**20
+_AROUND = 2**16
 #: What is taken apart; the index and all else is passed over.
 _KINDS: Final[dict[int, type[Schema | Channel | Metadata]]] = {
     Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
@@ -215,7 +216,8 @@ class _Slices:
         self._position = 0
 
     def read(self, length: int) -> memoryview:
-        begin, end = self._position, self._position + length
+        begin = self._position
+        end = self._position + length
         if not begin <= end <= len(self._data):
             raise EndOfFile
         self._position = end

@@ -34,7 +34,8 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
         if len(one.episodes) != 1:
             several = f"{len(one.episodes)} episodes; one can be repaired at a time"
             raise JobError(f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}")
-        first, other = before[0].episodes[0], one.episodes[0]
+        first = before[0].episodes[0]
+        other = one.episodes[0]
         if (first.robot, first.episode) != (other.robot, other.episode):
             raise JobError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
     left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]

@@ -31,7 +31,8 @@ def claim(path: Path, flags: int = os.O_RDWR) -> int:
 
 def free_path(folder: Path, stem: str) -> Path:
     """Return ``<stem>.mcap`` in a folder, or ``<stem>-2.mcap`` and so on: no recording is ever overwritten."""
-    number, path = 1, folder / f"{stem}.mcap"
+    number = 1
+    path = folder / f"{stem}.mcap"
     while path.exists() or partial_of(path).exists():
         number += 1
         path = folder / f"{stem}-{number}.mcap"

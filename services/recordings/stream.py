@@ -94,7 +94,8 @@ def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
     channels: dict[int, tuple[str, Topic | None, str, str]] = {}
     for record in every:
         if isinstance(record, Channel):
-            robot, episode = record.metadata.get("robot", ""), record.metadata.get("episode", "")
+            robot = record.metadata.get("robot", "")
+            episode = record.metadata.get("episode", "")
             named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(EPISODE_ID_PATTERN, episode)
             channels[record.id] = record.topic, topic_of(record.topic) if named else None, robot, episode
         elif isinstance(record, StoredMessage) and record.channel_id in channels:
@@ -104,7 +105,8 @@ def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
 
 def messages_of(path: Path, topics: Collection[Topic], allowance: Allowance | None = None) -> Iterator[Stored]:
     """Yield the messages of some topics in a recording, within an ``allowance``; or raise RecordingError."""
-    data, allowance = open_recording(path), allowance or Allowance()
+    data = open_recording(path)
+    allowance = allowance or Allowance()
     before = allowance.left
     try:
         for stored in messages(records(data, allowance)):

@@ -79,7 +79,8 @@ def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapReco
 
 
 def _whole(data: memoryview, data_end: int, tell: Callable[[str], None]) -> Iterator[McapRecord]:
-    bounds, search = Bounds(len(data)), ChunkSearch(data)
+    bounds = Bounds(len(data))
+    search = ChunkSearch(data)
     at = sure = len(MAGIC)
     while at < len(data):
         try:
@@ -107,7 +108,8 @@ def _whole(data: memoryview, data_end: int, tell: Callable[[str], None]) -> Iter
                 tell("the checksum of its data is wrong")
             return
         yield from (one for one in found if one is not None)
-        at, sure = end, end if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else sure
+        at = end
+        sure = end if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else sure
 
 
 def _head(data: memoryview, at: int) -> Head:
@@ -128,7 +130,8 @@ class ChunkSearch:
     """
 
     def __init__(self, data: memoryview) -> None:
-        self._data, self._left = data, _CHECKED * len(data)
+        self._data = data
+        self._left = _CHECKED * len(data)
 
     def next(self, at: int, end: int) -> int:
         """Return where the next chunk begins whose checksum is right, or `end`."""

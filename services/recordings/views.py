@@ -108,7 +108,8 @@ class Views:
         if not self._way or float(np.hypot(*(here[:2] - self._way[-1]))) >= self._step_m:
             self._way.append((odometry.x_m, odometry.y_m))
         if len(self._way) > _MOST_POINTS:
-            self._way, self._step_m = self._way[::2], 2.0 * self._step_m
+            self._way = self._way[::2]
+            self._step_m = 2.0 * self._step_m
 
     @of.register
     def _pose(self, pose: Pose) -> Iterator[RecordedView]:
@@ -119,7 +120,8 @@ class Views:
 
     def _world(self, message: Message) -> Iterator[RecordedView]:
         """Say once where the wheels' axes lie in the world."""
-        wheels, true = self._wheels.get(message.tick), self._true.get(message.tick)
+        wheels = self._wheels.get(message.tick)
+        true = self._true.get(message.tick)
         if not self._with_world and wheels is not None and true is not None:
             self._with_world = True
             yield RecordedView("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
@@ -131,7 +133,10 @@ class Views:
 
     @of.register
     def _camera(self, info: CameraInfo) -> Iterator[RecordedView]:
-        focal, x, y, stamp = info.focal_px, info.centre_x_px, info.centre_y_px, timestamp(info.stamp_ns)
+        focal = info.focal_px
+        x = info.centre_x_px
+        y = info.centre_y_px
+        stamp = timestamp(info.stamp_ns)
         calibration = CameraCalibration(timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height)
         calibration.K.extend([focal, 0, x, 0, focal, y, 0, 0, 1])
         calibration.distortion_model = info.lens
@@ -256,7 +261,9 @@ def _line(message: Message, frame: str, name: str, lines: list[Array], color: Co
 
 def _scene(message: Message, frame: str, name: str, entity: SceneEntity) -> SceneUpdate:
     entity.timestamp.CopyFrom(timestamp(message.stamp_ns))
-    entity.frame_id, entity.id, entity.frame_locked = frame, name, True
+    entity.frame_id = frame
+    entity.id = name
+    entity.frame_locked = True
     return SceneUpdate(entities=[entity])
 
 

@@ -44,7 +44,8 @@ class EpisodeWriter:
         self._channels: dict[tuple[str, ChannelFormat], int] = {}
         self._schemas: dict[ChannelFormat, int] = {}
         #: Of the chunk that waits: its bytes, and its first time.
-        self._bytes, self._first_ns = 0, sys.maxsize
+        self._bytes = 0
+        self._first_ns = sys.maxsize
         self._sink = Sink(claim(part, os.O_RDWR | os.O_CREAT | os.O_EXCL))
         try:
             self._file: Any = Writer(cast("Any", self._sink), sys.maxsize, CompressionType.NONE, enable_data_crcs=True)
@@ -99,7 +100,9 @@ class EpisodeWriter:
             if self._sink.tell() > before:
                 self._written = self.messages
             raise
-        self._written, self._bytes, self._first_ns = self.messages, 0, sys.maxsize
+        self._written = self.messages
+        self._bytes = 0
+        self._first_ns = sys.maxsize
 
     def seal(self) -> Path:
         """Finish and name the recording, and return its file; `leftover` seals later what had no room for its end."""

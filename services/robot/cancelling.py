@@ -33,7 +33,8 @@ class Cancelling:
     def beginning(self, session: str) -> Iterator[None]:
         """Begin what a session has asked for. Raises CancelledError, at the next step or at the end, once cancelled."""
         with self._lock:
-            self._asker, self._by = session, None
+            self._asker = session
+            self._by = None
         try:
             with asking(self._go_on):
                 yield

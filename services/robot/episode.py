@@ -55,7 +55,8 @@ class RunningEpisode(Generic[V]):
         """
         self.tick += 1
         self._timed += not by_hand
-        self.view, self._reached = self._body.look(self.tick), None
+        self.view = self._body.look(self.tick)
+        self._reached = None
         limit = self.request.max_ticks
         timed_out = limit is not None and not by_hand and self._timed >= limit
         if self.view.contact:

@@ -171,7 +171,8 @@ class CommandGate:
     def hear(self, beat: Heartbeat, now_s: float) -> None:
         """Take an operator's sign of life, unless it answers no recent pulse, or another operator is there."""
         with self._lock:
-            answered_s, last = self._pulsed_s.get(beat.answers, -math.inf), self._operator
+            answered_s = self._pulsed_s.get(beat.answers, -math.inf)
+            last = self._operator
             if now_s - answered_s > OPERATOR_S:
                 theirs = False
             elif last is not None and beat.session == last.session:
@@ -323,7 +324,8 @@ class CommandGate:
             command = latest.command
             insists = command.insists and command.source == "teleop"
             may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
-            asked, latest = latest, self._obeyed(now_s, deaf=deaf)
+            asked = latest
+            latest = self._obeyed(now_s, deaf=deaf)
             if latest is asked:
                 return Applied(may, command.source, reason, command.tick, now_s - asked.captured_s)
         return latest

@@ -51,7 +51,9 @@ class Guard:
     """Bounds the speed of a round robot; ``look`` is called by one thread, ``share`` by any, and never waits for it."""
 
     def __init__(self, mount: Mount, kinematics: Kinematics, braking_s: float) -> None:
-        self._mount, self._kinematics, self._braking_s = mount, kinematics, braking_s
+        self._mount = mount
+        self._kinematics = kinematics
+        self._braking_s = braking_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
         self._capture_time = CaptureTime(mount)
         self._lock = threading.Lock()  # Held for the few lines that grant a share, or put a look in place of another.
@@ -71,7 +73,8 @@ class Guard:
             return
         known = _Known(self._around.snapshot(), taken_s)
         with self._lock:
-            self._before, self._known = self._known, known
+            self._before = self._known
+            self._known = known
 
     def sees(self, now_s: float) -> bool:
         """Return whether the depth camera has shown the ground lately."""
@@ -81,7 +84,8 @@ class Guard:
         """Return the largest share of its speed, 0 to 1, at which it may go on along the arc of a velocity."""
         if velocity.linear == 0.0:
             return 1.0
-        known, speed_m_s = self._known, self._kinematics.speed_m_s
+        known = self._known
+        speed_m_s = self._kinematics.speed_m_s
         free_m = known.free_m(velocity, self._kinematics)
         with self._lock:
             age_s = now_s - known.taken_s

@@ -62,7 +62,8 @@ class ActuatorLoop:
         self._tell = tell
         self._clock = clock
         self._told: tuple[object, ...] | None = None
-        self._complaints, self._last_complaints = Throttle(), Throttle()
+        self._complaints = Throttle()
+        self._last_complaints = Throttle()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
         self.late = 0  # How many steps began later than the next one was due.
@@ -106,7 +107,8 @@ class ActuatorLoop:
             carried_out = self._body.drive(applied.velocity)
         self._gate.carries_out(carried_out, now)
         if applied.answered_tick not in (None, self._answered):
-            self._answered, self.delay_s = applied.answered_tick, applied.age_s
+            self._answered = applied.answered_tick
+            self.delay_s = applied.age_s
         what = (applied.velocity, applied.source, applied.reason)
         if what != self._told:
             self._told = what

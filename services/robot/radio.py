@@ -42,5 +42,6 @@ class RadioWindow:
         """Whether the picture of a frame is to be sent, which is then under way; what is lost is not waited for."""
         if len(self._sent) >= UNANSWERED and now_s - self._last_s < 2 * SILENCE_S:
             return False
-        self._sent, self._last_s = [*self._sent, tick][-UNANSWERED:], now_s
+        self._sent = [*self._sent, tick][-UNANSWERED:]
+        self._last_s = now_s
         return True

@@ -137,9 +137,11 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.
         check_stopping(self.body)
-        self.gate.guard, self.gate.kinematics = guard_of(self.body), self.body.kinematics
+        self.gate.guard = guard_of(self.body)
+        self.gate.kinematics = self.body.kinematics
         self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
-        now, now_ns = pace.gate_s(0), self._wall_clock_ns()
+        now = pace.gate_s(0)
+        now_ns = self._wall_clock_ns()
         self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
         try:
@@ -200,7 +202,8 @@ class EpisodeRunner(Generic[V]):
 
     def hear(self, beat: Heartbeat) -> None:
         """Take a sign of life."""
-        now, run = self._clock(), self.running
+        now = self._clock()
+        run = self.running
         if beat.answers is not None:
             self.gate.hear(beat, now)
         if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
@@ -246,7 +249,8 @@ class EpisodeRunner(Generic[V]):
         yield from self.end(Ended(outcome, "task" if outcome == "found" else None))
 
     def _frame(self, run: Running[V]) -> Iterator[Message]:
-        view, tick = run.episode.view, run.tick
+        view = run.episode.view
+        tick = run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
         if view.odometry is not None and self._follows(view.odometry, captured_s) and self.gate.guard is not None:
@@ -290,7 +294,8 @@ class EpisodeRunner(Generic[V]):
     def tell(self, run: Running[V], applied: Applied) -> CommandApplied:
         """Make the record of what moves the robot; remembers it, to say so again only when it changes."""
         run.applied = applied
-        sequence, run.said = run.said, run.said + 1
+        sequence = run.said
+        run.said = run.said + 1
         latency_s = None if applied.source is None else run.latency_s.get(applied.source)
         return CommandApplied.after(
             self.header(run),

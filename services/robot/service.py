@@ -109,7 +109,8 @@ class RobotService:
 
         A robot that is armed stays; of two that stand for a stop, as every one does that was just started, one leaves.
         """
-        mine, stands = self._runner.session, self._runner.gate.emergency_stop
+        mine = self._runner.session
+        stands = self._runner.gate.emergency_stop
         if pulse.session != mine and stands and (not pulse.emergency_stop or pulse.session < mine):
             self.left = True
             self._node.stop()
@@ -161,7 +162,9 @@ class RobotService:
 
     def detail(self) -> Detail:
         """Tell the running episode and how the actuator fares."""
-        running, gate, moves = self._runner.running, self._runner.gate, self._runner.body.kinematics
+        running = self._runner.running
+        gate = self._runner.gate
+        moves = self._runner.body.kinematics
         detail: Detail = {
             "world": self._runner.body.name,
             "speed_m_s": moves.speed_m_s,

@@ -55,7 +55,8 @@ class WheelCheck:
             return f"the odometry is not finite: {tuple(pose)}"
         if self._read is not None and at_s <= self._read[0]:
             return None  # The same reading, or an older one.
-        before, self._read = self._read, (at_s, tuple(pose))
+        before = self._read
+        self._read = (at_s, tuple(pose))
         if before is None or at_s - before[0] > self._silent_s:
             for axis in self._axes:
                 axis.restart()
@@ -74,7 +75,8 @@ class WheelCheck:
         step_s = (until_s - since_s) / steps
         for number in range(steps):
             at_s = since_s + (number + 1) * step_s
-            order, late = _order(orders, at_s), _order(orders, at_s - DELAY_S)
+            order = _order(orders, at_s)
+            late = _order(orders, at_s - DELAY_S)
             for which, axis in enumerate(self._axes):
                 axis.step(order[which], late[which], step_s)
 
@@ -93,7 +95,10 @@ class _Axis:
     """
 
     def __init__(self, unit: str, full: float, name: str, least: float) -> None:
-        self._unit, self._full, self._name, self._least = unit, full, name, least
+        self._unit = unit
+        self._full = full
+        self._name = name
+        self._least = least
         self._direction = 1.0  # Sign of the last expected movement.
         self.restart()
 
@@ -117,7 +122,8 @@ class _Axis:
 
     def compare(self, moved: float, elapsed_s: float) -> str | None:
         """Take a reported movement; return how it contradicts what was expected, or None."""
-        expected_s, self._expected_s = self._expected_s, 0.0
+        expected_s = self._expected_s
+        self._expected_s = 0.0
         followed_s = self._direction * moved / self._full / LAG
         if expected_s == 0.0:
             followed_s = max(followed_s, 0.0)  # A base that rolls on after its order does what it owes.

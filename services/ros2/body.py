@@ -65,7 +65,8 @@ class Ros2Body:
     def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
         self.name = config.name
         self.kinematics = Kinematics(config.speed_m_s, config.turn_rate_rad_s, config.radius_m)
-        self.watchdog_s, self.braking_s = config.watchdog_s, config.braking_s
+        self.watchdog_s = config.watchdog_s
+        self.braking_s = config.braking_s
         self._config = config
         self._camera = config.full(config.camera.topic)
         self._senses = senses
@@ -169,7 +170,8 @@ class Ros2Body:
         if frame is None or frame is self._frame:
             return
         try:
-            self._jpeg, self._frame = picture(frame.message), frame
+            self._jpeg = picture(frame.message)
+            self._frame = frame
         except MessageError as error:
             self._senses.refuse(self._camera, str(error))
             if self._frame is None:
@@ -195,7 +197,9 @@ class Ros2Body:
 
     def detail(self) -> Detail:
         """Tell how the base is heard, and how its clock stands: ahead of what `date` would show on this machine."""
-        clock, frame, now = self._senses.camera_clock, self._senses.frame, self._clock()
+        clock = self._senses.camera_clock
+        frame = self._senses.frame
+        now = self._clock()
         offset_s = clock.offset_s
         return {
             "lacks": self._lacks(),

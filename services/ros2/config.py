@@ -124,7 +124,8 @@ class Ros2Config(_Part):
             host_and_port(self.router)
         except BusError as error:
             raise ValueError(str(error)) from None
-        told, car = self.velocity.type, self.velocity.wheelbase_m is not None
+        told = self.velocity.type
+        car = self.velocity.wheelbase_m is not None
         if told != "auto" and ("Ackermann" in told) != car:
             raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
         if car and self.radius_m == 0.0:

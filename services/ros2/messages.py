@@ -85,10 +85,12 @@ class Messages:
         stamp can hold it is the nearest that one can.
         """
         plain, stamped = VELOCITIES[wheelbase_m is not None]
-        part, fields = "twist", dict[str, Any](linear={"x": ahead_m_s}, angular={"z": turn_rad_s})
+        part = "twist"
+        fields = dict[str, Any](linear={"x": ahead_m_s}, angular={"z": turn_rad_s})
         if wheelbase_m is not None:
             angle_rad = math.atan(wheelbase_m * turn_rad_s / ahead_m_s) if ahead_m_s else 0.0
-            part, fields = "drive", {"speed": ahead_m_s, "steering_angle": angle_rad}
+            part = "drive"
+            fields = {"speed": ahead_m_s, "steering_angle": angle_rad}
         if stamp_ns is None:
             return self.write(plain, fields)
         seconds, rest_ns = divmod(min(max(0, stamp_ns), _LAST_NS), 1_000_000_000)

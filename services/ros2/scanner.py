@@ -48,7 +48,9 @@ def ways(message: RosMessage, scan: ScanTopic) -> tuple[Way, Way]:
 
 
 def _check(message: RosMessage, beams: int, scan: ScanTopic) -> None:
-    begin, step, end = message.angle_min, message.angle_increment, message.angle_max
+    begin = message.angle_min
+    step = message.angle_increment
+    end = message.angle_max
     turn = step * (beams - 1)
     geometry = beams > 0 and step != 0 and abs(begin) <= _TURN_RAD and abs(turn) <= _TURN_RAD
     if not (geometry and abs(begin + turn - end) <= scan.gap_rad):

@@ -30,8 +30,10 @@ from smal.camera import Camera
 
 _KEPT: Final = 100  # Wheels that were read within this time of a frame are looked through for those of its moment.
 #: As `schemas.motion` and `schemas.camera` have it; and far more than any base does.
-_MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
-_MOST_COLUMNS, _MOST_ROWS = 4096, 3072
+_MOST_RAD_S = 100.0
+_MOST_M_S2 = 1000.0
+_MOST_COLUMNS = 4096
+_MOST_ROWS = 3072
 #: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.
 _MOST_BYTES: Final = {
     messages.IMAGE: LARGEST_BYTES,
@@ -53,7 +55,8 @@ _HAZARDS: Final[dict[int, Ban]] = {
 _UNKNOWN_HAZARD: Final[Ban] = ("an unknown hazard is near", _MOVING)
 _BUMP: Final = 1
 # Of turtlebot3_msgs/msg/SensorState.
-_BUMPER_FORWARD, _BUMPER_BACKWARD = 1, 2
+_BUMPER_FORWARD = 1
+_BUMPER_BACKWARD = 2
 _log = logging.getLogger("ros2")
 
 
@@ -116,7 +119,8 @@ class Senses:
         for stop in config.stops:
             # What speaks of changes only is as old as it is; and a Bool has no stamp.
             stamped = stop.silence_s is not None and stop.type != messages.BOOL
-            take, clock = partial(self._stop, full(stop.topic), str(stop.type)), StampedClock() if stamped else None
+            take = partial(self._stop, full(stop.topic), str(stop.type))
+            clock = StampedClock() if stamped else None
             silence_s = math.inf if stop.silence_s is None else stop.silence_s
             inputs[full(stop.topic)] = Heard(str(stop.type), take, clock, silence_s)
         return inputs
@@ -183,7 +187,8 @@ class Senses:
         self._wheels.append(self.track.add(made_s, pose.position.x, pose.position.y, heading_rad))
 
     def _feel(self, message: RosMessage, made_s: float) -> None:
-        turn, push = _triple(message.angular_velocity), _triple(message.linear_acceleration)
+        turn = _triple(message.angular_velocity)
+        push = _triple(message.linear_acceleration)
         _check_finite("angular velocity", turn, _MOST_RAD_S)
         _check_finite("acceleration", push, _MOST_M_S2)
         self._imu.append(ImuReading(made_s, turn, push))
@@ -204,7 +209,8 @@ class Senses:
                 forbidden.append((f"something is {way.nearest_m:.2f} m {where}", frozenset({atom})))
             if must and not way.seen:
                 unseen[atom] = f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
-        self._forbidden[topic], self._unseen = tuple(forbidden), unseen
+        self._forbidden[topic] = tuple(forbidden)
+        self._unseen = unseen
 
     def _stop(self, topic: str, type_name: str, message: RosMessage, _at_s: float) -> None:
         touched, self._forbidden[topic] = _STOPS[type_name](message)
@@ -265,7 +271,8 @@ def _hazards(message: RosMessage) -> Said:
 
 
 def _bumpers(message: RosMessage) -> Said:
-    ahead, others = message.bumper & _BUMPER_FORWARD, message.bumper & ~_BUMPER_FORWARD
+    ahead = message.bumper & _BUMPER_FORWARD
+    others = message.bumper & ~_BUMPER_FORWARD
     forbidden = [_HAZARDS[_BUMP]] if ahead else []
     if others == _BUMPER_BACKWARD:
         forbidden.append(("its rear bumper is pressed", _MOVING - {"forward"}))

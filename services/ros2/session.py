@@ -29,7 +29,8 @@ ECHO_S: Final = 0.03
 _ECHOES: Final = 1000  # Echoes that may be under way: half a minute of them.
 #: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
 #: changes, the last word is wanted that was said before we came.
-_SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
+_SENSOR = Qos(reliable=False, depth=5)
+_COMMAND = Qos(reliable=True, depth=10)
 _CHANGES = Qos(reliable=True, depth=1, latched=True)
 _log = logging.getLogger("ros2")
 
@@ -84,7 +85,8 @@ class Ros2Session:
         self._zid = str(self._session.info.zid())
         self._declared: list[Any] = []
         self._publishers: dict[str, tuple[zenoh.Publisher, bytes]] = {}
-        self._sequence, self._number = count(1), count(1)
+        self._sequence = count(1)
+        self._number = count(1)
         self._declare(self._dialect.node_token(self._zid))
         changes = senses.changes()
         for topic, heard in senses.inputs.items():
@@ -129,7 +131,8 @@ class Ros2Session:
         last = zenoh.ext.HistoryConfig(max_samples=1)
         asked = zenoh.ext.declare_advanced_subscriber(self._session, key, self._listener(topic), history=last)
         # Only now, or a change between the two would be lost.
-        before, self._changes[topic] = self._changes.get(topic), asked
+        before = self._changes.get(topic)
+        self._changes[topic] = asked
         if before is not None:
             before.undeclare()
 

@@ -6,9 +6,12 @@ from typing import NamedTuple
 from services.robot.body import OdometryReading
 
 # Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
-_LEAP_M, _LEAP_RAD = 0.3, 0.3
+_LEAP_M = 0.3
+_LEAP_RAD = 0.3
 #: As `schemas.motion` has it; and far more than any base does.
-_MOST_M, _MOST_RAD_S, _MOST_M_S = 1e6, 100.0, 100.0
+_MOST_M = 1e6
+_MOST_RAD_S = 100.0
+_MOST_M_S = 100.0
 
 
 class Wheels(NamedTuple):
@@ -39,13 +42,15 @@ class WheelTrack:
 
     def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
         """Take the next pose."""
-        now, raw = self._now, self._raw
+        now = self._now
+        raw = self._raw
         self._raw = x_m, y_m, heading_rad
         if raw is None:
             self._now = Wheels(read_s)
             return self._now
         turned = math.remainder(heading_rad - raw[2], math.tau)
-        dx, dy = x_m - raw[0], y_m - raw[1]
+        dx = x_m - raw[0]
+        dy = y_m - raw[1]
         passed_s = max(0.0, read_s - now.read_s)
         far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
         far |= abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s
@@ -74,8 +79,10 @@ def _size(x_m: float, y_m: float, angle_rad: float) -> float:
 
 def reading(now: Wheels, since: Wheels, last: Wheels) -> OdometryReading:
     """Return what the wheels say now, from where they were when an episode began, and when they were last read."""
-    dx, dy = now.x_m - since.x_m, now.y_m - since.y_m
-    cos, sin = math.cos(since.heading_rad), math.sin(since.heading_rad)
+    dx = now.x_m - since.x_m
+    dy = now.y_m - since.y_m
+    cos = math.cos(since.heading_rad)
+    sin = math.sin(since.heading_rad)
     elapsed_s = now.read_s - last.read_s
     speed_m_s = (now.ahead_m - last.ahead_m) / elapsed_s if elapsed_s > 0 else 0.0
     turn_rad_s = (now.turned_rad - last.turned_rad) / elapsed_s if elapsed_s > 0 else 0.0

@@ -129,7 +129,9 @@ class RmwZenoh(Bridge):
     def __init__(
         self, messages: Messages, domain: int, namespace: str, node: str = "smal", *, hashed: bool = True
     ) -> None:
-        self._messages, self._domain, self._hashed = messages, domain, hashed
+        self._messages = messages
+        self._domain = domain
+        self._hashed = hashed
         self._us = f"%/{_mangled(namespace)}/{node}"
         self.tokens = f"@ros2_lv/{domain}/**"  # A wildcard never matches the first part.
 

@@ -47,7 +47,8 @@ class Actuator:
     """Wheels that do not quite obey; their errors belong to ticks of simulated time, however finely it is stepped."""
 
     def __init__(self, drive: DriveTrain, rng: np.random.Generator) -> None:
-        self._drive, self._rng = drive, rng
+        self._drive = drive
+        self._rng = rng
         self._radius = 1.0 + drive.radius_sigma * rng.standard_normal(2)
         self._time_s = 0.0
         self._tick = -1

@@ -46,7 +46,9 @@ class SimulatedBody:
         for topic in (DEPTH, OVERHEAD):
             # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
             wanted(topic)
-        self._clock, self._wanted, self._worlds = clock, wanted, worlds
+        self._clock = clock
+        self._wanted = wanted
+        self._worlds = worlds
         self._lock = Lock()
         self._kidnap_tick: int | None = None
         self._realtime = False
@@ -55,10 +57,13 @@ class SimulatedBody:
         self._enter(simulation)
 
     def _enter(self, simulation: Simulation) -> None:
-        self.simulation, self.name = simulation, simulation.name
-        drive, self.camera = simulation.world.robot.drive, Camera.of_field(FIELD_OF_VIEW_DEG)
+        self.simulation = simulation
+        self.name = simulation.name
+        drive = simulation.world.robot.drive
+        self.camera = Camera.of_field(FIELD_OF_VIEW_DEG)
         self.kinematics = Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m)
-        self.braking_s, self.mount = simulation.braking_s, simulation.mount
+        self.braking_s = simulation.braking_s
+        self.mount = simulation.mount
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Put the robot at a seeded start; ServiceError where the world cannot be used, and the robot stays."""
@@ -96,7 +101,8 @@ class SimulatedBody:
         with self._lock:
             now = self._clock()
             self._catch_up(now)
-            self._order, self._ordered_s = velocity, now
+            self._order = velocity
+            self._ordered_s = now
         return velocity
 
     def stand(self) -> None:

@@ -28,7 +28,9 @@ class LockstepEpisode(RunningEpisode[SimulatedView]):
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
         super().__init__(body, FindVictim(), request)
-        self._simulated, self._guard, self._wheels = body, guard_of(body), WheelCheck(body.kinematics)
+        self._simulated = body
+        self._guard = guard_of(body)
+        self._wheels = WheelCheck(body.kinematics)
         #: Why the robot stands until the end, if its senses contradict each other.
         self.contradiction: str | None = None
 
@@ -39,7 +41,8 @@ class LockstepEpisode(RunningEpisode[SimulatedView]):
 
     def step(self, asked: Atom | Velocity) -> SimulatedView:
         """Carry out a key or a velocity, or what the gate would let through, until the next frame, and return that."""
-        now_s, wheels = self.tick * TICK_S, self.view.odometry[:3]
+        now_s = self.tick * TICK_S
+        wheels = self.view.odometry[:3]
         self.contradiction = self.contradiction or self._wheels.read(wheels, now_s)
         if self._guard is not None and self.contradiction is None:
             self._guard.look(self.view.depth, wheels, now_s)
@@ -56,7 +59,8 @@ class Lockstep:
     delay_s = 0.0  # The world waits.
 
     def __init__(self, body: SimulatedBody, clock: Callable[[], float] = now_s) -> None:
-        self._body, self._clock = body, clock
+        self._body = body
+        self._clock = clock
         self._sent_s = clock()
         self.resent = 0
 
@@ -82,7 +86,8 @@ class Lockstep:
     def poll(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
         """Move on if the last frame is answered; send it again, or give up, when an answer is overdue."""
         # Asked in this order: of an answer that comes between the two, the next poll makes a step.
-        answered, applied = runner.gate.answered(run.tick), runner.gate.applied(self.gate_s(run.tick))
+        answered = runner.gate.answered(run.tick)
+        applied = runner.gate.applied(self.gate_s(run.tick))
         if runner.gate.emergency_stop:
             if run.applied is None or run.applied.reason != "emergency_stop":
                 yield runner.tell(run, applied)

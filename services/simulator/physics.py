@@ -76,8 +76,10 @@ def lead(now: WheelSpeeds, wanted: WheelSpeeds, track_m: float, duration_s: floa
     The robot's speed and its turning are led separately. If each wheel went its own way as fast as it can, both would
     pull with all they have while the robot speeds up, and nothing would be left to end a turn.
     """
-    mean, half = (now.left + now.right) / 2, (now.right - now.left) / 2
-    ahead, astern = ACCELERATION_M_S2, BRAKING_M_S2
+    mean = (now.left + now.right) / 2
+    half = (now.right - now.left) / 2
+    ahead = ACCELERATION_M_S2
+    astern = BRAKING_M_S2
     if wanted == STANDING:
         ahead = astern = STOPPING_M_S2
     change = (wanted.left + wanted.right) / 2 - mean
@@ -258,7 +260,8 @@ class PhysicalBase:
 
     def _rolled(self) -> tuple[float, float]:
         """Return how far the wheels have turned since the last call; the engine wraps their angles."""
-        before, self._angles = self._angles, self._articulation.qpos.tolist()
+        before = self._angles
+        self._angles = self._articulation.qpos.tolist()
         left, right = (
             math.remainder(now - then, math.tau) * self._drive.wheel_radius_m
             for now, then in zip(self._angles, before, strict=True)

@@ -55,11 +55,14 @@ class Simulation:
             from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only this needs a renderer
 
             camera = SceneCamera(world, camera)
-        self.world, self.name = world, world.name
-        self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
+        self.world = world
+        self.name = world.name
+        self.speed_m_s = world.robot.drive.speed_m_s
+        self.found_m = world.scale.found_m
         self._seen = world, camera, variation
         #: How its depth camera sits, if it has one: where its other camera does.
-        sits, radius_m = world.robot.camera, world.robot.radius_m
+        sits = world.robot.camera
+        radius_m = world.robot.radius_m
         self.mount = Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m) if depth else None
         self._base = base or KinematicBase(world.place, world.robot.drive)
         self.braking_s = self._base.braking_s
@@ -95,7 +98,8 @@ class Simulation:
         return self.pose
 
     def _lay(self, victim: Victim) -> None:
-        chance, there = self._chance(7), self.world.victim
+        chance = self._chance(7)
+        there = self.world.victim
         self.victim = there if victim == "there" else moved_victim(self.world, chance) if victim == "moved" else None
         self._seen[1].lay(self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16)))
 
@@ -112,7 +116,8 @@ class Simulation:
 
     def carry_away(self) -> Pose:
         """Put the robot anywhere beside the way, as the episode's seed has it; its wheels do not turn meanwhile."""
-        chance, room_m = self._chance(5), self.world.scale.start_room_m
+        chance = self._chance(5)
+        room_m = self.world.scale.start_room_m
         self.pose = sample_start(self.world, chance, "recovery")
         while any(thing.footprint.distance(Point(self.pose.x, self.pose.y)) < room_m for thing in self.obstacles):
             self.pose = sample_start(self.world, chance, "recovery")

@@ -27,7 +27,8 @@ class Daylight:
     @property
     def direction(self) -> tuple[float, float, float]:
         """Where sunlight goes, a unit vector: x east, y north, z up."""
-        up, around = math.radians(self.elevation_deg), math.radians(self.azimuth_deg)
+        up = math.radians(self.elevation_deg)
+        around = math.radians(self.azimuth_deg)
         return (-math.cos(up) * math.sin(around), -math.cos(up) * math.cos(around), -math.sin(up))
 
 

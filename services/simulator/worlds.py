@@ -66,7 +66,8 @@ class Worlds:
 
     def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
         """Open a world under some conditions, both as they were if not given; a `ServiceError` where that cannot be."""
-        world, variation = world or self.here[0], variation or self.here[1]
+        world = world or self.here[0]
+        variation = variation or self.here[1]
         if variation not in VARIATIONS:
             raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")
         of = self._settings

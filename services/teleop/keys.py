@@ -59,7 +59,8 @@ class KeyParser:
 
     def feed(self, data: bytes) -> Iterator[KeyEvent]:
         """Yield what happened to the keys in ``data``; unknown ones are passed over."""
-        data, self._begun = self._begun + data, b""
+        data = self._begun + data
+        self._begun = b""
         for match in _TOKEN.finditer(data):
             numbers, final, begun, single = match.groups()
             if begun is not None and len(begun) < _LONGEST_SEQUENCE:

@@ -79,7 +79,8 @@ class TeleopSession:
         self._operator = Operator(node, lambda text: terminal.say(printable(text)))
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
-        self._first_hold_s, self._repeat_hold_s = settings.first_hold_s, settings.repeat_hold_s
+        self._first_hold_s = settings.first_hold_s
+        self._repeat_hold_s = settings.repeat_hold_s
         self._tells_by_s: float | None = time.monotonic() + TELLS_S
         self._held: set[Atom] = set()  # Keys that are held, until a time.
         self._held_until_s = 0.0

@@ -89,7 +89,8 @@ class Terminal:
     def _read_the_rest(self) -> None:
         """Read what the terminal sends before it has understood: the shell would take a release for a text."""
         self.write(ASK_RELEASES)
-        rest, until_s = b"", time.monotonic() + _ANSWER_S
+        rest = b""
+        until_s = time.monotonic() + _ANSWER_S
         while not RELEASES_ANSWER.search(rest) and (wait_s := until_s - time.monotonic()) > 0.0:
             typed = self.read(wait_s)
             if typed is None:
@@ -102,7 +103,8 @@ class Terminal:
                 self._changed.wait_for(lambda: self._closed or self._lines or self._status != self._drawn)
                 if not self._lines and self._status == self._drawn:
                     return
-                lines, self._drawn = "".join(f"{line}\n" for line in self._lines), self._status
+                lines = "".join(f"{line}\n" for line in self._lines)
+                self._drawn = self._status
                 self._lines.clear()
             self.write(f"{_ERASE_LINE}{lines}{self._drawn}")
 

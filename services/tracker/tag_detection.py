@@ -67,8 +67,10 @@ def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDAr
 def _meeting(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return where each side (4, 2) meets the one before it."""
     # As complex numbers, of which the cross product is the imaginary part of one times the other's conjugate.
-    start, along = starts @ (1.0, 1j), (ends - starts) @ (1.0, 1j)
-    before, along_before = np.roll(start, 1), np.roll(along, 1)
+    start = starts @ (1.0, 1j)
+    along = (ends - starts) @ (1.0, 1j)
+    before = np.roll(start, 1)
+    along_before = np.roll(along, 1)
     share = ((start - before).conj() * along).imag / (along_before.conj() * along).imag
     meets = before + share * along_before
     return np.column_stack([meets.real, meets.imag])

@@ -63,7 +63,8 @@ def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
             "another tag, another height, or a wrong calibration"
         )
     x_m, y_m, heading_rad, error_m = fit_square(corners, tag.side_m)
-    error_px, most_px = error_m / metres_per_px, MAX_ERROR * tag.side_m / metres_per_px
+    error_px = error_m / metres_per_px
+    most_px = MAX_ERROR * tag.side_m / metres_per_px
     # Not `>`: the error of corners that could not be computed is no number.
     if not error_px <= most_px:
         raise TagNotSeen(
@@ -76,7 +77,8 @@ def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
 def _onto_plane(pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float) -> NDArray[np.float64]:
     """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane of a scale."""
     right, down = ((pixels - (camera.centre_x_px, camera.centre_y_px)) * metres_per_px).T
-    cos, sin = math.cos(camera.up_rad), math.sin(camera.up_rad)
+    cos = math.cos(camera.up_rad)
+    sin = math.sin(camera.up_rad)
     return np.column_stack([camera.x_m + right * sin - down * cos, camera.y_m - right * cos - down * sin])
 
 
@@ -89,7 +91,8 @@ def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float,
     ahead_left = side / 2 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
     middle = corners.mean(axis=0)
     # As complex numbers: rotating is multiplying, and the best rotation is the direction of the correlation.
-    model, measured = ahead_left @ (1.0, 1j), (corners - middle) @ (1.0, 1j)
+    model = ahead_left @ (1.0, 1j)
+    measured = (corners - middle) @ (1.0, 1j)
     turn = np.vdot(model, measured)
     heading = float(np.angle(turn))
     error = float(np.sqrt(np.mean(np.abs(measured - model * np.exp(1j * heading)) ** 2)))

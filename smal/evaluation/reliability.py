@@ -23,7 +23,8 @@ class Reliability:
     def of(cls, judgement: Judgement) -> Self:
         """Take the answers to judged queries."""
         asked = judgement.judged & judgement.answered
-        score, right = judgement.score[asked], judgement.right[asked]
+        score = judgement.score[asked]
+        right = judgement.right[asked]
         tenth = np.minimum((score * _BINS).astype(np.int64), _BINS - 1)
         count = np.bincount(tenth, minlength=_BINS)
         some = count > 0
@@ -38,7 +39,8 @@ class Reliability:
 
 def known_from_unknown(judgement: Judgement, sure: NDArray[np.float64]) -> float | None:
     """Return how well sureness (q,) tells what can be found: area under the ROC curve; None if not both are there."""
-    known, unknown = sure[judgement.findable], np.sort(sure[judgement.judged & ~judgement.findable])
+    known = sure[judgement.findable]
+    unknown = np.sort(sure[judgement.judged & ~judgement.findable])
     if not (known.size and unknown.size):
         return None
     below = np.searchsorted(unknown, known, "left") + np.searchsorted(unknown, known, "right")

@@ -26,18 +26,25 @@ from smal.teaching.demonstration import Demonstration
 from smal.teaching.movements import atom_movements
 
 _T = TypeVar("_T")
-COLUMNS, ROWS, PATCH = 115, 44, 9  # Pixels of images that are compared, and the square that normalizes each.
+# Pixels of images that are compared, and the square that normalizes each.
+COLUMNS = 115
+ROWS = 44
+PATCH = 9
 SPACING_ATOMS: Final = 5.0  # Between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
 TURNED_RAD: Final = math.radians(15.0)  # Between keyframes, and heading error at which a goal is reached.
-LOOKAHEAD, TURNING = 1.3, 0.2  # How far ahead it aims, and how near goals are a mere turn; in spacings.
+# How far ahead it aims, and how near goals are a mere turn; in spacings.
+LOOKAHEAD = 1.3
+TURNING = 0.2
 SEARCH: Final = 3  # Keyframes before and after the current two that are compared.
 RECOGNIZED: Final = 0.1  # Correlation below which a keyframe says nothing.
 #: Fraction by which one image corrects the heading (theirs for the MiRo; 0.01 leaves three times the error) and the way
 #: along (theirs; with 0.05 fewer searches succeed).
-TURN_GAIN, WAY_GAIN = 0.1, 0.01
+TURN_GAIN = 0.1
+WAY_GAIN = 0.01
 #: Advantage in correlation of first keyframes, and what the best must reach to begin without a look round: chosen on
 #: the first frames of 36 drives in four simulated worlds, so that starts near the first one are told from others.
-FIRST, SURE = 0.1, 0.3
+FIRST = 0.1
+SURE = 0.3
 
 
 class _Route(NamedTuple):
@@ -56,7 +63,8 @@ class TeachAndRepeat:
     """
 
     def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float, *, told: bool = False) -> None:
-        self._field, self._told = field_of_view_rad, told
+        self._field = field_of_view_rad
+        self._told = told
         taught = [(_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives]
         movements = atom_movements([odometry for _, odometry in taught], [drive.atoms for drive in drives])
         self._turn = abs(float(movements[Atom.LEFT, 1]))
@@ -70,7 +78,9 @@ class TeachAndRepeat:
         """Forget the episode."""
         self._route: _Route | None = None
         self._index = 0
-        self._looked_rad, self._looking, self._heading = 0.0, False, math.nan
+        self._looked_rad = 0.0
+        self._looking = False
+        self._heading = math.nan
         self._best: tuple[float, int, int, tuple[float, float, float]] = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
 
     @property
@@ -97,7 +107,8 @@ class TeachAndRepeat:
             self._correct(route, seen, here)
         while self._index < len(route.poses):
             # The last goal and mere turns have nothing ahead of them to aim at.
-            turning, last = self._is_turn(route), self._index == len(route.poses) - 1
+            turning = self._is_turn(route)
+            last = self._index == len(route.poses) - 1
             ahead = 0.0 if turning or last else LOOKAHEAD * self._spacing
             x, y, heading = seen_from(placed(np.array([ahead, 0.0, 0.0]), self._goal), here)
             distance = math.hypot(x, y)
@@ -140,7 +151,8 @@ class TeachAndRepeat:
         if self._looking and self._looked_rad < math.tau:
             return None
         _, number, self._index, place = self._best
-        self._route, self._goal = self._routes[number], np.array(place)
+        self._route = self._routes[number]
+        self._goal = np.array(place)
         self._advance(self._route)
         return self._route
 
@@ -151,7 +163,8 @@ class TeachAndRepeat:
 
     def _advance(self, route: _Route) -> None:
         """Make the next keyframe the goal, as far from the last as it was taught."""
-        self._last, self._index = self._goal, self._index + 1
+        self._last = self._goal
+        self._index = self._index + 1
         if self._index < len(route.poses):
             leg = seen_from(route.poses[self._index], route.poses[self._index - 1])
             self._goal = placed(leg, self._last)

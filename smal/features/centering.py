@@ -40,7 +40,8 @@ class Centering:
     @classmethod
     def fit(cls, raw: NDArray[Any] | Iterable[NDArray[Any]], settings: FeatureSettings) -> Self:
         """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
-        total, count = np.zeros(settings.size), 0
+        total = np.zeros(settings.size)
+        count = 0
         for part in [raw] if isinstance(raw, np.ndarray) else raw:
             if part.ndim != 2 or part.shape[1] != settings.size:
                 raise ValueError(f"the mean needs features (n, {settings.size}), got the shape {part.shape}")

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from smal.features.modality import unit_length
 from smal.features.resizing import resized
 
-ROWS, COLUMNS = 24, 32
+ROWS = 24
+COLUMNS = 32
 SIZE = ROWS * COLUMNS * 3
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from smal.features.modality import unit_length
 from smal.features.resizing import resized
 
-ROWS, COLUMNS = 24, 32
+ROWS = 24
+COLUMNS = 32
 SIZE = ROWS * COLUMNS
 
 # At this distance, nearness is one half. Sensors err by more the farther something is, and there nearness hardly

@@ -53,7 +53,8 @@ def of_boxes(file: str, boxes: NDArray[Any], rows: int, columns: int) -> list[De
             f"it has the shape {boxes.shape}"
         )
     shares = (boxes[0, :, :4] / (columns, rows, columns, rows)).clip(0.0, 1.0).tolist()
-    scores, classes = boxes[0, :, 4].clip(0.0, 1.0).tolist(), boxes[0, :, 5].tolist()
+    scores = boxes[0, :, 4].clip(0.0, 1.0).tolist()
+    classes = boxes[0, :, 5].tolist()
     return [
         Detection(f"boxes {of:.0f}", score, (left, top, right, bottom))
         for (left, top, right, bottom), score, of in zip(shares, scores, classes, strict=True)
@@ -75,6 +76,7 @@ def _grey(image: NDArray[np.uint8]) -> "MatLike":
 
 
 def _sign(kind: str, name: object, corners: Sequence[Any], image: NDArray[np.uint8]) -> Detection:
-    (left, top), (right, bottom) = np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()
+    left, top = np.min(corners, axis=0).tolist()
+    right, bottom = np.max(corners, axis=0).tolist()
     rows, columns = image.shape[:2]
     return Detection(f"{kind} {name}"[:LONGEST], 1.0, (left / columns, top / rows, right / columns, bottom / rows))

@@ -33,7 +33,8 @@ class Parallel(Protocol):
 
 def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
     """Yield what a function makes of each item, in order; threads are a few items ahead, until nobody asks for more."""
-    waiting, over = deque[Future[Answer]](), threading.Event()
+    waiting = deque[Future[Answer]]()
+    over = threading.Event()
 
     def answer(item: Item) -> Answer:
         _here.over = over

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
-ROWS, COLUMNS = 96, 128
+ROWS = 96
+COLUMNS = 128
 GRID = 4
 ORIENTATIONS = 8
 # Cycles per pixel at which the filters of each scale respond most.
@@ -78,7 +79,8 @@ def transfer_functions() -> NDArray[np.float32]:
     """
     down = fft.fftfreq(ROWS + 2 * BORDER)[:, None]
     right = fft.fftfreq(COLUMNS + 2 * BORDER)[None, :]
-    frequency, angle = np.hypot(right, down), np.arctan2(down, right)
+    frequency = np.hypot(right, down)
+    angle = np.arctan2(down, right)
     filters = []
     for centre in FREQUENCIES:
         for turn in np.pi / ORIENTATIONS * np.arange(ORIENTATIONS):

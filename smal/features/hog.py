@@ -18,8 +18,10 @@ from smal.features.resizing import resized_grey
 if TYPE_CHECKING:
     import cv2
 
-ROWS, COLUMNS = 240, 320
-CELL, BINS = 20, 9
+ROWS = 240
+COLUMNS = 320
+CELL = 20
+BINS = 9
 BLOCK = 2 * CELL
 SMOOTHING_PX = 2.0  # Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
 SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS

@@ -46,10 +46,14 @@ def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
     step = SIDE // (2 * grid)
     corners = integral[::step, ::step]
     quarters = corners[1:, 1:] - corners[:-1, 1:] - corners[1:, :-1] + corners[:-1, :-1]
-    upper_left, upper_right = quarters[::2, ::2], quarters[::2, 1::2]
-    lower_left, lower_right = quarters[1::2, ::2], quarters[1::2, 1::2]
-    left, right = upper_left + lower_left, upper_right + lower_right
-    upper, lower = upper_left + upper_right, lower_left + lower_right
+    upper_left = quarters[::2, ::2]
+    upper_right = quarters[::2, 1::2]
+    lower_left = quarters[1::2, ::2]
+    lower_right = quarters[1::2, 1::2]
+    left = upper_left + lower_left
+    right = upper_right + lower_right
+    upper = upper_left + upper_right
+    lower = lower_left + lower_right
     return np.stack([left + right, right - left, lower - upper]).reshape(3, -1)
 
 

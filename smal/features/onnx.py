@@ -33,7 +33,8 @@ from smal.files.container import open_regular
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-PREFIX, BOXES = "onnx:", "boxes:"
+PREFIX = "onnx:"
+BOXES = "boxes:"
 # Of a network that takes any height or width.
 SIDE = 224
 LARGEST = 2**31  # Most bytes of a file: the format, protobuf, ends there.
@@ -44,8 +45,10 @@ _LONGEST_WAIT_S = 4 * LONGEST_S  # The same by the clock, on a machine with much
 # No embedding has more entries than a raw image.
 _NAME = re.compile(r"onnx:([0-9a-f]{64}):(0|[1-9][0-9]{0,6})")
 Channels = tuple[float, float, float]
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-ZEROS, ONES = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+ZEROS = (0.0, 0.0, 0.0)
+ONES = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,8 @@ def _proven(file: str, kind: str, data: bytes) -> int:
 
 def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
     """Run a network, in a child process, on a blank image and on noise; ConfinedError where it is of no use."""
-    file, kind = request["called"], request["kind"]
+    file = request["called"]
+    kind = request["kind"]
     data = Path(request["file"]).read_bytes()
     try:
         network = _opened(file, kind, data)
@@ -250,7 +254,8 @@ def _network(file: str, session: "InferenceSession", mean: Channels, std: Channe
     inputs = session.get_inputs()
     rows, columns = _input_size(file, [(one.type, one.shape) for one in inputs])
     meta = session.get_modelmeta().custom_metadata_map
-    less, over = _channels(file, meta, "mean", mean), _channels(file, meta, "std", std)
+    less = _channels(file, meta, "mean", mean)
+    over = _channels(file, meta, "std", std)
     if not (over > 0.0).all():
         raise ValueError(f"{file}: its metadata says std = {meta['std']!r}, which is not positive")
     return Network(file, session, rows, columns, less, over)

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
-ROWS, COLUMNS = 32, 64
+ROWS = 32
+COLUMNS = 64
 PATCH = 8
 SIZE = ROWS * COLUMNS
 

@@ -179,7 +179,8 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
             raise TypeError(f"the name of an array must be a string, got {name!r}")
         if len(shape) > _MOST_AXES or any(type(length) is not int or not 0 <= length <= LARGEST for length in shape):
             raise ValueError(f"no shape of an array: {str(shape)[:100]}")
-        kind, count = _DTYPES[dtype], math.prod(shape)
+        kind = _DTYPES[dtype]
+        count = math.prod(shape)
         array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
         arrays[name] = array.reshape(shape)
         at += array.nbytes

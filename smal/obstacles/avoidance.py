@@ -59,7 +59,8 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     here = onwards = np.ravel_multi_index(cells, to_go_m.shape)
     for _ in range(2 * SETTINGS.cells_radius):
         onwards = following[onwards]
-    (x, y), (to_x, to_y) = np.divmod(here, len(to_go_m)), np.divmod(onwards, len(to_go_m))
+    x, y = np.divmod(here, len(to_go_m))
+    to_x, to_y = np.divmod(onwards, len(to_go_m))
     off_rad = wrapped(np.arctan2(to_y - y, to_x - x) - around.heading - turns[:, None] * turn_rad)
     back = np.where(here == onwards, 0.0, np.maximum(np.abs(off_rad) - math.pi / 4.0, 0.0)) / turn_rad
     left_m = np.where(leads, to_go_m[cells] + straight_m, np.inf) + step_m * (np.abs(turns)[:, None] + back)
@@ -80,9 +81,11 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
     track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
     track[around.cells(dense)] = np.arange(len(dense))
     aside, (row, column) = distance_transform_edt(track < 0, return_indices=True)
-    aside_m, along = aside * around.cell_m, track[row, column]
+    aside_m = aside * around.cell_m
+    along = track[row, column]
     here = around.cells(np.zeros(2))
-    clear_m, body_m = around.clearance_m, around.body_m
+    clear_m = around.clearance_m
+    body_m = around.body_m
     # A robot that stands too near to something, or too far aside, may leave.
     leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (clear_m >= clear_m[here] - 1e-3)
     may = ((clear_m >= body_m) | leaves) & (
@@ -130,5 +133,6 @@ def _edges(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
     steps = ((1, 0), (0, 1), (1, 1), (1, -1))
     others = [number[1 + dx : side + 1 + dx, 1 + dy : side + 1 + dy].ravel() for dx, dy in steps]
     apart = np.repeat([math.hypot(*step) for step in steps], side * side)
-    one, other = np.tile(inner, len(steps)), np.concatenate(others)
+    one = np.tile(inner, len(steps))
+    other = np.concatenate(others)
     return one[other >= 0], other[other >= 0], apart[other >= 0]

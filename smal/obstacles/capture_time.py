@@ -25,14 +25,16 @@ from smal.settings import SETTINGS
 LONGEST_S: Final = 1.0
 PROMPT_S: Final = 0.1  # Delay that is not told from none: cameras take about so long.
 #: Two poses that differ by less show the same: a tenth of what the robot drives between two frames, and its turn.
-STILL_M, STILL_RAD = 0.01, math.radians(0.5)
+STILL_M = 0.01
+STILL_RAD = math.radians(0.5)
 #: A measured depth that differs by more from the predicted one, as a share of it, contradicts the prediction: twice the
 #: error of stereo cameras, which is 2 % at 4 m, and grows with the distance.
 DIFFERS: Final = 0.05
 DIFFERS_A_M: Final = 0.01
 SHAKES_RAD: Final = math.radians(1.5)  # How far the camera may look aside of where it sits, as on a mast that shakes.
 #: Points of an image that are compared, at most, and the fewest that prove anything.
-POINTS, FEW = 1000, 50
+POINTS = 1000
+FEW = 50
 #: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about twenty.
 EVIDENCE: Final = 20.0
 #: Probability, with each new image, that the delay changed: cameras work for hours. It is then as likely any other as
@@ -117,7 +119,8 @@ class CaptureTime:
 
     def _resume(self) -> None:
         """Expect of the image after a hang that it is fresh, or late by the hang."""
-        late, frames = np.zeros_like(self._belief), min(self._repeats, self._belief.size - 1)
+        late = np.zeros_like(self._belief)
+        frames = min(self._repeats, self._belief.size - 1)
         late[frames:] = self._belief[: late.size - frames]
         late[-1] += 1.0 - late.sum()
         self._belief = (1.0 - QUEUES) * self._belief + QUEUES * late
@@ -175,14 +178,16 @@ def _cost(ranges: tuple[Floats, Floats], before: Look, pose: NDArray[np.float64]
     ahead, left, up = before.points.T
     offsets = np.stack([ahead + mount.ahead_m, left, np.zeros(ahead.size)], axis=1)
     there = seen_from(placed(offsets, before.pose), pose)
-    ahead, left = there[:, 0] - mount.ahead_m, there[:, 1]
+    ahead = there[:, 0] - mount.ahead_m
+    left = there[:, 1]
     rows, columns = ranges[0].shape
     with np.errstate(divide="ignore", invalid="ignore"):
         row = np.rint(rows / 2.0 - 0.5 - mount.focal * columns * up / ahead)
         column = np.rint(columns / 2.0 - 0.5 - mount.focal * columns * left / ahead)
         inside = (ahead > 0.0) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     pixels = row[inside].astype(np.intp), column[inside].astype(np.intp)
-    predicted, (nearest, farthest) = ahead[inside], (one[pixels] for one in ranges)
+    predicted = ahead[inside]
+    (nearest, farthest) = (one[pixels] for one in ranges)
     measured = (nearest > 0.0) & (nearest <= farthest)
     if measured.sum() < FEW:
         return math.nan

@@ -64,7 +64,8 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
         for count, size in zip(ahead.shape, depth_m.shape, strict=True)
     )
     ahead = np.where(valid, ahead, 0.0)
-    left, up = -ahead * across, mount.height_m - ahead * below[:, None]
+    left = -ahead * across
+    up = mount.height_m - ahead * below[:, None]
     pitch, roll = _tilt(ahead, -across, up, valid)
     up -= pitch * ahead + roll * left
     ground = valid & ~above_ground(np.abs(up), ahead)
@@ -77,7 +78,8 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     free_m = np.minimum(np.where(ground & goes_on, ahead, 0.0).max(axis=0), hit_m)
     # What stands nearer than the ground in the lowest rows hides all of it: up to there the rays met nothing. It has a
     # face, which does not recede from row to row as ground does, at whatever height that lies.
-    upper, recedes = -1 - SETTINGS.gap_rows, below[-1] / below[-1 - SETTINGS.gap_rows]
+    upper = -1 - SETTINGS.gap_rows
+    recedes = below[-1] / below[-1 - SETTINGS.gap_rows]
     hides = hit_m * (float(below[upper]) + pitch) <= mount.height_m
     hides &= valid[-1] & valid[upper] & (ahead[upper] < ahead[-1] * (1.0 + recedes) / 2.0)
     free_m = np.where(hides, hit_m, free_m)
@@ -88,7 +90,8 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
 
 def _tilt(ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_]) -> Floats:
     """Return how much the ground rises a metre ahead and to the left, as it seems to a camera that is not level."""
-    tilt, most_tilt = np.zeros(2), math.tan(math.radians(SETTINGS.tilt_deg))
+    tilt = np.zeros(2)
+    most_tilt = math.tan(math.radians(SETTINGS.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
     for slope in (most_tilt, most_tilt / 3.0):
         flat = valid & (np.abs(up - (tilt[0] + tilt[1] * across) * ahead) < SETTINGS.ground_m / 2.0 + slope * ahead)
@@ -142,7 +145,8 @@ class Surroundings:
             by = self._cell[0] - cell[0], self._cell[1] - cell[1]
             grids = (self._evidence, self._top_m, self._lasts, self._freed)
             self._evidence, self._top_m, self._lasts, self._freed = (shift(grid, by, order=0) for grid in grids)
-        self._cell, self._rest = cell, (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
+        self._cell = cell
+        self._rest = (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
         under = np.hypot(ahead, left) < self.radius_m - self.cell_m
         np.minimum(self._evidence, -1, out=self._evidence, where=under)
@@ -175,7 +179,8 @@ class Surroundings:
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
         hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
-        evidence[hidden], self._top_m[hidden] = 1, seen.top_m[column[hidden]]
+        evidence[hidden] = 1
+        self._top_m[hidden] = seen.top_m[column[hidden]]
         self._freed[hidden] = self._freed[cells][column[hidden]]
         cells = cells[0][near], cells[1][near]
         # Through and hit in one look: at its edges a thing is both.
@@ -229,8 +234,10 @@ class Surroundings:
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        dx, dy = self._x_m - self._rest[0], self._y_m - self._rest[1]
+        cos = math.cos(self.heading)
+        sin = math.sin(self.heading)
+        dx = self._x_m - self._rest[0]
+        dy = self._y_m - self._rest[1]
         return dx * cos + dy * sin - ahead_m, dy * cos - dx * sin
 
     @property
@@ -296,9 +303,12 @@ class Surroundings:
 
     def cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the cells of places (..., 2) ahead of and left of the robot; those outside as the nearest inside."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        ahead, left = places[..., 0], places[..., 1]
-        x, y = self._rest[0] + cos * ahead - sin * left, self._rest[1] + sin * ahead + cos * left
+        cos = math.cos(self.heading)
+        sin = math.sin(self.heading)
+        ahead = places[..., 0]
+        left = places[..., 1]
+        x = self._rest[0] + cos * ahead - sin * left
+        y = self._rest[1] + sin * ahead + cos * left
         half = self._half
         row, column = (np.rint(one / self.cell_m).clip(-half, half).astype(np.intp) + half for one in (x, y))
         return row, column
@@ -306,8 +316,10 @@ class Surroundings:
     def clear_m(self, turns_rad: Floats) -> Floats:
         """Return how far (k,) the robot may go straight on after turns (k,) to the left, and keep off what it sees."""
         ahead, left = (one[self.occupied] for one in self.seen_from(0.0))
-        cos, sin = np.cos(turns_rad)[:, None], np.sin(turns_rad)[:, None]
-        along, aside = cos * ahead + sin * left, np.abs(cos * left - sin * ahead)
+        cos = np.cos(turns_rad)[:, None]
+        sin = np.sin(turns_rad)[:, None]
+        along = cos * ahead + sin * left
+        aside = np.abs(cos * left - sin * ahead)
         wide_m = self._wide_m[self.occupied]
         touches_m = along - np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0))
         touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
@@ -324,11 +336,15 @@ class Surroundings:
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
         moves_m = np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
-        aside, circle_m, ratio = left, math.inf, np.ones(())
+        aside = left
+        circle_m = math.inf
+        ratio = np.ones(())
         if bend:  # Along the circle, and how far outside of it; there a cell is touched a half chord earlier.
-            circle_m, out = 1.0 / abs(bend), 1.0 / abs(bend) - math.copysign(1.0, bend) * left
+            circle_m = 1.0 / abs(bend)
+            out = 1.0 / abs(bend) - math.copysign(1.0, bend) * left
             from_middle = np.maximum(np.hypot(along, out), 1e-9)
-            along, aside = circle_m * np.arctan2(along, out), from_middle - circle_m
+            along = circle_m * np.arctan2(along, out)
+            aside = from_middle - circle_m
             ratio = np.sqrt(from_middle / circle_m)
         wide_m = self._wide_m
         half = np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0)) / ratio
@@ -337,7 +353,8 @@ class Surroundings:
         touches = self.occupied & (np.abs(aside) < wide_m - 1e-6) & (along > 0.0)
         unseen = self.unknown & (np.abs(aside) < self.radius_m - self.cell_m)
         unseen &= (along > 0.0) & ~self._beside_view if ahead else along > self.radius_m
-        touches_m, unseen_m = (along - half)[touches], along[unseen] - self.radius_m
+        touches_m = (along - half)[touches]
+        unseen_m = along[unseen] - self.radius_m
         free_m = np.concatenate([touches_m, unseen_m, moves_m]).min(initial=self.reach_m)
         return max(0.0, float(free_m) - SETTINGS.margin * self.radius_m)
 
@@ -348,6 +365,7 @@ def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float)
     It goes on for a time before it begins to brake, which takes `braking_s` from its full speed, evenly.
     """
     # share * speed * wait + share^2 * speed * braking / 2 = free
-    waits, brakes = speed_m_s * wait_s, speed_m_s * braking_s / 2.0
+    waits = speed_m_s * wait_s
+    brakes = speed_m_s * braking_s / 2.0
     share = 2.0 * free_m / (waits + math.sqrt(waits**2 + 4.0 * brakes * max(free_m, 0.0)))
     return min(share, 1.0) if share >= SETTINGS.slowest else 0.0

@@ -66,15 +66,20 @@ def patches(picture: Image, colours: NDArray[np.uint8], way: Floats, scene: Floa
     reach = np.hypot(*way.T).max(initial=0.0)
     near = np.flatnonzero((ahead < reach) & (np.abs(left) < reach))
     apart = np.hypot(ahead.ravel()[near, None] - way[:, 0], left.ravel()[near, None] - way[:, 1])
-    near, at = near[apart.min(axis=1, initial=math.inf) < SETTINGS.swept * scene[1]], ahead.ravel()
+    near = near[apart.min(axis=1, initial=math.inf) < SETTINGS.swept * scene[1]]
+    at = ahead.ravel()
     if not near.size:
         return np.empty(0), np.empty(0)
-    seen, known = _mean_colours(picture, _STEP).reshape(-1, 3)[near], colours.reshape(-1, 3) / np.float32(_FINE)
+    seen = _mean_colours(picture, _STEP).reshape(-1, 3)[near]
+    known = colours.reshape(-1, 3) / np.float32(_FINE)
     squares = (known * known).sum(axis=1) - 2.0 * seen @ known.T
     away = np.sqrt(np.maximum(squares.min(axis=1) + (seen * seen).sum(axis=1), 0.0))
-    sums, count = np.zeros(ahead.shape), np.zeros(ahead.shape)
-    sums.flat[near], count.flat[near] = away, 1.0
-    sums, count = _in_patches(sums), _in_patches(count)
+    sums = np.zeros(ahead.shape)
+    count = np.zeros(ahead.shape)
+    sums.flat[near] = away
+    count.flat[near] = 1.0
+    sums = _in_patches(sums)
+    count = _in_patches(count)
     whole = np.flatnonzero(count >= SETTINGS.patch_known)
     return at[whole], sums.flat[whole] / count.flat[whole]
 

@@ -40,7 +40,8 @@ def bound_by_lengths(longest_row: Array, longest_column: Array, lambda1: float, 
 def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
     """Bound the polar of each G of (b, l, q) by its longest row and its longest column, (b,)."""
     squares = np.square(blocks, dtype=np.float64)
-    rows, columns = squares.sum(axis=2).max(axis=1), squares.sum(axis=1).max(axis=1)
+    rows = squares.sum(axis=2).max(axis=1)
+    columns = squares.sum(axis=1).max(axis=1)
     return bound_by_lengths(np.sqrt(rows), np.sqrt(columns), lambda1, lambda2)
 
 
@@ -53,7 +54,9 @@ def polar_bounds(
     Alternating projections, so many rounds after the first, shrink E from a guess of U, until no bound is above
     `enough`. Returns the bounds (b,), and V of the last split.
     """
-    best, U, V = quick_bounds(blocks, lambda1, lambda2), _inside(guess, axis=2), np.zeros_like(blocks)
+    best = quick_bounds(blocks, lambda1, lambda2)
+    U = _inside(guess, axis=2)
+    V = np.zeros_like(blocks)
     for turn in range(rounds + 1):
         if turn > 0 and lambda1 > 0.0:
             U = _inside((blocks - lambda2 * V) / lambda1, axis=2)

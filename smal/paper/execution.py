@@ -60,7 +60,9 @@ class DecisionMaker:
         """Replace the plan according to what was recognized."""
         if recognition.status == "collecting":
             return PaperDecision("wait", ())
-        model, state, stop = self._model, recognition.state, (Atom.STOP,) * self._model.sequence_length
+        model = self._model
+        state = recognition.state
+        stop = (Atom.STOP,) * self._model.sequence_length
         if state is None:
             decision = PaperDecision("stop", stop)
         elif (action := int(model.policy[state])) >= 0:

@@ -66,8 +66,10 @@ def learn(
     """
     settings = LearningSettings() if settings is None else settings
     check_features(demonstrations, settings.features.size)
-    length, lambdas = settings.sequence_length, settings.lambdas
-    atoms, successful = [one.atoms for one in demonstrations], [one.successful for one in demonstrations]
+    length = settings.sequence_length
+    lambdas = settings.lambdas
+    atoms = [one.atoms for one in demonstrations]
+    successful = [one.successful for one in demonstrations]
     raw = [one.rows for one in demonstrations]
     centering = Centering.fit(raw, settings.features)
     frames = [centering.apply(each) for each in raw]

@@ -45,7 +45,8 @@ class PaperModel(Stored):
     gamma: float  # Discount factor.
 
     def __post_init__(self) -> None:
-        l, states = self.sequence_length, self.transitions.states  # noqa: E741
+        l = self.sequence_length  # noqa: E741
+        states = self.transitions.states
         checks = {
             # Centred features are of unit length at most.
             "templates": self.templates.shape == (self.feature_settings.size, states * l)
@@ -96,7 +97,8 @@ class PaperModel(Stored):
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
         """Make it of what a file says."""
         _check_numbers(meta)
-        frames, length = np.array(meta["frames"]), meta["sequence_length"]
+        frames = np.array(meta["frames"])
+        length = meta["sequence_length"]
         parts = dict.fromkeys(_STREAMS, frames // length) | {"atoms": frames}
         ends = {name: np.cumsum(parts[name])[:-1] for name in _STREAMS}
         streams: dict[str, Any] = {name: tuple(np.split(arrays[name], ends[name])) for name in _STREAMS}
@@ -120,7 +122,8 @@ def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
 
 def _check_numbers(meta: dict[str, Any]) -> None:
     """Reject a header with missing or wrong numbers before anything is computed with them."""
-    counts, reals = ("sequence_length", "states"), ("lambda1", "lambda2", "gamma")
+    counts = ("sequence_length", "states")
+    reals = ("lambda1", "lambda2", "gamma")
     wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
     wrong += [name for name in reals if type(meta[name]) not in (int, float) or not 0.0 <= meta[name] <= _MOST]
     wrong += [] if "gamma" in wrong or meta["gamma"] < 1.0 else ["gamma"]

@@ -30,9 +30,13 @@ _FASTEST = 0.2
 _GAP_TO_EPSILON = 0.7
 _MAX_STEPS = 150
 _RIDGE = 1e-11  # Rounding must not make a Newton system indefinite; it changes the path, never the bound.
-_ARMIJO, _SHORTEST_STEP = 1e-4, 1e-8
-_LARGE, _TOO_LARGE = 3e6, 1e9  # p^3 q from which on conjugate gradients are tried, and beyond which nothing else.
-_ACCURATE, _MOST_GRADIENTS = 1e-2, 150
+_ARMIJO = 1e-4
+_SHORTEST_STEP = 1e-8
+# p^3 q from which on conjugate gradients are tried, and beyond which nothing else.
+_LARGE = 3e6
+_TOO_LARGE = 1e9
+_ACCURATE = 1e-2
+_MOST_GRADIENTS = 150
 _ROUNDING = 1e-15  # Squared residuals below this share of the query are rounding.
 _TINY = 1e-300
 
@@ -108,7 +112,8 @@ class Iterate(NamedTuple):
     def gap(self, problem: BlockProblem) -> float:
         """Relative duality gap of the restricted problem."""
         gradients = problem.as_blocks(problem.correlations * self.alpha - problem.gram @ self.B)
-        lambdas, guess = (problem.lambda1, problem.lambda2), problem.as_blocks(self.U)
+        lambdas = (problem.lambda1, problem.lambda2)
+        guess = problem.as_blocks(self.U)
         largest = polar_bounds(gradients, *lambdas, guess, rounds=2, enough=1.0)[0].max(initial=1.0)
         value = (self.alpha * problem.squares).sum() - (problem.correlations * self.B).sum()
         return float(1.0 - value / largest / problem.objective(self.W))
@@ -124,13 +129,17 @@ def minimize(
     """
     d, e, f = problem.norms(W, epsilon)
     now = Iterate(W, 1.0 / d, W / d, *((U, V) if U.any() else (W / e, W / f)))
-    gap, steps = now.gap(problem), 0
-    best, best_gap = now, gap
+    gap = now.gap(problem)
+    steps = 0
+    best = now
+    best_gap = gap
     while gap > tolerance and steps < _MAX_STEPS:
-        now, steps = _newton_step(problem, now, epsilon), steps + 1
+        now = _newton_step(problem, now, epsilon)
+        steps = steps + 1
         gap = now.gap(problem)
         if gap < best_gap:
-            best, best_gap = now, gap
+            best = now
+            best_gap = gap
         # A larger gap says that Newton's method has not yet caught up with epsilon.
         wanted = problem.smoothing_for(gap * problem.objective(now.W))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
@@ -141,12 +150,14 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
     """Linearise at W, solve, and move W, the dual point and the subgradients."""
     W, alpha, B, U, V = now
     norms = d, e, f = problem.norms(W, epsilon)
-    slopes, penalty = problem.slopes(W), problem.lambda1 / e + problem.lambda2 / f
+    slopes = problem.slopes(W)
+    penalty = problem.lambda1 / e + problem.lambda2 / f
     descent = slopes / d - penalty * W
     # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
     radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * slopes).sum(axis=0)
     squares = np.maximum(d * d - epsilon * epsilon, _ROUNDING * problem.squares)
-    along_rows, along_columns = np.maximum(_rows(U * W), 0.0), np.maximum(problem.sums(V * W), 0.0)
+    along_rows = np.maximum(_rows(U * W), 0.0)
+    along_columns = np.maximum(problem.sums(V * W), 0.0)
     system = _System(
         problem,
         d,
@@ -157,7 +168,9 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
     )
     direction = system.solve(descent)
     # Halve the step until the smoothed objective falls enough (Armijo).
-    fall, share, ceiling = float((descent * direction).sum()), 1.0, problem.objective(W, epsilon) * (1.0 + 1e-14)
+    fall = float((descent * direction).sum())
+    share = 1.0
+    ceiling = problem.objective(W, epsilon) * (1.0 + 1e-14)
     while share >= _SHORTEST_STEP:
         if problem.objective(W + share * direction, epsilon) <= ceiling - _ARMIJO * share * fall:
             break
@@ -171,7 +184,8 @@ def _moved(problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array,
     moved = W + step
     # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
     along = -(problem.slopes(W) * step).sum(axis=0) / (d * d)
-    alpha, B = 1.0 / d - alpha * along, moved / d - B * along
+    alpha = 1.0 / d - alpha * along
+    B = moved / d - B * along
     squares = alpha * alpha * problem.squares + (B * (problem.gram @ B - 2.0 * alpha * problem.correlations)).sum(
         axis=0
     )
@@ -204,7 +218,8 @@ class _System(NamedTuple):
 
     def by_inversion(self, descent: Array) -> Array:
         """Invert a matrix for each query frame; only the terms of rows, - Z Z^T, couple them (Woodbury)."""
-        problem, of_rows = self.problem, self.of_rows
+        problem = self.problem
+        of_rows = self.of_rows
         matrices = problem.gram / self.d[:, None, None] - _outer(self.of_residuals)
         matrices -= _outer(self.of_columns) * (problem.block[:, None] == problem.block)
         rows = np.arange(len(descent))
@@ -221,7 +236,8 @@ class _System(NamedTuple):
         edges = self.of_residuals**2 + self.of_rows**2 + self.of_columns**2
         curvature = self.problem.gram.diagonal()[:, None] / self.d + self.diagonal
         scale = 1.0 / np.maximum(curvature - edges, 1e-3 * self.diagonal).ravel()
-        shape, sides = descent.shape, (descent.size,) * 2
+        shape = descent.shape
+        sides = (descent.size,) * 2
         system = LinearOperator(sides, lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64)
         preconditioner = LinearOperator(sides, lambda v: v.ravel() * scale, dtype=np.float64)
         found, failed = cg(system, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=preconditioner)

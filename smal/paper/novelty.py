@@ -35,11 +35,13 @@ class Match:
 
 def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[Any]) -> Match:
     """Summarize a solution of Eq. 7, of templates X (m, n) of unit length and frames Y^T (q, m)."""
-    length, q = solution.sequence_length, len(frames)
+    length = solution.sequence_length
+    q = len(frames)
     norms = np.linalg.norm(frames, axis=1)
     total = float(norms.sum(dtype=np.float64))
     residual = min(float(solution.residual_norms.sum()) / total, 1.0) if total > 0.0 else 1.0
-    weights, state = solution.block_weights, solution.best_block
+    weights = solution.block_weights
+    state = solution.best_block
     if state is None:
         return Match(None, 0.0, 0.0, residual, 0.0)
     best = (frames @ templates[:, state * length : (state + 1) * length]).max(axis=1)

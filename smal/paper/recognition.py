@@ -16,7 +16,8 @@ class Recognizer:
     """Keeps the last l frames and matches them with the states of a model, each time to a relative duality gap."""
 
     def __init__(self, model: PaperModel, tolerance: float = 1e-3) -> None:
-        self._model, self._centering = model, model.centering
+        self._model = model
+        self._centering = model.centering
         self._templates = np.asfortranarray(model.templates, dtype=np.float32)
         self._parameters = model.sequence_length, model.lambda1, model.lambda2, tolerance
         self.reset()

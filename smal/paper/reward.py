@@ -52,7 +52,8 @@ class _Program:
         expert = transitions.expert_pairs()
         P = policy_matrix(transitions, expert)
         # Rows P_a1(s) - P_a(s) for every seen alternative a and for the sink, and the state of each row.
-        T, acting = transitions.matrix, np.flatnonzero(expert >= 0)
+        T = transitions.matrix
+        acting = np.flatnonzero(expert >= 0)
         rival = np.flatnonzero(expert[transitions.state] != np.arange(transitions.pairs))
         seen = T[expert[transitions.state[rival]]] - T[rival]
         advantage = sparse.vstack([seen, T[expert[acting]]], format="csr")
@@ -71,7 +72,8 @@ class _Program:
         # The last row is ||R||_1 <= total.
         sum_of_reward = sparse.csr_array(np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None])
         unbounded = np.full(n, np.inf)
-        low, high = [-unbounded, np.zeros(3 * n)], [unbounded, np.ones(2 * n), self.margin_bound]
+        low = [-unbounded, np.zeros(3 * n)]
+        high = [unbounded, np.ones(2 * n), self.margin_bound]
         result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
             np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)]),
             A_ub=sparse.vstack([self.inequality, sum_of_reward], format="csr"),

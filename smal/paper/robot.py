@@ -18,8 +18,10 @@ class PaperRobot:
     decision: PaperDecision  # The last one that was due.
 
     def __init__(self, model: PaperModel, stride: int | None = None) -> None:
-        self._model, self._stride = model, stride or model.sequence_length
-        self._recognizer, self._maker = Recognizer(model), DecisionMaker(model)
+        self._model = model
+        self._stride = stride or model.sequence_length
+        self._recognizer = Recognizer(model)
+        self._maker = DecisionMaker(model)
         self.reset()
 
     def reset(self) -> None:

@@ -72,7 +72,8 @@ def solve(
     """
     _check(templates, query, sequence_length, lambda1, lambda2, tolerance)
     rows = np.ascontiguousarray(templates.T, dtype=np.float32)
-    n, q = len(rows), query.shape[1]
+    n = len(rows)
+    q = query.shape[1]
     frames = np.ascontiguousarray(query.T, dtype=np.float64)
     lengths = np.linalg.norm(frames, axis=1)
     if not np.isfinite(lengths).all():
@@ -83,8 +84,10 @@ def solve(
     found = WorkingSet(rows, frames[seen], sequence_length, lambda1, lambda2, tolerance)
     found.grow_until_proved()
     used = np.flatnonzero(found.weights.any(axis=1))
-    weights, residuals = np.zeros((used.size, q)), np.zeros(q)
-    weights[:, seen], residuals[seen] = found.weights[used], found.residuals
+    weights = np.zeros((used.size, q))
+    residuals = np.zeros(q)
+    weights[:, seen] = found.weights[used]
+    residuals[seen] = found.residuals
     return Solution(
         found.columns[used], weights, (n, q), sequence_length, found.objective, found.gap, found.steps,
         found.gap <= tolerance, residuals,

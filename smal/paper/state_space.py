@@ -59,12 +59,14 @@ def learn_state_space(
     stream: list[int] = []
     states = 0
     for frames in sequences:
-        state, templates = None, rows[: states * l].T
+        state = None
+        templates = rows[: states * l].T
         if states:
             match = describe_match(solve(templates, frames.T, l, lambda1, lambda2, tolerance), templates, frames)
             state = None if match.is_novel(tau) else match.state
         if state is None:
-            state, states = states, states + 1
+            state = states
+            states = states + 1
             if max_bytes is not None and states * frames.nbytes > max_bytes:
                 raise MemoryBoundError(
                     f"the templates need more than {max_bytes / 2**20:.1f} MiB allowed; "

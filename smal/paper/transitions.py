@@ -34,7 +34,8 @@ class Transitions:
         whole = (self.state, self.action, self.offsets, self.next_state, self.count, self.goals)
         if any(part.ndim != 1 or part.dtype.kind != "i" for part in whole) or self.probability.ndim != 1:
             return False
-        states, steps = self.states, np.diff(self.offsets)
+        states = self.states
+        steps = np.diff(self.offsets)
         return (
             len(self.state) == len(self.action) == len(steps)
             and len(self.next_state) == len(self.count) == len(self.probability)
@@ -103,7 +104,8 @@ def learn_transitions(
     distinct, often = np.unique(moved, axis=0, return_counts=True)
     triples = np.concatenate([distinct, stay])
     order = np.lexsort(triples.T[::-1])
-    triples, count = triples[order], np.append(often, np.zeros(len(goals))).astype(np.int32)[order]
+    triples = triples[order]
+    count = np.append(often, np.zeros(len(goals))).astype(np.int32)[order]
     pairs, first, size = np.unique(triples[:, :2], axis=0, return_index=True, return_counts=True)
     share = np.maximum(count, 1)  # a goal stays with certainty though it was never counted
     return Transitions(

@@ -22,7 +22,9 @@ Columns = NDArray[np.intp]
 
 _FIRST = 4  # Sequences to start with.
 _MAX_ROUNDS = 200
-_QUICK, _THOROUGH = 8, 100  # Projections to bound polars: while sequences are sorted out, and to prove.
+# Projections to bound polars: while sequences are sorted out, and to prove.
+_QUICK = 8
+_THOROUGH = 100
 _TIGHT = 0.7  # A row is worth a weight if the dual point holds it so far.
 _LOOSE = 1e-2  # Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
 _OPERATIONS = 32  # The objective and its quotient with the bound take fewer operations, beside the terms of their sums.
@@ -40,9 +42,13 @@ class WorkingSet:
     def __init__(
         self, rows: NDArray[np.float32], query: Array, length: int, lambda1: float, lambda2: float, tolerance: float
     ) -> None:
-        self._rows, self._query, self._length, self._tolerance = rows, query, length, tolerance
+        self._rows = rows
+        self._query = query
+        self._length = length
+        self._tolerance = tolerance
         self._lambdas = lambda1, lambda2
-        (n, m), q = rows.shape, len(query)
+        n, m = rows.shape
+        q = len(query)
         self._rounding = rounding(m + q + 2)  # On the relative error of float64 products, and sums of these.
         self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)  # ||y_i||, rounded up.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -56,11 +62,18 @@ class WorkingSet:
         self._lengths: Array = np.sqrt(squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow)
 
         likely = np.argsort(-np.add.reduceat(alike, np.arange(0, n, length)), kind="stable")
-        self._set, nothing = self._frames(np.sort(likely[:_FIRST])), np.zeros(0, dtype=np.intp)
+        self._set = self._frames(np.sort(likely[:_FIRST]))
+        nothing = np.zeros(0, dtype=np.intp)
         #: The last working set, and W, U and V on it, to start from.
-        self._before, self._start, self._epsilon = nothing, np.zeros((3, 0, q)), FIRST_EPSILON
-        self.columns, self.weights, self.residuals = nothing, np.zeros((0, q)), self._norms
-        self.objective, self.lower_bound, self.steps = float(self._norms.sum()), 0.0, 0
+        self._before = nothing
+        self._start = np.zeros((3, 0, q))
+        self._epsilon = FIRST_EPSILON
+        self.columns = nothing
+        self.weights = np.zeros((0, q))
+        self.residuals = self._norms
+        self.objective = float(self._norms.sum())
+        self.lower_bound = 0.0
+        self.steps = 0
 
     @property
     def gap(self) -> float:
@@ -102,7 +115,8 @@ class WorkingSet:
         """Solve Eq. 7 on the working set, lengths scaled to 1."""
         #: The frames of the working set (p, m), in float64.
         self._frames_of_set = self._rows[self._set].astype(np.float64)
-        gram, correlations = self._frames_of_set @ self._frames_of_set.T, self._frames_of_set @ self._query.T
+        gram = self._frames_of_set @ self._frames_of_set.T
+        correlations = self._frames_of_set @ self._query.T
         template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
         query_scale = float(self._norms.max())
         self._weight_scale = query_scale / template_scale
@@ -122,7 +136,8 @@ class WorkingSet:
         W, U, V = start
         self._inner, self._epsilon, steps = minimize(self._problem, W, U, V, self._epsilon, tolerance)
         W, alpha, B, U, V = self._inner
-        self._before, self._start = self._set, np.stack([W * self._weight_scale, U, V])
+        self._before = self._set
+        self._start = np.stack([W * self._weight_scale, U, V])
         self.steps += steps
         self._worst = 1.0
         self._theta: Array = (alpha / query_scale)[:, None] * self._query  # The dual point, a row a query frame (q, m).
@@ -154,7 +169,8 @@ class WorkingSet:
 
     def _examine(self, blocks: Columns, values: Array, rounds: int, enough: float) -> tuple[Array, Columns]:
         """Bound polars by X^T Theta of frames (r, q); say which frames lack, of the worst bounds above `enough`."""
-        (lambda1, lambda2), frames = self._lambdas, self._frames(blocks)
+        lambda1, lambda2 = self._lambdas
+        frames = self._frames(blocks)
         guess = values / (lambda1 + lambda2)
         if lambda1 > 0.0:
             # Where the columns are at the edge of their balls, rows without weight have to do without them.
@@ -187,13 +203,18 @@ class WorkingSet:
         bound *= 1.0 - rounding(weights.size + self._length + residuals.size + _OPERATIONS)
         self.lower_bound = max(bound, self.lower_bound)
         if objective <= self.objective:
-            self.objective, self.columns, self.weights, self.residuals = objective, self._set, weights, residuals
+            self.objective = objective
+            self.columns = self._set
+            self.weights = weights
+            self.residuals = residuals
 
     def _cleaned(self) -> Array:
         """W of the working set, without the rows and columns of blocks that have weight only by smoothing."""
-        problem, weights = self._problem, self._inner.W
+        problem = self._problem
+        weights = self._inner.W
         ceiling = problem.objective(weights) * (1.0 + 0.2 * self._tolerance)
-        rows, columns = np.linalg.norm(weights, axis=1, keepdims=True), np.sqrt(problem.sums(np.square(weights)))
+        rows = np.linalg.norm(weights, axis=1, keepdims=True)
+        columns = np.sqrt(problem.sums(np.square(weights)))
         for share in (1e-2, 1e-3, 1e-4):
             kept = (rows > share * rows.max(initial=0.0)) & (columns > share * columns.max(initial=0.0))
             candidate = np.where(kept, weights, 0.0)

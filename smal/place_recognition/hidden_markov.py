@@ -22,9 +22,11 @@ SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # Referenc
 #: can be seen are left out beforehand, so that who seems to stand is rather nowhere); of a jump to anywhere; that no
 #: reference shows it any more, or one shows it again; and that none shows the first one.
 _KEPT: Final = 0.8
-_STOPS, _STANDS = 0.01, 0.5
+_STOPS = 0.01
+_STANDS = 0.5
 _JUMP: Final = 1e-4
-_LEAVES, _RETURNS = 0.01, 0.05
+_LEAVES = 0.01
+_RETURNS = 0.05
 _FIRST_NONE: Final = 0.05
 
 
@@ -58,7 +60,8 @@ class Chain:
 
     def back(self, message: Array) -> Array:
         """Return what a message about the next query says about this one: the adjoint of `ahead`."""
-        none, mean = message[-1], message[:-1].mean()
+        none = message[-1]
+        mean = message[:-1].mean()
         before = self._mixed(self._speeds.T, self._unmove @ message)
         before[:-1] += _JUMP * mean + self._leaves * none
         before[-1] = (1.0 - _RETURNS) * none + _RETURNS * mean
@@ -123,7 +126,8 @@ def smoothed(chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]) -> Itera
         before.append(chain.ahead(forward(before[-1], ratios(seen[start : start + block]))[-1]))
     message = np.ones_like(before[0])
     for number in reversed(range(len(before))):
-        start, rows = number * block, ratios(seen[number * block : (number + 1) * block])
+        start = number * block
+        rows = ratios(seen[number * block : (number + 1) * block])
         for place, belief in reversed(list(enumerate(forward(before[number], rows)))):
             yield start + place, *chain.at_references(belief * message)
             message = chain.back(chain.seen(message, rows[place]))

@@ -36,7 +36,9 @@ def sums_along(rows: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.fl
     (q - l + 1, max(n - steps[-1], 0)) is the sum of the line that ends at row i + l - 1 and at reference j + steps[-1];
     those that end earlier would begin before the first reference.
     """
-    (height, width), length, reach = rows.shape, len(steps), steps[-1]
+    height, width = rows.shape
+    length = len(steps)
+    reach = steps[-1]
     total = np.zeros((max(height - length + 1, 0), max(width - reach, 0)), dtype=np.float32)
     if total.size:
         for back, step in enumerate(steps):

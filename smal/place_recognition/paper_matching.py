@@ -23,8 +23,11 @@ def match_as_in_the_paper(
     sequence (Eq. 9) at which W places the query, the score its weight per frame. ValueError as of `check_features`.
     """
     check_features(references, queries)
-    total, whole = len(queries), len(references) // length * length
-    matches, templates, penalty = Matches.none(total), references[:whole].T, LAMBDA_SCALE * math.sqrt(length)
+    total = len(queries)
+    whole = len(references) // length * length
+    matches = Matches.none(total)
+    templates = references[:whole].T
+    penalty = LAMBDA_SCALE * math.sqrt(length)
     for query in range(length - 1, total if whole else 0):
         window = queries[query - length + 1 : query + 1].T
         solution = solve(templates, window, length, penalty, penalty, tolerance=1e-3)

@@ -27,19 +27,27 @@ Best = tuple[int, float, float]  # A reference, how probable it is within the to
 
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
-_MEAN, _SPREAD, _CORRELATION, _PRIOR_QUERIES = 2.0, 1.5, 1.0 / 3.0, 5
+_MEAN = 2.0
+_SPREAD = 1.5
+_CORRELATION = 1.0 / 3.0
+_PRIOR_QUERIES = 5
 #: Least spread, and most correlation (more comes of stretches that are not at the believed place); the most that one
 #: query says (log ratio).
-_LEAST_SPREAD, _MOST_CORRELATION, _MOST_SAID = 0.3, 0.7, 30.0
+_LEAST_SPREAD = 0.3
+_MOST_CORRELATION = 0.7
+_MOST_SAID = 30.0
 _ROUNDS: Final = 6
 #: z is held as one of so many levels between two of the `GRID`; after them come that a blank query says nothing, and
 #: that a loop does not lead to a reference.
 _FINE: Final = 16
 _LEVELS: Final = np.linspace(GRID[0], GRID[-1], _FINE * (GRID.size - 1) + 1)
-_SILENT, _NEVER = _LEVELS.size, _LEVELS.size + 1
+_SILENT = _LEVELS.size
+_NEVER = _LEVELS.size + 1
 _Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
 _STANDING: Final = 0.4  # A step shorter than this share of one in moving is one of standing still.
-_STRETCH, _STRETCHES = 500, 4  # It learns from stretches of so many queries, at most as many of them.
+# It learns from stretches of so many queries, at most as many of them.
+_STRETCH = 500
+_STRETCHES = 4
 #: So many queries are answered at a time, by them and by a stretch more on either side. What was seen a stretch ago
 #: matters only where two long ways among the references look alike, and all that tells them apart lies further away.
 _PART: Final = _STRETCH * _STRETCHES
@@ -71,12 +79,15 @@ class Evidence:
     @classmethod
     def learn(cls, levels: Levels, there: Array) -> "Evidence":
         """Measure it on queries (q, n) that are believed to show references with probabilities (q, n)."""
-        z, prior, believed = _Z[levels], _PRIOR_QUERIES, float(there.sum(dtype=np.float64))
+        z = _Z[levels]
+        prior = _PRIOR_QUERIES
+        believed = float(there.sum(dtype=np.float64))
         total = float(np.einsum("ij,ij", there, z))
         mean = (total + prior * _MEAN) / (believed + prior)
         scatter = float(np.einsum("ij,ij,ij", there, z, z)) - 2.0 * mean * total + believed * mean**2
         spread = max(math.sqrt(max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)), _LEAST_SPREAD)
-        off, usual = z[np.arange(len(z)), there.argmax(axis=1)] - mean, prior * spread**2
+        off = z[np.arange(len(z)), there.argmax(axis=1)] - mean
+        usual = prior * spread**2
         correlation = float(off[1:] @ off[:-1] + _CORRELATION * usual) / float(off @ off + usual)
         return cls(mean, spread, min(max(correlation, 0.0), _MOST_CORRELATION))
 
@@ -89,7 +100,9 @@ class Places:
     """References (n, m), centred, of frames that stops are left out of; a loop leads to those so far ``apart``."""
 
     def __init__(self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None) -> None:
-        self.chain, self._references, self._apart = Chain(len(references)), references, apart
+        self.chain = Chain(len(references))
+        self._references = references
+        self._apart = apart
         self._frames = frames
         self._first = np.searchsorted(frames, frames - tolerance)
         self._end = np.searchsorted(frames, frames + tolerance, "right")
@@ -142,12 +155,14 @@ def match_places(
     check_features(references, queries)
     steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]
     standing = _STANDING * float(np.quantile(steps, 0.75)) if steps else 0.0
-    known, asked = moving(references, standing), moving(queries, standing)
+    known = moving(references, standing)
+    asked = moving(queries, standing)
     tolerance = alike(references[known], 0.5) if tolerance is None else tolerance
     apart = max(alike(references[known], 0.0), tolerance + 1) if loops else None
     # The middle of each stop.
     frames = (known + np.append(known[1:], len(references)) - 1) // 2
-    places, moved = Places(references[known], frames, tolerance, apart), queries[asked]
+    places = Places(references[known], frames, tolerance, apart)
+    moved = queries[asked]
 
     def part(first: int, end: int, margin: int = 0) -> TraversePart:
         begin = max(first - margin, 0)
@@ -209,7 +224,8 @@ def _stretches(part: Callable[..., TraversePart], count: int) -> list[TraversePa
 
 def _learned(chain: Chain, stretches: list[Levels], progress: Progress = ignore) -> Evidence:
     """Return the evidence of queries, learned from stretches (q, n)."""
-    evidence, every = Evidence(), np.concatenate(stretches)
+    evidence = Evidence()
+    every = np.concatenate(stretches)
     for done in range(1, _ROUNDS):
         answered = in_parallel(partial(_there, chain, evidence), stretches)
         evidence = Evidence.learn(every, np.concatenate(list(answered)))
@@ -226,7 +242,8 @@ def _followed(
     places: Places, part: Callable[..., TraversePart], frames: NDArray[np.intp], lag: int, progress: Progress
 ) -> Iterator[Best]:
     """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
-    recent, chain = deque[tuple[int, Array, Array]](), places.chain
+    recent = deque[tuple[int, Array, Array]]()
+    chain = places.chain
 
     def oldest() -> Best:
         message = np.ones_like(belief)
@@ -236,7 +253,8 @@ def _followed(
         progress(int(frames[query]) + 1)
         return places.best(*chain.at_references(then * message))
 
-    evidence, belief = Evidence(), chain.first()
+    evidence = Evidence()
+    belief = chain.first()
     rows = chain_of.from_iterable(map(places.levels, part(0, len(frames)).blocks()))
     for query, row in enumerate(rows):
         if query.bit_count() == 1:

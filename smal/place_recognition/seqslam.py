@@ -42,7 +42,9 @@ def match_seqslam(
     that do not fit or are not finite raise ValueError.
     """
     check_features(references, queries)
-    (total, count), matches = (len(queries), len(references)), Matches.none(len(queries))
+    total = len(queries)
+    count = len(references)
+    matches = Matches.none(total)
     lines = [line for line in trajectories(length) if line[-1] < count]
     if min(total, count) >= length and lines:
         rows = enhanced(cdist(queries, references, "cityblock") / queries.shape[1])
@@ -70,7 +72,8 @@ def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
         summed: NDArray[np.float64] = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
         return summed
 
-    inside, level = around(np.ones(rows.shape[1])), rows.mean(axis=1, keepdims=True)
+    inside = around(np.ones(rows.shape[1]))
+    level = rows.mean(axis=1, keepdims=True)
     above = rows - level
     mean = around(above) / inside
     deviation = np.sqrt(np.maximum(around(above**2) / inside - mean**2, 0.0))

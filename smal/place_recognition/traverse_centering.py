@@ -20,7 +20,8 @@ def centre_traverses(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean of those up to it."""
     known = Centering.fit(references, settings)
-    total, asked = PRIOR_FRAMES * known.mean.astype(np.float64), np.empty(queries.shape, np.float32)
+    total = PRIOR_FRAMES * known.mean.astype(np.float64)
+    asked = np.empty(queries.shape, np.float32)
     if not causal:
         mean = (total + queries.sum(axis=0, dtype=np.float64)) / (len(queries) + PRIOR_FRAMES)
         return known.apply(references), Centering(mean.astype(np.float32), settings).apply(queries)

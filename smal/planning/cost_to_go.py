@@ -49,18 +49,22 @@ def cost_to_go(
     goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & leads)
     source, target = visual_map.stitched.T
     steps = np.diff([visual_map.arc[visual_map.keyframes], np.unwrap(visual_map.key_poses[:, 2])])[:, on]
-    aside, turned = visual_map.stitch_offsets[:, :2], visual_map.stitch_offsets[:, 2]
+    aside = visual_map.stitch_offsets[:, :2]
+    turned = visual_map.stitch_offsets[:, 2]
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
     rows = np.concatenate([on + 1, target, np.full(goals.size, count)])
     columns = np.concatenate([on, source, goals])
-    ahead, turn_rad = max(float(np.abs(visual_map.movements[:, 0]).max()), 1e-9), visual_map.turn_rad
-    way, turns = np.append(steps[0], np.hypot(*aside.T)), np.abs(np.append(steps[1], turned))
+    ahead = max(float(np.abs(visual_map.movements[:, 0]).max()), 1e-9)
+    turn_rad = visual_map.turn_rad
+    way = np.append(steps[0], np.hypot(*aside.T))
+    turns = np.abs(np.append(steps[1], turned))
     costs = (way / ahead + turns / turn_rad) * visual_map.tick_s
     costs[on.size :] += go_over_s
     costs = np.maximum(np.append(costs, np.zeros(goals.size)), 1e-9)
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
-    to_go_s, following = found[0, :-1], previous[0, :-1].astype(np.intp)
+    to_go_s = found[0, :-1]
+    following = previous[0, :-1].astype(np.intp)
     following[(following == count) | (following < 0)] = -1
     goes_over_to = of.copy()
     for here in np.argsort(to_go_s):

@@ -157,7 +157,8 @@ class Planner:
         around: Surroundings | None,
         strange: float,
     ) -> Situation:
-        taught, route = self._taught, self._mission.route
+        taught = self._taught
+        route = self._mission.route
         directions, left_to_go, to_end = route.aims(belief, self._chassis.lookahead)
         # Places from which no way leads to the goal have no say.
         weights = belief.weights * route.leads_on(belief)

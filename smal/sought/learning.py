@@ -27,7 +27,9 @@ from smal.sought.sight import NUMBERS, Sight, best_window, cells_of, nearest, sp
 from smal.sought.word import Word, area, best
 
 #: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
-_CODES, _BESIDE, _SOUGHT = 32, 128, 24
+_CODES = 32
+_BESIDE = 128
+_SOUGHT = 24
 Box = tuple[float, float, float, float]  # Left, top, right, bottom: shares of a view's width and height.
 _FEWEST: Final = 8  # Cells that are the least to be looked for.
 _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
@@ -92,7 +94,8 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     without_it = zip(patches, rest, strict=False)
     left_out = list(in_parallel(lambda one: speaking(one[0].cells[::2, ::2], one[1], others, far), without_it))
     found = [best_window(one, windows) for one in left_out]
-    every, added = np.concatenate(sought), others[len(codes) :]
+    every = np.concatenate(sought)
+    added = others[len(codes) :]
 
     def score_elsewhere(k: int) -> float:
         known = np.concatenate([codes[elsewhere(k)], added])
@@ -102,12 +105,15 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     ratio = _ratio(np.array([one.score for one in found]), np.array(elsewhere_scores))
     if ratio is None:
         return None
-    sums, lows = np.array([float(one.sum()) for one in left_out]), np.array([one.low for one in found])
+    sums = np.array([float(one.sum()) for one in left_out])
+    lows = np.array([one.low for one in found])
     # Where none of the last views is left, the nearest one is that in which it is largest.
     at_end = [k for k, patch in enumerate(patches) if patch.last] or [int(sums.argmax())]
-    size, low = float(np.median(sums[at_end])), float(np.median(lows[at_end]))
+    size = float(np.median(sums[at_end]))
+    low = float(np.median(lows[at_end]))
     # A level camera sees what looks half as large half as far from the middle; another one, or another thing, may not.
-    large, far_off = np.sqrt(sums / (size or 1.0)), lows / (low or 1.0)
+    large = np.sqrt(sums / (size or 1.0))
+    far_off = lows / (low or 1.0)
     small = (large > 0.0) & (large < 0.5)
     if abs(low) < SETTINGS.low or not small.any() or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean():
         low = 0.0
@@ -238,7 +244,8 @@ def _piece(
 
 def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
     """Return cells that stand for all cells of some pictures, (n, 27), and of which picture each is, (n,)."""
-    codes, of = np.empty((0, NUMBERS), dtype=np.float32), []
+    codes = np.empty((0, NUMBERS), dtype=np.float32)
+    of = []
     for number, picture in enumerate(pictures):
         taken = _spread(cells_of(picture, 2).reshape(-1, NUMBERS), _CODES, codes)
         codes = np.concatenate([codes, taken])
@@ -248,7 +255,8 @@ def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.i
 
 def _spread(cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the cells that are furthest from codes and from each other, one after another (Gonzalez 1985)."""
-    away, taken = nearest(cells, codes), []
+    away = nearest(cells, codes)
+    taken = []
     for _ in range(min(most, len(cells))):
         furthest = int(away.argmax())
         taken.append(cells[furthest])
@@ -265,7 +273,8 @@ def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray
     """
     if len(here) < 2:
         return None
-    mean, count = max(float(elsewhere.mean()), SETTINGS.least_score * float(here.max())), len(elsewhere)
+    mean = max(float(elsewhere.mean()), SETTINGS.least_score * float(here.max()))
+    count = len(elsewhere)
     shares = np.linspace(0.0, 1.0, 51)[1:]
     edges = np.append(SCORES, 1.0 + SCORES[1]) - SCORES[1] / 2.0
     p1 = np.histogram(np.multiply.outer(shares, here), edges)[0] / (shares.size * len(here))

@@ -37,7 +37,8 @@ def cells_of(picture: Image, step: int = 1) -> NDArray[np.float32]:
 
 def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float32]:
     """Return how far each cell (..., 27) is from the nearest of some codes (n, 27); infinitely, if there are none."""
-    flat, held = cells.reshape(-1, NUMBERS), codes.astype(np.float32)
+    flat = cells.reshape(-1, NUMBERS)
+    held = codes.astype(np.float32)
     if not len(held):
         return np.full(cells.shape[:-1], np.inf, dtype=np.float32)
     squares = (held * held).sum(axis=1) - 2.0 * flat @ held.T
@@ -105,7 +106,8 @@ class Sight:
 
 def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
     """Return how much each cell speaks for what is sought, 0 to 1."""
-    ours, theirs = nearest(cells, sought), nearest(cells, others)
+    ours = nearest(cells, sought)
+    theirs = nearest(cells, others)
     speaks: NDArray[np.float32] = np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
     return speaks
 
@@ -128,7 +130,8 @@ def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Wind
 
 def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Return what a file says of the sights of goals, and the arrays in it."""
-    said, arrays = [], dict[str, NDArray[Any]]()
+    said = []
+    arrays = dict[str, NDArray[Any]]()
     for number, (goal, one) in enumerate(sights.items()):
         said.append({"goal": goal, "far": one.far, "size": one.size, "low": one.low})
         arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}

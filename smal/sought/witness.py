@@ -27,7 +27,8 @@ class Witness:
     """Tells from view to view whether what is sought is in view, by how it looks, by a detector's word, or by both."""
 
     def __init__(self, sight: Sight | None, word: Word | None = None) -> None:
-        self._sight, self._word = sight, word
+        self._sight = sight
+        self._word = word
         self.reset()
 
     def reset(self) -> None:
@@ -36,7 +37,9 @@ class Witness:
 
     def look(self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()) -> Glimpse:
         """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
-        said, near, left = self._says(picture, detected), 0.0, None
+        said = self._says(picture, detected)
+        near = 0.0
+        left = None
         if said is not None:
             self._said.append((time_s, said))
             while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:

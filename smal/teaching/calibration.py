@@ -169,7 +169,10 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
 
     ValueError where no drive goes anywhere, or all images look the same.
     """
-    ways, cosines, distant, curves = [], [], [], []
+    ways = []
+    cosines = []
+    distant = []
+    curves = []
     blind = True
     for drive in np.unique(frames.drives):
         every = np.flatnonzero(frames.drives == drive)
@@ -192,9 +195,11 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         raise ValueError("all images of the demonstrations look the same")
     if frames.car:
         way, cosine = _turns_undone(frames, camera, np.concatenate(curves))
-        ways, cosines = [way, *ways], [cosine, *cosines]
+        ways = [way, *ways]
+        cosines = [cosine, *cosines]
     unrelated = float(np.concatenate(distant).mean())
-    way, cosine = np.concatenate(ways), np.concatenate(cosines)
+    way = np.concatenate(ways)
+    cosine = np.concatenate(cosines)
     reach = float(way.max())
     while True:
         if not (way[way <= reach] > 0.0).any():
@@ -243,7 +248,8 @@ def _turns_undone(
 def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> float:
     """Measure the turn (radians) after which a view is half way from itself to the mean cosine of unrelated views."""
     some = evenly(len(frames.images), SETTINGS.pairs).tolist()
-    own, images = frames.centred(some), [frames.images[k] for k in some]
+    own = frames.centred(some)
+    images = [frames.images[k] for k in some]
 
     def turned_by(turn_rad: float) -> NDArray[np.float32]:
         return frames.describe(_far(camera).warp(image, turn_rad=turn_rad) for image in images)
@@ -277,12 +283,16 @@ def likelihood_of_views(
     elsewhere is what a normal distribution says. What a keyframe and the next say of such places correlates by the
     second value. ValueError if no keyframe has a neighbour.
     """
-    poses, drives = frames.poses[keyframes], frames.drives[keyframes]
-    count, own = len(views), unpacked(views[:, 1, STRAIGHT])
+    poses = frames.poses[keyframes]
+    drives = frames.drives[keyframes]
+    count = len(views)
+    own = unpacked(views[:, 1, STRAIGHT])
     sample = own[evenly(count, SETTINGS.reference)]
     some = evenly(count, SETTINGS.most_frames)
     places = unpacked(views[some])
-    here, elsewhere, alike = [], [], []
+    here = []
+    elsewhere = []
+    alike = []
     chains: list[NDArray[Any]] = [np.empty((2, 0))]
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
         compared = scale(sample @ own[k])

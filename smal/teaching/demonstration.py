@@ -91,7 +91,8 @@ class Made(Sequence[Any]):
     """
 
     def __init__(self, count: int, task: Callable[[int], Task]) -> None:
-        self._count, self.task = count, task
+        self._count = count
+        self.task = task
 
     def __len__(self) -> int:
         return self._count

@@ -68,9 +68,11 @@ def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
 
 def follow(model: Model, run: Demonstration) -> Followed:
     """Follow a run, as a robot would have been that drove it; ValueError where its goal is none of the map's."""
-    localizer, taught = Localizer(model), model.mapped
+    localizer = Localizer(model)
+    taught = model.mapped
     planner = Planner(taught, run.goal)
-    rows, arrived = [], len(run.atoms)
+    rows = []
+    arrived = len(run.atoms)
     for frame, raw in enumerate(run.features):
         odometry = None if run.odometry is None else run.odometry[frame].tolist()
         belief = localizer.observe(raw, odometry, [Atom(run.atoms[frame - 1])] if frame else [])
@@ -98,13 +100,15 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     """
     nearest: dict[int, tuple[float, Demonstration, int, NDArray[np.float64]]] = {}
     seen: dict[int, list[NDArray[np.float32]]] = {}
-    taught, usual = model.mapped, _usually_says(model.mapped)
+    taught = model.mapped
+    usual = _usually_says(model.mapped)
     for run in runs:
         if run.camera is None:
             continue
         followed = follow(model, run)
         for frame in np.flatnonzero(followed.sure > PLANNER_CONFIG.arrived).tolist():
-            key, offset = int(followed.keyframes[frame]), followed.offsets[frame]
+            key = int(followed.keyframes[frame])
+            offset = followed.offsets[frame]
             seen.setdefault(key, []).append(taught.described(model.centering.apply(run.features[frame])))
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
             if followed.says[frame] < usual / 2.0 and off < nearest.get(key, (SETTINGS.look_from,))[0]:
@@ -112,7 +116,8 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     if not nearest:
         return model
     looks = in_parallel(lambda key: _look(model, *nearest[key][1:]), sorted(nearest))
-    views, of = np.concatenate([taught.views, np.stack(list(looks))]), np.append(taught.looks, sorted(nearest))
+    views = np.concatenate([taught.views, np.stack(list(looks))])
+    of = np.append(taught.looks, sorted(nearest))
     full = np.flatnonzero(np.bincount(of) == SETTINGS.looks).tolist()
     rows = [_least(views, np.append(key, len(taught.keyframes) + np.flatnonzero(of == key)), seen[key]) for key in full]
     grown = replace(
@@ -134,7 +139,8 @@ def _usually_says(taught: VisualMap) -> float:
 
 def _look(model: Model, run: Demonstration, frame: int, offset: NDArray[np.float64]) -> NDArray[np.int8]:
     """Return the virtual views (3, turns, r) of a keyframe as a frame shows it that was taken beside it."""
-    taught, image = model.mapped, cast("Sequence[Image]", run.images)[frame]
+    taught = model.mapped
+    image = cast("Sequence[Image]", run.images)[frame]
     scene = Scene(cast("Camera", run.camera), *taught.scene[1:].tolist())
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     raw = np.stack([extract(scene.warp(image, *step), model.feature_settings) for step in steps])
@@ -152,9 +158,12 @@ def _least(views: NDArray[np.int8], rows: NDArray[np.intp], seen: Sequence[NDArr
 
 def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
     """Compare two maps by how likely they make the views of runs, stretch of way by stretch."""
-    taught, gains, false_goals = old.mapped, [], 0
+    taught = old.mapped
+    gains = []
+    false_goals = 0
     for run in runs:
-        before, after = follow(old, run), follow(new, run)
+        before = follow(old, run)
+        after = follow(new, run)
         poses = dead_reckoning(run.atoms, taught.movements) if run.odometry is None else run.odometry
         way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
         parts = max(int(way / (SETTINGS.mended * taught.correlation_length)), 1)
@@ -166,7 +175,8 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
             for one in (before, after)
         ]
         false_goals += too_early == [False, True]
-    count, least = len(gains), -math.inf
+    count = len(gains)
+    least = -math.inf
     if count > 1:
         least = float(np.mean(gains) - stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count))
     return Verdict(count, float(np.mean(gains)), least, false_goals)

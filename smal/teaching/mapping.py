@@ -224,7 +224,8 @@ def _seen(
 
     And what detectors find there, if any are among the features; and how the ground looks.
     """
-    keys, of = mapped.keyframes, mapped.key_drives
+    keys = mapped.keyframes
+    of = mapped.key_drives
 
     def looked(frame: int) -> tuple[Image, list[Detection]]:
         image = images[frame]
@@ -234,7 +235,8 @@ def _seen(
     ends = np.searchsorted(of, of, side="right") - 1
     left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
     drives = [np.flatnonzero(of == drive).tolist() for drive in range(len(mapped.goals))]
-    sights, words = {}, {}
+    sights = {}
+    words = {}
     for goal in sorted(set(mapped.goals)):
         taught = [
             Taught(
@@ -336,7 +338,8 @@ def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
     # All components take three times as long.
     values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1])
     kept = values > 1e-6 * values[-1]
-    values, vectors = values[kept][::-1], vectors[:, kept][:, ::-1]
+    values = values[kept][::-1]
+    vectors = vectors[:, kept][:, ::-1]
     # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
     basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + SETTINGS.whitened)).astype(np.float32)
     return basis

@@ -53,8 +53,11 @@ def stitched(visual_map: VisualMap) -> VisualMap:
 
 def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.float64]]:
     """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
-    count, drives, goals = len(visual_map.keyframes), visual_map.key_drives, len(visual_map.goals)
-    best, offsets = np.full((count, goals), -1, dtype=np.intp), np.zeros((count, goals, 3))
+    count = len(visual_map.keyframes)
+    drives = visual_map.key_drives
+    goals = len(visual_map.goals)
+    best = np.full((count, goals), -1, dtype=np.intp)
+    offsets = np.zeros((count, goals, 3))
 
     def compare(start: int) -> None:
         own = unpacked(visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT])
@@ -117,10 +120,14 @@ def _off(
 ) -> tuple[float, float]:
     """Return the way between two stitches, and by how many standard deviations of odometry the drives disagree."""
     noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
-    poses, length = visual_map.key_poses, visual_map.correlation_length
-    by_one, by_other = seen_from(poses[other], poses[one]), seen_from(robot[other], robot[one])
-    off, turned = by_other[:2] - by_one[:2], float(wrapped(by_other[2:] - by_one[2:])[0])
-    way, turns = 0.0, 0.0
+    poses = visual_map.key_poses
+    length = visual_map.correlation_length
+    by_one = seen_from(poses[other], poses[one])
+    by_other = seen_from(robot[other], robot[one])
+    off = by_other[:2] - by_one[:2]
+    turned = float(wrapped(by_other[2:] - by_one[2:])[0])
+    way = 0.0
+    turns = 0.0
     for first, last in (sorted((one, other)), sorted((there[one], there[other]))):
         steps = np.diff(poses[first : last + 1], axis=0)
         way += float(np.hypot(*steps[:, :2].T).sum())
@@ -140,7 +147,8 @@ def _joined(visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArr
     the other as the mean of the stitches says. With each stitch by itself the way that is to be followed would jump
     from one keyframe to the next, and the robot turn to and fro.
     """
-    poses, arc = visual_map.key_poses, visual_map.arc[visual_map.keyframes]
+    poses = visual_map.key_poses
+    arc = visual_map.arc[visual_map.keyframes]
     others = np.flatnonzero(visual_map.key_drives == visual_map.key_drives[there[here[0]]])
     joined: list[_Stitch] = []
     for k in range(int(here.min()), int(here.max()) + 1):

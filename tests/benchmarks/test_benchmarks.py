@@ -49,7 +49,8 @@ def test_recognition_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(recognition, "QUICK", TINY)
-    file, out = tmp_path / "results.json", tmp_path / "pictures"
+    file = tmp_path / "results.json"
+    out = tmp_path / "pictures"
     recognition.main(["--quick", "--json", str(file), "--out", str(out)])
     results = json.loads(file.read_text())
     assert [one["l"] for one in results["matching"]] == [1, 5]

@@ -16,7 +16,8 @@ with atheris.instrument_imports(include=["schemas", "services", "smal", "mcap"])
 
 def main(name: str, flags: list[str]) -> None:
     """Fuzz until libFuzzer ends the process."""
-    target, kept = TARGETS[name], CRASHERS / name
+    target = TARGETS[name]
+    kept = CRASHERS / name
     kept.mkdir(exist_ok=True)
 
     def run(data: bytes) -> None:

@@ -65,11 +65,13 @@ def image_of_size(pixels: int) -> bytes:
 
 def recording(compression: CompressionType = CompressionType.NONE, *, finished: bool = True) -> bytes:
     """Return an episode of two frames, the second without features; with one schema, a short one."""
-    started, ended = event("e", 0, "started"), event("e", 1, "ended", "found")
+    started = event("e", 0, "started")
+    ended = event("e", 1, "ended", "found")
     told = [(one.topic_name, one.tick, one.model_dump_json().encode())
             for one in (started, observation("e", 0), applied("e", 0), ended)]  # fmt: skip
     told.insert(3, ("camera/jpeg", 1, image_payload()))
-    file, channels = BytesIO(), dict[str, int]()
+    file = BytesIO()
+    channels = dict[str, int]()
     writer = Writer(file, compression=compression)
     writer.start(profile="", library="smal")
     schema = writer.register_schema("smal.Any", "jsonschema", b"{}")
@@ -98,7 +100,8 @@ def leftover() -> bytes:
 
 def smallest_model() -> PaperModel:
     """By the paper's scheme: two states of one frame each, one drive from the one to the other."""
-    stream, action = np.array([0, 1], np.int32), np.array([0, 0], np.int32)
+    stream = np.array([0, 1], np.int32)
+    action = np.array([0, 0], np.int32)
     return PaperModel(
         feature_settings=COLOR,
         mean=np.zeros(COLOR.size, np.float32),

@@ -115,7 +115,8 @@ def _request(data: bytes) -> bool:
         accepted = True
     except ValidationError as error:
         check_line(describe(error))
-        message, accepted = Failure(error=describe(error)), False
+        message = Failure(error=describe(error))
+        accepted = False
     # What was understood, and the reason why not, can be sent.
     assert type(message).model_validate_json(message.model_dump_json().encode()) == message
     return accepted
@@ -163,7 +164,8 @@ def _recording(data: bytes) -> bool:
 
 
 def _leftover_seeds() -> list[bytes]:
-    older, whole = inputs.recording(finished=False), inputs.leftover()
+    older = inputs.recording(finished=False)
+    whole = inputs.leftover()
     return [whole, whole[:-7], whole + bytes(30), older, older[:-7], inputs.recording()]
 
 
@@ -237,7 +239,8 @@ def _model(data: bytes) -> bool:
         assert model.templates.shape == (model.feature_settings.size, model.states * model.sequence_length)
         return True
     assert np.isfinite(Ways(model.mapped).poses).all()
-    views, planner = Filter(model.mapped, model.centering), Planner(model.mapped)
+    views = Filter(model.mapped, model.centering)
+    planner = Planner(model.mapped)
     for _ in range(2):
         belief = views.observe(np.ones(model.feature_settings.size, np.float32), Movement(0.5, 0.1))
         assert 0.0 <= belief.lost <= 1.0
@@ -322,7 +325,8 @@ class Imported:
 
 def _import(form: Format, source: Path) -> bool:
     """Import, and say whether that was possible; what is said of it is lines, either way."""
-    out, tally = inputs.scratch() / "out", Tally()
+    out = inputs.scratch() / "out"
+    tally = Tally()
     out.mkdir(exist_ok=True)
     try:
         report = importer.run(ImportJob(format=form, path=str(source), folder=str(out), robot="burger"), tally)

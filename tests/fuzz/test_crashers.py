@@ -65,9 +65,11 @@ def changed(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
     values = list(VALUE.finditer(data))
     for at in range(draw(st.integers(1, 3))):
         if values and at == 0 and draw(st.booleans()):
-            (begin, end), instead = draw(st.sampled_from(values)).span(), draw(st.sampled_from(ODD))
+            begin, end = draw(st.sampled_from(values)).span()
+    instead = draw(st.sampled_from(ODD))
         else:
-            begin, instead = draw(st.integers(0, len(data))), draw(st.binary(max_size=8))
+            begin = draw(st.integers(0, len(data)))
+            instead = draw(st.binary(max_size=8))
             end = begin + draw(st.sampled_from([len(instead), 0, 100]))
         data = data[:begin] + instead + data[end:]
     return data

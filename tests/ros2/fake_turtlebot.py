@@ -82,7 +82,8 @@ class Ros:
 
     def _names(self, kind: str, topic: str, type_name: str) -> tuple[str, str]:
         """Return the key and the token of an endpoint."""
-        zid, (package, _, name) = self.session.info.zid(), type_name.split("/")
+        zid = self.session.info.zid()
+        (package, _, name) = type_name.split("/")
         if self.options.dialect != "rmw_zenoh":
             escaped = type_name.replace("/", "§")
             return topic, f"@/{zid}/@ros2_lv/{kind}/{topic.replace('/', '§')}/{escaped}/:::"
@@ -181,10 +182,15 @@ class Base:
         self.odometry = move(self.odometry, believed, self.track_m, STEP_S)
         if self.truth["put"] != self.truth["was_put"]:
             self.pose = Pose(self.truth["put_x"], self.truth["put_y"], self.truth["put_heading"])
-            self.truth["collided"], self.truth["was_put"] = 0.0, self.truth["put"]
+            self.truth["collided"] = 0.0
+        self.truth["was_put"] = self.truth["put"]
         truth = self.truth
-        truth["x"], truth["y"], truth["heading"] = self.pose.x, self.pose.y, self.pose.heading
-        truth["ahead_m_s"], truth["turn_rad_s"], truth["ordered_s"] = ahead, turn, ordered_s
+        truth["x"] = self.pose.x
+        truth["y"] = self.pose.y
+        truth["heading"] = self.pose.heading
+        truth["ahead_m_s"] = ahead
+        truth["turn_rad_s"] = turn
+        truth["ordered_s"] = ordered_s
         truth["t_s"] = self.due_s
 
     def run(self, ros: Ros) -> None:
@@ -242,7 +248,8 @@ def see(options: SimpleNamespace, ros: Ros) -> None:
         "sensor_msgs/msg/Image" if raw else "sensor_msgs/msg/CompressedImage",
     )
     tell = ros.publisher("camera/camera_info", "sensor_msgs/msg/CameraInfo")
-    focal, due_s = camera.focal_px, now_s()
+    focal = camera.focal_px
+    due_s = now_s()
     for number in itertools.count():
         time.sleep(max(0.0, due_s - now_s()))
         due_s = max(due_s + 1.0 / options.rate, now_s())
@@ -277,7 +284,8 @@ def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
 
 
 def main() -> None:
-    part, options = sys.argv[1], SimpleNamespace(**json.loads(sys.argv[2]))
+    part = sys.argv[1]
+    options = SimpleNamespace(**json.loads(sys.argv[2]))
     if part == "router":
         session = opened("router", options.endpoint)
         while True:

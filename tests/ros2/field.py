@@ -57,7 +57,8 @@ class Field:
     """The robot's processes, and its truth."""
 
     def __init__(self, robot: Robot, endpoint: str) -> None:
-        self.robot, self.endpoint = robot, endpoint
+        self.robot = robot
+        self.endpoint = endpoint
         self.world = load_world(robot.world)
         robot.folder.mkdir(parents=True, exist_ok=True)
         self.truth = Truth(robot.folder / "truth")
@@ -81,7 +82,8 @@ class Field:
 
     def config(self) -> Path:
         """Write what the service is told of this robot."""
-        robot, drive = self.robot, self.world.robot.drive
+        robot = self.robot
+        drive = self.world.robot.drive
         raw = robot.encoding != "jpeg"
         camera = ("camera/image_raw", "Image") if raw else ("camera/image_raw/compressed", "CompressedImage")
         told: dict[str, Any] = {
@@ -116,7 +118,8 @@ class Field:
 
     def found(self) -> bool:
         """Whether the victim is near, and in view."""
-        x, y = self.truth["x"], self.truth["y"]
+        x = self.truth["x"]
+        y = self.truth["y"]
         near = math.hypot(self.world.victim.x - x, self.world.victim.y - y) <= self.world.scale.found_m
         return near and self.truth["victim"] >= VISIBLE_FRACTION
 
@@ -198,7 +201,8 @@ class Person:
 
         Once it is there, the person says so.
         """
-        bus, said = self.client.node.bus, [""]
+        bus = self.client.node.bus
+        said = [""]
 
         def on_begin(reply: ResetReply) -> None:
             said[0] = reply.episode

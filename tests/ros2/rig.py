@@ -24,7 +24,11 @@ from tests.services.robot.line import Clock
 
 ROS = Messages("jazzy")
 PICTURE = np.kron(np.random.default_rng(1).integers(0, 255, (6, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
-CAMERA, ODOM, SCAN, HAZARDS, IMU = "/camera/image_raw/compressed", "/odom", "/scan", "/hazards", "/imu"
+CAMERA = "/camera/image_raw/compressed"
+ODOM = "/odom"
+SCAN = "/scan"
+HAZARDS = "/hazards"
+IMU = "/imu"
 BEGIN = ResetRequest(seed=1, mode="realtime")
 # The robot's clock began at another time than ours.
 AHEAD_S = 1_000_000.0

@@ -190,13 +190,16 @@ def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone
 
 @given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
 def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[float, float]], turned: float) -> None:
-    one, other = WheelTrack(1.0, 10.0, 0.25), WheelTrack(1.0, 10.0, 0.25)
+    one = WheelTrack(1.0, 10.0, 0.25)
+    other = WheelTrack(1.0, 10.0, 0.25)
     x = y = heading = 0.0
     told = one.add(0.0, x, y, heading), other.add(0.0, 7.0, -3.0, turned)
     for number, (ahead, turn) in enumerate(steps, 1):
-        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
+        x = x + ahead * math.cos(heading)
+        y = y + ahead * math.sin(heading)
         heading = math.remainder(heading + turn, math.tau)
-        cos, sin = math.cos(turned), math.sin(turned)
+        cos = math.cos(turned)
+        sin = math.sin(turned)
         there = 7.0 + x * cos - y * sin, -3.0 + x * sin + y * cos, math.remainder(heading + turned, math.tau)
         told = one.add(number / 10, x, y, heading), other.add(number / 10, *there)
     assert (told[0].x_m, told[0].y_m) == pytest.approx((x, y), abs=1e-9)

@@ -95,14 +95,16 @@ def test_robot_stands_when_no_echo_comes_back(tmp_path: Path) -> None:
 def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_to_be_new(
     hangs: list[tuple[int, int]], set_at: int, by_s: float
 ) -> None:
-    clock, freed = StampedClock(), {}
+    clock = StampedClock()
+    freed = {}
     first = 0
     for calm, hung in hangs:
         first += calm + 10
         freed |= dict.fromkeys(range(first, first + hung), first + hung)
         first += hung
     for number in range(first + 60):
-        made_s, arrived_s = number * FRAME_S, freed.get(number, number) * FRAME_S + 0.005
+        made_s = number * FRAME_S
+        arrived_s = freed.get(number, number) * FRAME_S + 0.005
         told = clock.made_s(made_s + (by_s if number >= set_at else 0.0), arrived_s, arrived_s - made_s)
         if told is not None and clock.known:
             assert told <= made_s + 0.005 + MAX_AGE_S + DRIFT * made_s + 1e-6
@@ -114,7 +116,8 @@ def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_t
 @pytest.mark.parametrize("by_s", [-3600.0, -1.3, -0.2, 0.2, 3600.0])
 def test_a_robot_whose_clock_is_set_stands_until_it_is_known_again(rig: Rig, by_s: float) -> None:
     assert rig.may_go("forward")
-    begun_s, ahead_s = rig.clock.now_s, []
+    begun_s = rig.clock.now_s
+    ahead_s = []
     while not ahead_s or rig.clock.now_s < begun_s + 4.0:
         rig.passes(0.05, at_s=rig.clock.now_s + 0.05 + by_s)
         is_fresh = fresh(rig)

@@ -89,7 +89,8 @@ class Driven:
 @pytest.fixture(scope="module", params=DIALECTS)
 def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
     """Have a robot that turns on the spot."""
-    folder, humble = tmp_path_factory.mktemp("ros2"), "humble" in request.param
+    folder = tmp_path_factory.mktemp("ros2")
+    humble = "humble" in request.param
     dialect = request.param.split(" ")[0]
     robot = Robot(folder, dialect=dialect, size=(64, 48), clock_offset=AHEAD_S, renders=False)
     if humble:

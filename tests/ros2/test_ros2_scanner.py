@@ -12,8 +12,14 @@ from schemas.base import KEYS
 from services.kit.node import ServiceError
 from tests.ros2.rig import SCAN, Rig
 
-INF, NAN = math.inf, math.nan
-STOP_M, BLIND_M, HALF_RAD, GAP_RAD, LEAST_M, MOST_M = 0.4, 0.1, 0.6, 0.2, 0.02, 12.0
+INF = math.inf
+NAN = math.nan
+STOP_M = 0.4
+BLIND_M = 0.1
+HALF_RAD = 0.6
+GAP_RAD = 0.2
+LEAST_M = 0.02
+MOST_M = 12.0
 STEP = math.tau / 360
 #: The scanner of a TurtleBot 3: LDS-01, 0 where nothing comes back; and LDS-02, which leaves some beams out as well.
 LDS_01 = {"angle_max": math.tau, "angle_increment": STEP, "range_min": 0.12, "range_max": 3.5}
@@ -85,7 +91,8 @@ def scans(draw: st.DrawFn) -> tuple[list[float], dict[str, float]]:
     beams = draw(st.sampled_from([120, 360]) | st.integers(0, 400))
     ranges = [draw(st.sampled_from([5.0, 5.0, INF, INF, 0.0, NAN]))] * beams
     for _ in range(draw(st.integers(0, 3))):
-        begin, size = draw(st.integers(0, 400)), draw(st.integers(0, 60))
+        begin = draw(st.integers(0, 400))
+        size = draw(st.integers(0, 60))
         ranges[begin : begin + size] = [draw(value)] * len(ranges[begin : begin + size])
     begin = draw(st.floats(-4, 4, width=32))
     turn = draw(st.sampled_from([6.2, 6.2, -6.2]) | st.floats(-7, 7))

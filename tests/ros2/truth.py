@@ -24,5 +24,7 @@ class Truth:
 
     def put(self, x: float, y: float, heading: float) -> None:
         """Ask for the robot to be carried to a pose."""
-        self["put_x"], self["put_y"], self["put_heading"] = x, y, heading
+        self["put_x"] = x
+        self["put_y"] = y
+        self["put_heading"] = heading
         self["put"] += 1

@@ -125,7 +125,8 @@ _requests = st.builds(LoadRequest, model=st.from_regex(r"[a-z]{1,9}(/[a-z]{1,9})
 
 def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     """Make any value of a type within the bounds that are annotated."""
-    origin, arguments = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    arguments = get_args(kind)
     if origin is Annotated:
         more = [rule for one in arguments[1:] for rule in (one.metadata if isinstance(one, FieldInfo) else [one])]
         return _any_of(arguments[0], [*rules, *more])
@@ -135,7 +136,8 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
         return st.sampled_from(arguments)
     bounds = {name: value for rule in rules for name, value in _named(rule).items() if value is not None}
     if origin is tuple:
-        least, most = bounds.get("min_length", 0), min(bounds.get("max_length", 9), 100)
+        least = bounds.get("min_length", 0)
+        most = min(bounds.get("max_length", 9), 100)
         several = st.lists(_any_of(arguments[0]), min_size=least, max_size=most).map(tuple)
         return several if arguments[-1] is ... else st.tuples(*map(_any_of, arguments))
     if kind in (Float32Array, LoadRequest):
@@ -145,7 +147,8 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     if kind is str and "pattern" in bounds:
         return st.from_regex(bounds["pattern"].strip("^$"), fullmatch=True)
     size = {"min_size": bounds.get("min_length", 0), "max_size": bounds.get("max_length", 99)}
-    least, most = bounds.get("ge", bounds.get("gt")), bounds.get("le", bounds.get("lt"))
+    least = bounds.get("ge", bounds.get("gt"))
+    most = bounds.get("le", bounds.get("lt"))
     return {
         NoneType: st.none(),
         bool: st.booleans(),
@@ -170,10 +173,12 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
     """Make fields that are each as they may be fit each other."""
     rng = np.random.default_rng(fields["tick"])
     if cls is DepthImage:
-        width, height = fields["width"] % 8 + 1, fields["height"] % 8 + 1
+        width = fields["width"] % 8 + 1
+        height = fields["height"] % 8 + 1
         fields |= {"width": width, "height": height, "data": rng.bytes(2 * width * height)}
     elif cls is CameraInfo:
-        width, height = fields["width"], fields["height"]
+        width = fields["width"]
+        height = fields["height"]
         axis = {"centre_x_px": width * rng.random(), "centre_y_px": height / 2}
         fields |= {"focal_px": width * rng.uniform(1.0, 12.0), **axis}
     elif cls is TaughtMap:

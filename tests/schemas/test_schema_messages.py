@@ -123,7 +123,8 @@ def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObj
         n for n in ("atom", "source", "reason", "kind", "status", "event", "purpose", "driver") if n in cls.model_fields
     ]
     if choices:
-        name, word = data.draw(st.sampled_from(choices)), "?" + data.draw(st.text(max_size=5))
+        name = data.draw(st.sampled_from(choices))
+        word = "?" + data.draw(st.text(max_size=5))
         with pytest.raises(ValidationError):
             altered(cls, **{name: word})
 

@@ -16,7 +16,10 @@ from tests.services.cli.conftest import ROOT
 
 KUBERNETES = ROOT / "deploy" / "kubernetes"
 OVERLAYS = {name: built(KUBERNETES / "overlays" / name) for name in ("one-node", "cluster")}
-BUS, PAGE, HTTP, ENGINE = 7447, 8080, 9100, 8786
+BUS = 7447
+PAGE = 8080
+HTTP = 9100
+ENGINE = 8786
 overlays = pytest.mark.parametrize("objects", OVERLAYS.values(), ids=OVERLAYS)
 
 
@@ -40,7 +43,8 @@ def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certific
     workloads = of_kind(objects, "Deployment", "StatefulSet")
     assert workloads.keys() == set(stack_services())
     for name, one in workloads.items():
-        row, template = SERVICES[name], one["spec"]["template"]
+        row = SERVICES[name]
+        template = one["spec"]["template"]
         (container,) = containers(one)
         assert one["spec"]["selector"]["matchLabels"] == template["metadata"]["labels"] == {"role": name}
         assert container["command"] == ["python", *row.command]
@@ -93,7 +97,8 @@ def test_nobody_is_killed_for_being_busy_or_cut_off_and_what_cannot_run_twice_do
 def test_the_routers_know_each_other_and_all_know_both(objects: list[Object]) -> None:
     settings = of_kind(objects, "ConfigMap")["smal"]["data"]
     routers = of_kind(objects, "StatefulSet")["router"]
-    replicas, service = routers["spec"]["replicas"], of_kind(objects, "Service")["router"]
+    replicas = routers["spec"]["replicas"]
+    service = of_kind(objects, "Service")["router"]
     both = [f"tls/router-{k}.{service['metadata']['name']}:{BUS}" for k in range(replicas)]
     own = {one["name"]: one["value"] for one in containers(routers)[0]["env"]}
     assert addresses(settings["SMAL_ROUTER"]) == both

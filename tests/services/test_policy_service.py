@@ -67,7 +67,8 @@ def test_a_belief_becomes_an_action_and_a_command(
 ) -> None:
     last = len(corridor.model().mapped.keyframes) - 1
     if "keyframe" in where:
-        where, expected = {"keyframe": last}, (expected[0], last, expected[2])
+        where = {"keyframe": last}
+        expected = (expected[0], last, expected[2])
     assert made(policy.handle(belief(0, model, **where))) == expected
 
 

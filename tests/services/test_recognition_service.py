@@ -88,7 +88,8 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
 def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
     tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
-    service, box = RecognitionService(), (0.3, 0.4, 0.5, 0.6)
+    service = RecognitionService()
+    box = (0.3, 0.4, 0.5, 0.6)
     service.load(LoadedModel.read(tmp_path / "way.smal"))
     picture = np.random.default_rng(0).integers(0, 256, 14_400, dtype=np.uint8).tobytes()
     for label, found in (("apriltag 8", 0.0), ("apriltag 7", 1.0)):
@@ -105,7 +106,8 @@ def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows
     black = Ground(np.zeros((len(corridor.model().mapped.keyframes), 9, 3), dtype=np.uint8), 0.1)
     for ground, watches in ((black, True), (black, False), (None, True)):
         replace(corridor.model(), ground=ground).save(tmp_path / "way.smal")
-        service, loaded = RecognitionService(watches), LoadedModel.read(tmp_path / "way.smal")
+        service = RecognitionService(watches)
+        loaded = LoadedModel.read(tmp_path / "way.smal")
         if ground is None:
             with pytest.raises(ServiceError, match="does not know how the ground looks"):
                 service.load(loaded)

@@ -48,7 +48,8 @@ def test_every_topic_has_somebody_who_publishes_it(topic: Topic) -> None:
 
 @pytest.mark.parametrize("name", stack_services())
 def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
-    row, compose = SERVICES[name], (ROOT / "docker-compose.yml").read_text()
+    row = SERVICES[name]
+    compose = (ROOT / "docker-compose.yml").read_text()
     before, command, _ = compose.partition(f"command: python {' '.join(row.command)}\n")
     assert command, f"docker-compose.yml has no container for {name}"
     # The anchors that a container is made of stand above its command.

@@ -37,7 +37,8 @@ def stalls() -> Iterator[Lost]:
 
     What is promised within a time is late by that here, and nobody's fault: on a quiet machine, some milliseconds.
     """
-    times, ended = [time.monotonic()], threading.Event()
+    times = [time.monotonic()]
+    ended = threading.Event()
 
     def wake() -> None:
         while not ended.wait(0.005):

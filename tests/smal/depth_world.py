@@ -25,21 +25,27 @@ def depth(
     focal_px = MOUNT.focal * columns
     across = (columns / 2 - 0.5 - np.arange(columns)) / focal_px
     below = (np.arange(rows) + 0.5 - rows / 2)[:, None] / focal_px
-    cos, sin = math.cos(pitch_rad), math.sin(pitch_rad)
+    cos = math.cos(pitch_rad)
+    sin = math.sin(pitch_rad)
     # Of rays that go a metre along the axis.
-    ahead, up = cos - below * sin, -sin - below * cos
+    ahead = cos - below * sin
+    up = -sin - below * cos
     left = np.broadcast_to(across, (rows, columns))
     ahead, up = (np.broadcast_to(one, (rows, columns)) for one in (ahead, up))
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
     origin = pose[0] + MOUNT.ahead_m * c, pose[1] + MOUNT.ahead_m * s, MOUNT.height_m
     rays = c * ahead - s * left, s * ahead + c * left, up
     with np.errstate(divide="ignore", invalid="ignore"):
         nearest = np.where(up < 0, -origin[2] / up, np.inf)
         for x_min, y_min, x_max, y_max, high in boxes:
-            enters, leaves = np.zeros(shape), np.full(shape, np.inf)
+            enters = np.zeros(shape)
+            leaves = np.full(shape, np.inf)
             for low, top, start, ray in zip((x_min, y_min, 0.0), (x_max, y_max, high), origin, rays, strict=True):
-                one, other = (low - start) / ray, (top - start) / ray
-                enters, leaves = np.maximum(enters, np.fmin(one, other)), np.minimum(leaves, np.fmax(one, other))
+                one = (low - start) / ray
+                other = (top - start) / ray
+                enters = np.maximum(enters, np.fmin(one, other))
+                leaves = np.minimum(leaves, np.fmax(one, other))
             nearest = np.where((enters < leaves) & (enters > 0), np.minimum(nearest, enters), nearest)
     return np.where(nearest < 30.0, nearest, 0.0).astype(np.float32)
 

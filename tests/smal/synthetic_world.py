@@ -24,9 +24,11 @@ from smal.teaching.mapping import learn
 COLOR = FeatureSettings(("color",))  # What describes frames: HOG as well takes ten times as long.
 FIELD_DEG = 75.0
 CAMERA_HEIGHT = 0.35
-SPEED, TURN_RAD_S = 0.5, math.radians(45.0)
+SPEED = 0.5
+TURN_RAD_S = math.radians(45.0)
 TICK = 0.1  # Between two frames, seconds.
-ROWS, COLUMNS = 72, 96
+ROWS = 72
+COLUMNS = 96
 WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))  # A way through the room: metres ahead and degrees to the left, by turns.
 START = (2.5, 4.0, 0.0)
 
@@ -86,7 +88,8 @@ class Room:
             to_x = (self.half - np.sign(ray_x) * (x - 6.0)) / np.abs(ray_x)
             to_y = (self.half - np.sign(ray_y) * (y - 6.0)) / np.abs(ray_y)
         reach = np.minimum(np.minimum(to_x, to_y), to_floor)
-        at_x, at_y = x + reach * ray_x, y + reach * ray_y
+        at_x = x + reach * ray_x
+        at_y = y + reach * ray_y
         height = CAMERA_HEIGHT - reach * down
         side = np.where(to_x < to_y, np.where(ray_x > 0, 0, 2), np.where(ray_y > 0, 1, 3))
         along = np.where(to_x < to_y, at_y, at_x) - 6.0 + self.half
@@ -99,7 +102,8 @@ class Room:
 def _rays(camera: Camera, rows: int, columns: int) -> tuple[NDArray[np.float64], ...]:
     focal = camera.focal * columns
     v, u = np.mgrid[0:rows, 0:columns]
-    down, right = (v - (rows - 1) / 2.0) / focal, (u - (columns - 1) / 2.0) / focal
+    down = (v - (rows - 1) / 2.0) / focal
+    right = (u - (columns - 1) / 2.0) / focal
     out = np.hypot(right, down)
     angle = camera.angle(out)
     return np.sin(angle) * down / out, np.sin(angle) * right / out, np.cos(angle)
@@ -128,7 +132,8 @@ def drive(
 ) -> Drive:
     """Drive straight or back and turn on the spot, by turns, at so many frames a second and times the usual speed."""
     x, y, heading = start
-    poses, atoms = [(x, y, heading)], []
+    poses = [(x, y, heading)]
+    atoms = []
     for metres, degrees in way:
         steps = round(abs(metres) / SPEED / speed * rate_hz)
         for _ in range(steps):
@@ -147,19 +152,22 @@ def drive(
 def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -> tuple[float, float, float]:
     """Return the pose that lies ahead and to the left of another one, turned left."""
     x, y, heading = pose
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left, heading + turn
 
 
 def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], frames: int) -> Pose:
     """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
-    pose, movement = np.array(start), STILL
+    pose = np.array(start)
+    movement = STILL
     for _ in range(frames):
         linear, angular = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).motion
         if planner.said:
             break
         after = np.array(from_beside(tuple(pose), linear * SPEED * TICK, 0.0, angular * TURN_RAD_S * TICK))
-        movement, pose = Movement.between(pose, after), after
+        movement = Movement.between(pose, after)
+        pose = after
     return pose
 
 

@@ -37,7 +37,10 @@ FAILURES: dict[str, tuple[CameraState | None, Callable[[Picture, Picture], Pictu
 
 def seen_of(fails: Callable[[Picture, Picture], Picture] | None, way_m: float = 2.2) -> list[Belief]:
     """Follow the taught way, with a camera that fails on it."""
-    one, found, last, beliefs = drive(way=((way_m, 0.0),)), Filter(*usual_map()), None, []
+    one = drive(way=((way_m, 0.0),))
+    found = Filter(*usual_map())
+    last = None
+    beliefs = []
     for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
         picture = ROOM.look(pose)
         if fails is not None and number >= FAILS_AT and last is not None:
@@ -56,7 +59,8 @@ def test_unseen_stays_near_zero_when_the_camera_works() -> None:
 @pytest.mark.parametrize("failure", FAILURES)
 def test_unseen_grows_with_the_way_when_the_camera_fails(failure: str) -> None:
     state, fails = FAILURES[failure]
-    one, beliefs = drive(way=((2.2, 0.0),)), seen_of(fails)
+    one = drive(way=((2.2, 0.0),))
+    beliefs = seen_of(fails)
     way = np.cumsum([0.0, *(movement.ahead for movement in one.movements())])
     blind = PLANNER_CONFIG.blind_s * usual_map()[0].speed
     stands = next(number for number, belief in enumerate(beliefs) if belief.unseen > blind)
@@ -69,7 +73,8 @@ def test_unseen_grows_with_the_way_when_the_camera_fails(failure: str) -> None:
 
 
 def test_unseen_ends_when_the_camera_sees_again() -> None:
-    one, found = drive(way=((2.2, 0.0),)), Filter(*usual_map())
+    one = drive(way=((2.2, 0.0),))
+    found = Filter(*usual_map())
     for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
         picture = ROOM.look(pose) if not 20 <= number < 26 else np.zeros_like(ROOM.look(pose))
         belief = found.observe(extract(picture, COLOR), movement)
@@ -77,7 +82,8 @@ def test_unseen_ends_when_the_camera_sees_again() -> None:
 
 
 def test_camera_is_not_frozen_when_the_robot_stands() -> None:
-    one, found = drive(way=((1.5, 0.0),)), Filter(*usual_map())
+    one = drive(way=((1.5, 0.0),))
+    found = Filter(*usual_map())
     picture = extract(ROOM.look(one.poses[0]), COLOR)
     beliefs = [found.observe(picture, STILL) for _ in range(50)]
     assert {belief.camera for belief in beliefs} == {"sees"}

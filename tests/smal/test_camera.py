@@ -32,7 +32,8 @@ def by_opencv(lens: Lens, distortion: tuple[float, ...]) -> NDArray[np.float64]:
     ],
 )
 def test_a_lens_bends_as_opencv_says(lens: Lens, distortion: tuple[float, ...]) -> None:
-    camera, expected = Camera(0.5, lens, distortion), by_opencv(lens, distortion)
+    camera = Camera(0.5, lens, distortion)
+    expected = by_opencv(lens, distortion)
     rising = np.diff(expected, prepend=0.0) > 0.0
     np.testing.assert_allclose(camera.radius(ANGLES_RAD)[rising], expected[rising], rtol=1e-4)
     np.testing.assert_allclose(camera.angle(expected[rising]), ANGLES_RAD[rising], rtol=1e-4)

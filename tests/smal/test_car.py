@@ -16,7 +16,8 @@ from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, fr
 
 ROOM = Room()
 #: A tick ahead, and the bend: 20 cm, and a circle of 2 m.
-STEP, RADIUS = 0.2, 2.0
+STEP = 0.2
+RADIUS = 2.0
 TURN = STEP / RADIUS
 CAR = np.array([[0.0, 0.0], [STEP, 0.0], [-STEP, 0.0], [STEP, TURN], [STEP, -TURN]])
 START = (6.0, 6.0 - RADIUS, 0.0)
@@ -62,8 +63,11 @@ def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
 def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -> None:
     """Begun 10 cm outside and turned a little; without odometry the filter goes by what it was told to do."""
     found, centering = learned(odometry)
-    follower, planner = Filter(found, centering), Planner(found)
-    pose, movement, made = np.array([START[0], START[1] - 0.1, 0.1]), STILL, []
+    follower = Filter(found, centering)
+    planner = Planner(found)
+    pose = np.array([START[0], START[1] - 0.1, 0.1])
+    movement = STILL
+    made = []
     for frame in range(2 * len(found.poses)):
         belief = follower.observe(extract(ROOM.look(pose), COLOR), movement)
         motion = planner.decide(belief).motion

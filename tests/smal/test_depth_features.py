@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from smal.features import MODALITIES, FeatureSettings, extract
 
-ROWS, COLUMNS = 24, 32
+ROWS = 24
+COLUMNS = 32
 ALL = FeatureSettings.of(("color", "hog", "depth"))
 describe = MODALITIES["depth"].describe
 _millimetres = st.integers(0, 65535)

@@ -27,7 +27,8 @@ def poses_of(belief: Belief, visual_map: VisualMap) -> np.ndarray:
     """Return the poses of particles in the axes of the drive, with the direction as a unit vector, (4, p)."""
     x, y, heading = visual_map.key_poses[belief.keyframes].T
     ahead, left, turned = belief.offsets.T
-    cos, sin = np.cos(heading), np.sin(heading)
+    cos = np.cos(heading)
+    sin = np.sin(heading)
     points = [x + cos * ahead - sin * left, y + sin * ahead + cos * left]
     return np.stack([*points, np.cos(heading + turned), np.sin(heading + turned)])
 
@@ -110,7 +111,8 @@ def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> 
 
 
 def test_noise_of_the_camera_is_no_new_view() -> None:
-    rng, found = np.random.default_rng(1), Filter(*usual_map())
+    rng = np.random.default_rng(1)
+    found = Filter(*usual_map())
     before = follow(drive(way=((0.1, 0.0),)), found)[-1]
     image = ROOM.look(drive(way=((0.1, 0.0),)).poses[-1])
     for _ in range(100):
@@ -123,7 +125,8 @@ def test_noise_of_the_camera_is_no_new_view() -> None:
 @pytest.mark.parametrize("to", [40, 110])
 def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
     """Carried on for two seconds at a walk, it no longer believes to be where it was taken away."""
-    one, found = drive(), Filter(*usual_map())
+    one = drive()
+    found = Filter(*usual_map())
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
     for pose in one.poses[to : to + 40 : 2]:
         belief = found.observe(extract(ROOM.look(pose), COLOR), STILL)
@@ -182,7 +185,8 @@ def test_a_camera_that_shows_nothing_or_stands_still_makes_it_lost(shade: int | 
 
 
 def test_a_blank_first_view_does_not_count() -> None:
-    one, other = Filter(*usual_map()), Filter(*usual_map())
+    one = Filter(*usual_map())
+    other = Filter(*usual_map())
     one.observe(extract(np.full_like(ROOM.look(drive().poses[0]), 128), COLOR))
     seen = drive().poses[40:42]
     beliefs = [[found.observe(extract(ROOM.look(pose), COLOR), STILL) for pose in seen][-1] for found in (one, other)]
@@ -226,7 +230,8 @@ def at_home(found: Filter) -> None:
 
 def elsewhere(seed: int) -> tuple[list[float], Filter]:
     """Return what is lost over seven correlation lengths through another room."""
-    one, found = drive(), Filter(*usual_map())
+    one = drive()
+    found = Filter(*usual_map())
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
     far = drive((3.5, 4.0, 0.0), ((7.0 * usual_map()[0].correlation_length, 0.0),))
     return [belief.lost for belief in follow(far, found, Room(seed))], found
@@ -287,7 +292,8 @@ def test_a_belief_is_made_of_probabilities(seed: int, steps: list[tuple[float, f
 @pytest.mark.parametrize("first", [True, False])
 def test_what_is_no_frame_is_refused_and_changes_nothing(raw: Any, movement: Movement, first: bool) -> None:
     seen = drive(way=((0.2, 0.0),))
-    one, other = Filter(*usual_map()), Filter(*usual_map())
+    one = Filter(*usual_map())
+    other = Filter(*usual_map())
     if not first:
         follow(seen, one)
         follow(seen, other)

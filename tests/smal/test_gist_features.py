@@ -44,7 +44,9 @@ def test_the_transform_is_a_convolution(scale: int, orientation: int, cell: tupl
     transfer = transfer_functions()[scale * ORIENTATIONS + orientation].astype(np.float64)
     waves = [np.exp(2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n) / n for n in (rows, columns)]
     kernel = waves[0] @ transfer @ waves[1].T
-    total, height, width = 0.0, ROWS // GRID, COLUMNS // GRID
+    total = 0.0
+    height = ROWS // GRID
+    width = COLUMNS // GRID
     for row in range(BORDER + cell[0] * height, BORDER + (cell[0] + 1) * height):
         for column in range(BORDER + cell[1] * width, BORDER + (cell[1] + 1) * width):
             # Pixel (i, j) counts with the kernel at (row - i, column - j), around the edges.

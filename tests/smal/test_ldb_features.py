@@ -20,7 +20,8 @@ def slow_signs(grey: np.ndarray) -> np.ndarray:
     """Compare the means of cells and of their halves, one after the other, as the paper says it."""
     signs = []
     for grid in GRIDS:
-        side, cells = SIDE // grid, []
+        side = SIDE // grid
+        cells = []
         for row, column in np.ndindex(grid, grid):
             cell = grey[row * side :, column * side :][:side, :side].astype(float)
             half = side // 2

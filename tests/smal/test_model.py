@@ -92,7 +92,8 @@ def test_every_alteration_is_refused(saved: Path) -> None:
 
 
 def test_what_a_file_says_of_itself_is_read_without_the_rest(model: PaperModel, saved: Path) -> None:
-    content, path = saved.read_bytes(), saved.with_name("part.smal")
+    content = saved.read_bytes()
+    path = saved.with_name("part.smal")
     end = 20 + struct.unpack_from("<Q", content, 12)[0]
     for size in range(0, end, end // 50):
         path.write_bytes(content[:size])
@@ -129,7 +130,8 @@ def test_features_computed_differently_are_refused(saved: Path, monkeypatch: pyt
 
 def test_a_link_stays_one(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
-    link, target = tmp_path / "link", tmp_path / "there" / "target"
+    link = tmp_path / "link"
+    target = tmp_path / "there" / "target"
     link.symlink_to(target)
     for content in (b"first", b"second"):
         with replacing(link) as file:

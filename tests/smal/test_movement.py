@@ -59,7 +59,8 @@ def test_the_table_that_made_a_noisy_drive_is_found() -> None:
     atoms = [rng.integers(0, 5, 400).astype(np.int8) for _ in range(2)]
     ways = []
     for each in atoms:
-        pose, way = (1.0, 2.0, 0.5), [(1.0, 2.0, 0.5)]
+        pose = (1.0, 2.0, 0.5)
+        way = [(1.0, 2.0, 0.5)]
         for number, atom in enumerate(each[:-1]):
             ahead, turn = TABLE[atom] * (1.0 + 0.05 * rng.standard_normal(2))
             # A wheel slips for a while, and the odometry jumps.
@@ -99,7 +100,8 @@ def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
 def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
     """As where somebody corrects at full speed: of what it rolls 0.6 is left after each frame of a turn."""
     atoms = np.tile(np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5).astype(np.int8)
-    way, ahead = [(0.0, 0.0, 0.0)], 0.0
+    way = [(0.0, 0.0, 0.0)]
+    ahead = 0.0
     for atom in atoms[:-1]:
         ahead = 0.2 if atom == Atom.FORWARD else 0.6 * ahead
         way.append(moved(way[-1], Movement(ahead, TABLE[atom, 1])))

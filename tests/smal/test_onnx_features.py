@@ -21,10 +21,12 @@ from tests.fuzz.inputs import smallest_model
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
-helper, numpy_helper = onnx.helper, onnx.numpy_helper
+helper = onnx.helper
+numpy_helper = onnx.numpy_helper
 FLOAT = onnx.TensorProto.FLOAT
 
-MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+MEAN = np.array([0.485, 0.456, 0.406])
+STD = np.array([0.229, 0.224, 0.225])
 KERNEL = np.random.default_rng(5).standard_normal((4, 3, 1, 1)).astype(np.float32)
 ANY: list[Any] = ["batch", 3, "height", "width"]
 
@@ -80,7 +82,8 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
 
 def test_a_network_is_one_modality_among_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = network(tmp_path / "mix.onnx")
-    name, chosen = given(text), FeatureSettings.parse(f"hog,{text}")
+    name = given(text)
+    chosen = FeatureSettings.parse(f"hog,{text}")
     image = picture(60, 80)
     assert (chosen.modalities, chosen.size, chosen.needs) == (("hog", name), 5944, {"color"})
     vector = extract(image, chosen)
@@ -122,7 +125,8 @@ def test_a_network_that_does_not_fit_is_named_in_one_line(tmp_path: Path, how: d
 
 
 def test_a_file_that_is_no_network_is_named_in_one_line(tmp_path: Path) -> None:
-    text, empty = tmp_path / "text.onnx", tmp_path / "empty.onnx"
+    text = tmp_path / "text.onnx"
+    empty = tmp_path / "empty.onnx"
     text.write_text("version https://git-lfs.github.com/spec/v1\n")
     empty.write_bytes(b"")
     whole = tmp_path / "whole.onnx"

@@ -53,7 +53,8 @@ def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(keys: list[tuple
 
 
 def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
-    turn, ahead = [Atom.LEFT] * 10, [Atom.FORWARD] * 4
+    turn = [Atom.LEFT] * 10
+    ahead = [Atom.FORWARD] * 4
     atoms = [*ahead, *turn, *ahead, *[Atom.RIGHT] * 20, *ahead, *turn, *ahead, Atom.STOP]
     poses = dead_reckoning(np.array(atoms), MOVEMENTS)
     on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), 5.0)

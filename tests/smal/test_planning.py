@@ -182,7 +182,8 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
     decisions = [planner.decide(unsure) for _ in range(400)]
     kinds = [decision.kind for decision in decisions]
-    look, guess = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5), round(PLANNER_CONFIG.guess_s / TICK)
+    look = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5)
+    guess = round(PLANNER_CONFIG.guess_s / TICK)
     assert set(kinds) == {"look_around", "guess"}
     assert kinds[:look] == ["look_around"] * look
     for start in range(0, 400 - look - guess - 5, look + guess):
@@ -206,7 +207,9 @@ def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
     return [steering.steer(intent, elapsed_s, 0.0) for intent in intents]
 
 
-LEFT, RIGHT, AHEAD = (0.0, 1.0), (0.0, -1.0), (1.0, 0.0)
+LEFT = (0.0, 1.0)
+RIGHT = (0.0, -1.0)
+AHEAD = (1.0, 0.0)
 
 
 def test_among_things_it_turns_until_a_smaller_turn_would_not_help() -> None:
@@ -220,7 +223,8 @@ def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
 
 
 def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_on() -> None:
-    planner, before = Planner(STRAIGHT), belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
+    planner = Planner(STRAIGHT)
+    before = belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
     atoms = [key(planner.decide(before, seen=Glimpse(0.99, 0.9, left))) for left in (0.4, 0.0)]
     assert atoms == [Atom.LEFT, Atom.FORWARD]
     kinds = [planner.decide(before, seen=Glimpse(0.99, 0.9, 0.0)).kind for _ in range(30)]
@@ -239,7 +243,8 @@ def test_it_drives_up_to_nothing_that_it_does_not_see() -> None:
 def test_where_nothing_leads_on_after_it_has_looked_it_says_so() -> None:
     """Carried to a way that leads nowhere, just before it has looked all round."""
     planner = Planner(map_of(5.0, 5.0, goals=("victim", "elsewhere")), "victim")
-    end, other = belief((50, 0.0, 0.0, 0.0)), belief((70, 0.0, 0.0, 0.0))
+    end = belief((50, 0.0, 0.0, 0.0))
+    other = belief((70, 0.0, 0.0, 0.0))
     for _ in range(200):
         planner.decide(other if planner.arrived else end, seen=Glimpse(0.0, 0.0))
     assert planner.said == "not_here"
@@ -261,13 +266,15 @@ def test_who_can_be_told_velocities_comes_back_to_the_way_without_a_stop(car: bo
     """A car turns no more sharply than it can, and goes ahead in turning; the other turns where it looks back."""
     table = STRAIGHT.movements.copy()
     table[[Atom.LEFT, Atom.RIGHT], 0] = 0.05 if car else 0.0
-    planner, (x, y, turned) = Planner(replace(STRAIGHT, movements=table)), (1.0, 0.1, math.radians(15.0))
+    planner = Planner(replace(STRAIGHT, movements=table))
+    (x, y, turned) = (1.0, 0.1, math.radians(15.0))
     for _ in range(60):
         key = round(x / 0.1)
         linear, angular = planner.decide(belief((key, x - key / 10.0, y, math.degrees(turned)))).motion
         assert linear > 0.2
         assert not car or abs(angular) <= linear
-        x, y = x + 0.05 * linear * math.cos(turned), y + 0.05 * linear * math.sin(turned)
+        x = x + 0.05 * linear * math.cos(turned)
+        y = y + 0.05 * linear * math.sin(turned)
         turned += angular * math.radians(4.5)
     assert abs(y) < 0.01
     unsure = belief((10, 0.0, 0.0, 15.0), (11, 0.0, 0.0, -15.0), weights=(0.5, 0.5))
@@ -289,7 +296,8 @@ def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) 
 @pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
 def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_deg: float) -> None:
     goal = drive().poses[-1]
-    found, planner = Filter(*usual_map()), Planner(usual_map()[0])
+    found = Filter(*usual_map())
+    planner = Planner(usual_map()[0])
     pose = driven(found, planner, Room(), from_beside(START, 0.0, left, math.radians(turn_deg)), 260)
     assert planner.said
     assert math.hypot(*(pose - goal)[:2]) < 0.25
@@ -400,7 +408,8 @@ def test_a_fork_of_even_chances_is_not_left_right_left_right() -> None:
 
 
 def test_time_counts_and_not_frames() -> None:
-    usual, fast = Planner(STRAIGHT), Planner(STRAIGHT)
+    usual = Planner(STRAIGHT)
+    fast = Planner(STRAIGHT)
     lost = belief((10, 0.0, 0.0, 0.0), lost=0.9)
     at_10_hz = [usual.decide(lost, 0.1).kind for _ in range(150)]
     at_20_hz = [fast.decide(lost, 0.05).kind for _ in range(300)]

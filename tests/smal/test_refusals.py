@@ -23,8 +23,10 @@ from smal.place_recognition.matches import check_features
 from smal.teaching.demonstration import Demonstration
 from tests.smal.worlds import COLOR, corridor, drive, matching_problem
 
-NAN, INF = np.nan, np.inf
-USUAL, WITH_DEPTH = FeatureSettings(), FeatureSettings.of(("color", "hog", "depth"))
+NAN = np.nan
+INF = np.inf
+USUAL = FeatureSettings()
+WITH_DEPTH = FeatureSettings.of(("color", "hog", "depth"))
 FRAME = np.zeros((48, 64, 3), np.uint8)
 RAW = extract(FRAME, USUAL)
 CENTERING = Centering(np.zeros(USUAL.size, np.float32), USUAL)

@@ -22,7 +22,8 @@ from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved,
 
 def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Motion]]:
     """Let the robot drive through the corridor, until it says that it is done."""
-    here, made = start, []
+    here = start
+    made = []
     while len(made) < frames and not (made and robot.done):
         made.append(robot.step(view(*here), here if odometry else None))
         here = moved(here, made[-1])
@@ -72,7 +73,8 @@ def test_the_map_names_its_drives_also_where_another_one_is_as_long(tmp_path: Pa
 
 def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
     known = model()
-    one, other = Localizer(known), Localizer(known)
+    one = Localizer(known)
+    other = Localizer(known)
     raw = extract(view(0.0), FEATURES)
     one.observe(raw, (0.0, 0.0, 0.0))
     other.observe(raw, (0.0, 0.0, 0.0))

@@ -50,7 +50,8 @@ def costs_no_more(rig: Rig, lost_s: Lost, name: str) -> None:
     outcome = run_cell(MATRIX[name], rig)
     assert outcome.recovery_s is not None, outcome
     assert (outcome.restart_s is not None) == (MATRIX[name].watched is not None), outcome
-    stood_s, limit_s = max(outcome.still_s, outcome.stood_s or 0.0), Limits().still_s + STEP_S
+    stood_s = max(outcome.still_s, outcome.stood_s or 0.0)
+    limit_s = Limits().still_s + STEP_S
     missed = BUSY | (STANDS if limit_s < stood_s <= limit_s + lost_s(began_s) else set())
     assert set(outcome.not_met) <= missed, str(outcome.record())  # pytest would shorten anything else
     assert outcome.recorded > 100
@@ -59,7 +60,8 @@ def costs_no_more(rig: Rig, lost_s: Lost, name: str) -> None:
 def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig) -> None:
     rig.start_moving()  # whatever ran in this process before: who drives has heard from everyone
     for name in stack_services():
-        status, row = rig.bus.call(name, "status", Nothing(), Status), SERVICES[name]
+        status = rig.bus.call(name, "status", Nothing(), Status)
+        row = SERVICES[name]
         # The features take depth images where their modalities need them; what the robot takes at once waits nowhere,
         # and what is handed on waits for who serves the robot next.
         may_take = {topic.name for topic in row.takes}

@@ -102,7 +102,8 @@ def test_two_robots_of_one_stack_find_their_victims_while_an_instance_is_killed(
         "robot": flags(world=near, camera_width=160, camera_height=120),
         **dict.fromkeys(("recognition", "policy"), flags(root=taught)),
     }
-    services, scale = ("router", "robot", "features", "recognition", "policy"), {"recognition": 2, "policy": 2}
+    services = ("router", "robot", "features", "recognition", "policy")
+    scale = {"recognition": 2, "policy": 2}
     plan = StackPlan(services, "rescuebot", free_endpoint(), own, logs=tmp_path, robots=2, scale=scale)
     with Stack(plan) as stack, closing(stack.settings.open_bus("watcher")) as bus, ThreadPoolExecutor(2) as pool:
 

@@ -66,7 +66,8 @@ def running(
     pods: dict[str, Pod] = {}
     try:
         for one in (one for one in objects if one["kind"] in {"Deployment", "StatefulSet"}):
-            (container,), role = containers(one), one["metadata"]["name"]
+            (container,) = containers(one)
+            role = one["metadata"]["name"]
             for pod in (f"{role}-{number}" for number in range(one["spec"]["replicas"])):
                 http = free_port()
                 here = {

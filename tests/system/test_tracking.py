@@ -20,7 +20,8 @@ def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> Non
     simulator = Simulator(CameraOptions(64, 48)).flags("indoor")
     services = ("router", "robot", "features", "tracker")
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
-        client, expert = EpisodeClient("tracking", access.settings), ExpertService()
+        client = EpisodeClient("tracking", access.settings)
+        expert = ExpertService()
         true: dict[int, Pose] = {}
         tracked: dict[int, TrackedPose] = {}
 

@@ -109,7 +109,9 @@ class EpisodeClient:
         # Rendering may be compiling its pipelines: the first reset takes seconds.
         asked = request.model_copy(update={"session": self.node.session})
         reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
-        self._episode, record.world, record.things = reply.episode, reply.world, reply.things
+        self._episode = reply.episode
+        record.world = reply.world
+        record.things = reply.things
         self._alive_s = time.monotonic()
         try:
             if world not in (None, reply.world):
@@ -200,7 +202,9 @@ class EpisodeClient:
     def _on_event(self, event: Episode) -> None:
         record = self._of(event)
         if record and event.event == "ended":
-            record.ticks, record.outcome, record.right = event.tick, event.outcome or "aborted", event.right
+            record.ticks = event.tick
+            record.outcome = event.outcome or "aborted"
+            record.right = event.right
             # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
             record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
             record.unrecognized = {tick for tick in record.unrecognized if tick < event.tick}

@@ -42,7 +42,8 @@ class Degrader:
     """Degrades the frames of one episode, in order from tick 0; its shake is the simulation's matter."""
 
     def __init__(self, degradation: Degradation, seed: int) -> None:
-        self._degradation, self._seed = degradation, seed
+        self._degradation = degradation
+        self._seed = seed
         self._whether = np.random.default_rng([seed, _WHETHER])
 
     def apply(self, tick: int, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -62,8 +63,10 @@ def _occluded(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.
     height, width = image.shape[:2]
     covered = rng.uniform(LEAST_COVERED, 1.0)
     across = rng.uniform(covered, 1.0)
-    columns, rows = min(width, math.ceil(across * width)), min(height, math.ceil(covered / across * height))
-    left, top = rng.integers(0, width - columns + 1), rng.integers(0, height - rows + 1)
+    columns = min(width, math.ceil(across * width))
+    rows = min(height, math.ceil(covered / across * height))
+    left = rng.integers(0, width - columns + 1)
+    top = rng.integers(0, height - rows + 1)
     hidden = image.copy()
     hidden[top : top + rows, left : left + columns] = rng.integers(0, 256, 3, dtype=np.uint8)
     return hidden

@@ -44,7 +44,9 @@ def views_of_expert(
     most_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=most_ticks)
     episode = LockstepEpisode(simulation, request)
-    here, world, route = (simulation.pose.x, simulation.pose.y), simulation.world, []
+    here = (simulation.pose.x, simulation.pose.y)
+    world = simulation.world
+    route = []
     for place in via:
         route += plan_route(replace(world, victim=Spot(*place, 0.0)), here).tolist()[:-1]
         here = place
@@ -66,7 +68,8 @@ def drive(
     simulation: Simulation, features: FeatureSettings, seed: int, via: Via = (), purpose: Purpose = "drive"
 ) -> dict[str, NDArray[Any]]:
     """Have the expert drive; return the arrays for `drive_of`. ValueError when a drive did not reach the victim."""
-    rows, reached = [], False
+    rows = []
+    reached = False
     for view, atom in views_of_expert(simulation, seed, via, purpose):
         reached = atom is not None
         if not reached and purpose == "drive":

@@ -16,7 +16,8 @@ from smal.features import FeatureSettings
 from smal.robot import Robot
 from smal.teaching.mapping import learn
 
-_NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
+_NORTHWARDS = math.pi / 2.0
+_SOUTHWARDS = -math.pi / 2.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,12 @@ class ErrandTask:
 
 # Of the world terrace, metres east and north. Two corners of its quarter where drives begin, and one in between.
 _WEST = Pose(3.0, 0.0, 0.0)
-_SOUTH_WEST, _NORTH_WEST = Pose(0.0, -44.0, _NORTHWARDS), Pose(0.0, 44.0, _SOUTHWARDS)
-_NORTH, _SOUTH = Pose(86.0, 53.6, 0.0), Pose(86.0, -53.6, 0.0)
-_TO_NORTH, _TO_SOUTH = TaughtErrand(_WEST, _NORTH, "north"), TaughtErrand(_WEST, _SOUTH, "south")
+_SOUTH_WEST = Pose(0.0, -44.0, _NORTHWARDS)
+_NORTH_WEST = Pose(0.0, 44.0, _SOUTHWARDS)
+_NORTH = Pose(86.0, 53.6, 0.0)
+_SOUTH = Pose(86.0, -53.6, 0.0)
+_TO_NORTH = TaughtErrand(_WEST, _NORTH, "north")
+_TO_SOUTH = TaughtErrand(_WEST, _SOUTH, "south")
 _JOINED = (TaughtErrand(_SOUTH_WEST, _NORTH, "north"), TaughtErrand(_NORTH_WEST, _SOUTH, "south"))
 _DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))  # By way of the far corner of the quarter.
 
@@ -70,7 +74,8 @@ def run_errand(
     world: str, camera: CameraSettings, features: FeatureSettings, errand: str, seeds: range
 ) -> dict[str, Any]:
     """Teach one errand, and do it with each seed; return how each ended, and the ways driven and taught, metres."""
-    task, made = TASKS[errand], []
+    task = TASKS[errand]
+    made = []
     for number, one in enumerate(task.taught):
         there = open_simulation(world, camera, task=(one.start, one.victim))
         made.append(drive_of(drive(there, features, TEACHING_SEED + number, one.via)))
@@ -79,7 +84,8 @@ def run_errand(
         for number, (each, one) in enumerate(zip(made, task.taught, strict=True))
     ])  # fmt: skip
     simulation = open_simulation(world, camera, task=(task.start, task.victim))
-    robot, patience = Robot(model, task.goal), 3 * max(len(one.poses) for one in made)
+    robot = Robot(model, task.goal)
+    patience = 3 * max(len(one.poses) for one in made)
     requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
     found = [search(simulation, robot, request, until_said=True) for request in requests]
     return {

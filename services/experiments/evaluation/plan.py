@@ -14,11 +14,15 @@ from smal.paper.learning import LearningSettings
 
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Of sequences; the filter has none.
 #: Seeds of what is learned from begin here, as in the README; those of what is recognized beyond all of them.
-TEACHING_SEED, QUERY_SEED, RUN_SEED, CLOUDS_SEED = 1, 1000, 1, 100
+TEACHING_SEED = 1
+QUERY_SEED = 1000
+RUN_SEED = 1
+CLOUDS_SEED = 100
 JUDGED_TICKS: Final = 4  # From one judged frame to the next: ten a second show nearly the same.
 #: How often the searches of SMAL and of its best peer are done, and errands; and after one drive, by how many drives,
 #: each of which teaches alone.
-RUNS, TAUGHT = 10, 5
+RUNS = 10
+TAUGHT = 5
 #: Who searches: a name for people, and how each decides. All have the same drives.
 CONTROLLERS: Final = {
     "smal": ("SMAL", "the filter and the planner, at every frame"),

@@ -39,8 +39,10 @@ def query_drive(
 
 def recognize_states(model: PaperModel, views: NDArray[np.float32]) -> Matches:
     """Recognize states (Eq. 9) at each `JUDGED_TICKS`-th view (f, m): frames of all drives, scored as in Eq. 8."""
-    length, frame_of = model.sequence_length, demonstrated_frames(model)
-    matches, centred = Matches.none(len(views)), model.centering.apply(views)
+    length = model.sequence_length
+    frame_of = demonstrated_frames(model)
+    matches = Matches.none(len(views))
+    centred = model.centering.apply(views)
     for tick in range(JUDGED_TICKS - 1, len(views), JUDGED_TICKS):
         if tick < length - 1:
             continue
@@ -70,9 +72,11 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
     starts = np.cumsum([0, *map(len, drives[:-1])])
     scores = np.stack([np.where(one.matched, one.score, -np.inf) for one in found])
     references = np.stack([start + one.reference for start, one in zip(starts, found, strict=True)])
-    best, every = scores.argmax(axis=0), np.arange(len(views))
+    best = scores.argmax(axis=0)
+    every = np.arange(len(views))
     matched = np.isfinite(scores.max(axis=0))
-    answered, score = np.where(matched, references[best, every], NONE), np.where(matched, scores[best, every], 0.0)
+    answered = np.where(matched, references[best, every], NONE)
+    score = np.where(matched, scores[best, every], 0.0)
     return Matches(answered, score, np.zeros(len(views)))
 
 
@@ -80,7 +84,8 @@ class NearestImitation:
     """Does what was done at the demonstrated frame whose window of last frames is most alike: no states, no plan."""
 
     def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
-        self._features, self._frames = features, frames
+        self._features = features
+        self._frames = frames
         raw = [one.rows for one in demonstrations]
         self._centering = Centering.fit(raw, features)
         self._drives = [self._centering.apply(each) for each in raw]
@@ -104,7 +109,8 @@ def judged(
 ) -> dict[str, Any]:
     """Hold each `JUDGED_TICKS`-th answer against true poses (n, 3), (f, 3); return lists by name, for JSON."""
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
-    asked, there = matches.of(ticks), true[ticks]
+    asked = matches.of(ticks)
+    there = true[ticks]
     judgement = judge_by_poses(asked, demonstrated, there, criterion.distance_m, criterion.angle_deg)
     return {
         "tick": ticks.tolist(),

@@ -17,7 +17,8 @@ class Results:
     """The results of some units: ``findings``, and in the folder ``work`` their files; JobError: one is none."""
 
     def __init__(self, folder: Path, units: Sequence[Unit]) -> None:
-        self.folder, self.work = folder, folder / "units"
+        self.folder = folder
+        self.work = folder / "units"
         self.work.mkdir(parents=True, exist_ok=True)
         self.findings: dict[Unit, Finding] = {unit: found for unit in units if (found := self._read(unit)) is not None}
 

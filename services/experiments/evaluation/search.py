@@ -101,11 +101,15 @@ def search(
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
     tells = hasattr(kind, "where")
-    poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[TaughtPlace | None](), {}
+    poses = [episode.view.pose]
+    atoms = list[Atom]()
+    places = list[TaughtPlace | None]()
+    pictures = {}
     clearance_m = [simulation.clearance_m]
     ended: Ended | None = None
     while ended is None:
-        tick, view = episode.tick, episode.view
+        tick = episode.tick
+        view = episode.view
         image = view.image if degrader is None else degrader.apply(tick, view.image)
         if picture_ticks and tick % picture_ticks == 0:
             pictures[tick] = image
@@ -159,7 +163,8 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
         if 0 < found.kidnap_tick <= len(found.atoms):
             # The time after which the belief is right for a whole second, or to the end; None where it never is.
-            after, second = right[found.kidnap_tick :], round(1.0 / TICK_S)
+            after = right[found.kidnap_tick :]
+            second = round(1.0 / TICK_S)
             ticks = (tick for tick in range(after.size) if after[tick : tick + second].all())
             said["right_after_s"] = next((round(tick * TICK_S, 1) for tick in ticks), None)
     return said

@@ -186,7 +186,8 @@ class Recognize(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Judge the answers of each drive."""
-        taught, found = _drives(self.needed(Teach), folder), []
+        taught = _drives(self.needed(Teach), folder)
+        found = []
         for query in self.needed(Query):
             held = load_arrays(query.file(folder))
             views = held[self.degradation]
@@ -217,16 +218,20 @@ class Searches(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
-        taught, how, trial = _drives(self.needed(Teach), folder), DEGRADATIONS[self.trial.degradation], self.trial
+        taught = _drives(self.needed(Teach), folder)
+        how = DEGRADATIONS[self.trial.degradation]
+        trial = self.trial
         # No day has the clouds of the one of teaching.
-        clouds, depth = CLOUDS_SEED + self.which, trial.hindered and trial.controller != "smal-unguarded"
+        clouds = CLOUDS_SEED + self.which
+        depth = trial.hindered and trial.controller != "smal-unguarded"
         simulation = simulation_in(self.site, how.shake, trial.variation, clouds, depth)
         driver = self._driver(taught, folder)
         poses = np.concatenate([one.poses for one in taught])
         taught_ticks = float(np.mean([len(one.poses) - 1 for one in taught]))
         most_ticks = round(self.patience * max(len(one.poses) for one in taught))
         asked: dict[str, Any] = {name: getattr(trial, name) for name in _ASKED}
-        found, shown = [], False
+        found = []
+        shown = False
         for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
             kidnap_tick = trial.kidnap_tick or None
             request = ResetRequest(seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked)

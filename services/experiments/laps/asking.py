@@ -23,7 +23,9 @@ from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
 WITHIN: Final = 0.1  # Of a lap: what is right is within it, and probabilities are those of being within it.
-LOST, SURE = 0.5, 0.1  # Above this a robot is lost, and below that sure that it is not.
+# Above this a robot is lost, and below that sure that it is not.
+LOST = 0.5
+SURE = 0.1
 #: What is said of frames (f, 3): the taught frame that each shows, how likely that is, and that the robot is lost. Who
 #: says no frame, or no probability, says NaN.
 Answers = NDArray[np.float64]
@@ -58,7 +60,8 @@ def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: i
     said = np.concatenate(answers)
     frames, likely, lost = said.T
     off = _apart(frames, np.concatenate(truths), lap)
-    right, probable = off <= WITHIN, not np.isnan(likely).any()
+    right = off <= WITHIN
+    probable = not np.isnan(likely).any()
     shares = {"right within a twentieth": off <= WITHIN / 2.0, "right within a tenth": right}
     shares |= {"lost": lost > LOST, "wrong and sure": ~right & (lost < SURE)} if probable else {}
     figures: dict[str, float | list[float]] = {}
@@ -95,7 +98,9 @@ def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) ->
 
 def _smal(model: Model, asked: Demonstration) -> Answers:
     """Ask the filter, which goes by odometry if the map does."""
-    robot, keyframes, answers = Localizer(model), model.mapped.keyframes, []
+    robot = Localizer(model)
+    keyframes = model.mapped.keyframes
+    answers = []
     for frame, raw in enumerate(asked.features):
         made = [Atom(int(asked.atoms[frame - 1]))] if frame else []
         belief = robot.observe(raw, None if asked.odometry is None else asked.odometry[frame].tolist(), made)

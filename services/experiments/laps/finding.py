@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 Frames = NDArray[np.float64]
-FASTEST, STEP_COST = 3, 0.05  # Frames of a lap in one of another at most, and what each skipped one costs.
+# Frames of a lap in one of another at most, and what each skipped one costs.
+FASTEST = 3
+STEP_COST = 0.05
 FIRST: Final = 0.5  # The first recurrence of views that is so much of the best one is a lap; later ones are several.
-UNLIKE, OF_MEDIAN = 0.9, 2.0  # Most that a lap, and its fifth, is unlike another, in itself and by the median.
+# Most that a lap, and its fifth, is unlike another, in itself and by the median.
+UNLIKE = 0.9
+OF_MEDIAN = 2.0
 TRIED: Final = 16  # Stretches of the drive that are tried as the one that laps are held beside.
 
 
@@ -52,7 +56,8 @@ def find_laps(pieces: Sequence[Frames]) -> list[Lap]:
 def _period(pieces: Sequence[Frames]) -> int:
     """Return after how many frames views recur: where their products, which fall at first, rise nearly highest."""
     longest = max(map(len, pieces))
-    sums, pairs = np.zeros(longest), np.zeros(longest)
+    sums = np.zeros(longest)
+    pairs = np.zeros(longest)
     for one in pieces:
         power = np.square(np.abs(np.fft.rfft(one, 2 * len(one), axis=0))).sum(axis=1)
         sums[: len(one)] += np.fft.irfft(power, 2 * len(one))[: len(one)]
@@ -80,10 +85,12 @@ def _rounds(pieces: Sequence[Frames], stretch: Frames) -> list[Lap]:
 def aligned(frames: Frames, closed: Frames) -> NDArray[np.intp]:
     """Return which frame of a closed lap (g, d), which begins anew where it ends, each frame (f, d) shows, (f,)."""
     unlike = cdist(frames, closed, "sqeuclidean") / 2.0
-    came, cost = np.zeros(unlike.shape, dtype=np.intp), unlike[0]
+    came = np.zeros(unlike.shape, dtype=np.intp)
+    cost = unlike[0]
     for frame in range(1, len(unlike)):
         ways = np.stack([np.roll(cost, step) + STEP_COST * abs(step - 1) for step in range(FASTEST + 1)])
-        came[frame], cost = ways.argmin(axis=0), ways.min(axis=0) + unlike[frame]
+        came[frame] = ways.argmin(axis=0)
+        cost = ways.min(axis=0) + unlike[frame]
     where = np.empty(len(unlike), dtype=np.intp)
     at = int(cost.argmin())
     for frame in range(len(unlike) - 1, -1, -1):

@@ -22,14 +22,16 @@ from smal.movement import Atom, dead_reckoning, seen_from
 from smal.teaching.demonstration import Demonstration
 
 #: Laps are found and aligned by other features than those that are judged; frames have both.
-JUDGED, _FINDING = FeatureSettings(), FeatureSettings.of(("gist", "thumbnail"))
+JUDGED = FeatureSettings()
+_FINDING = FeatureSettings.of(("gist", "thumbnail"))
 HELD: Final = FeatureSettings.of((*JUDGED.modalities, *_FINDING.modalities))
 _TURN_WEIGHT: Final = 0.25  # Turns apart as turns scatter are as unlike as views of cosine .75.
 
 
 def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tuple[Demonstration, Lap]]:
     """Find laps in a tub or in recordings, as `find_laps` orders them; UsageError: there is none, JobError: under 3."""
-    tub, tally = (source / "manifest.json").is_file(), Tally()
+    tub = (source / "manifest.json").is_file()
+    tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:
             run(
@@ -71,8 +73,10 @@ def _turns(drive: Demonstration) -> NDArray[np.float64]:
 
 
 def _frames(drives: Sequence[Demonstration], turns: Sequence[NDArray[np.float64]]) -> list[Frames]:
-    raw, every = [select(one.rows, HELD, _FINDING) for one in drives], np.concatenate(turns)
-    centering, scale = Centering.fit(raw, _FINDING), math.sqrt(2.0 * _TURN_WEIGHT) / max(float(every.std()), 1e-9)
+    raw = [select(one.rows, HELD, _FINDING) for one in drives]
+    every = np.concatenate(turns)
+    centering = Centering.fit(raw, _FINDING)
+    scale = math.sqrt(2.0 * _TURN_WEIGHT) / max(float(every.std()), 1e-9)
     both = zip(raw, turns, strict=True)
     return [np.column_stack([centering.apply(each), scale * (turn - every.mean())]) for each, turn in both]
 

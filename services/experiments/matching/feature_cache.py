@@ -32,7 +32,9 @@ class FeatureCache:
     _said: ClassVar[set[str]] = set()  # Of the file, once: references and queries have a cache each.
 
     def __init__(self, settings: FeatureSettings) -> None:
-        self._settings, self._lock, self._new = settings, Lock(), dict[bytes, Features]()
+        self._settings = settings
+        self._lock = Lock()
+        self._new = dict[bytes, Features]()
         self._file: sqlite3.Connection | None = None
         with self._going_on():
             self._open()
@@ -90,7 +92,8 @@ class FeatureCache:
         try:
             yield
         except (sqlite3.Error, OSError) as error:
-            self._file, why = None, str(error)
+            self._file = None
+            why = str(error)
             went_on = "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)"
             if isinstance(error, OSError):
                 why = error.strerror or why

@@ -10,19 +10,23 @@ from services.experiments import html
 from services.experiments.matching.report import Result, title_of
 from smal.likelihood import evenly
 
-_MATCHES, _REFERENCES = 200, 60  # Matches that a page shows, and references to find a right one by.
+# Matches that a page shows, and references to find a right one by.
+_MATCHES = 200
+_REFERENCES = 60
 
 
 def judging_page(result: Result) -> str:
     """Return the page of some matches."""
-    matches, names = result.matches, [printable(name, 255) for name in result.references.source.frames]
+    matches = result.matches
+    names = [printable(name, 255) for name in result.references.source.frames]
     # A probability of a half is the most doubtful one; other scores say only which matches are surer.
     doubt = np.abs(matches.score - 0.5) if result.probable else matches.score
     order = np.argsort(doubt, kind="stable")
     shown = [query for query in order.tolist() if matches.matched[query]][:_MATCHES]
     spread = evenly(len(names), _REFERENCES).tolist()
     found = matches.reference[shown].tolist()
-    asked, known = result.queries.source.images(shown), result.references.source.images([*found, *spread])
+    asked = result.queries.source.images(shown)
+    known = result.references.source.images([*found, *spread])
     cards = []
     for query, reference in zip(shown, found, strict=True):
         name = printable(result.queries.source.frames[query], 255)

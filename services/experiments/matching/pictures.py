@@ -32,12 +32,14 @@ def draw_matches(
         axes.bar(truth.query, spans, 1.0, truth.first - 0.5, color=_BAND, label="same place", zorder=1)
     _draw_points(figure, axes, matches, truth)
     # A little more than all frames, so that no point is cut.
-    across, up = matches.reference.size, references
+    across = matches.reference.size
+    up = references
     axes.set(xlim=(-1.0 - 0.02 * across, 1.02 * across), ylim=(-1.0 - 0.02 * up, 1.02 * up))
     axes.set(xlabel="query frame", ylabel="reference frame")
     axes.locator_params(integer=True)
     if quality is not None:
-        curve, panel = quality.curve, more[0]
+        curve = quality.curve
+        panel = more[0]
         # Steps, as the area counts them; without any answer there is no curve.
         recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
         precision = np.concatenate([curve.precision[:1], curve.precision])

@@ -33,8 +33,10 @@ class MatchQuality:
     @classmethod
     def of(cls, matches: Matches, truth: IntervalTruth, length: int, *, probable: bool) -> Self:
         """Hold the answers of a method with windows of this length against a truth."""
-        judgement, judged = truth.judge(matches), int(truth.judged.sum())
-        curve, reliability = PrecisionRecall.of(judgement), Reliability.of(judgement) if probable else None
+        judgement = truth.judge(matches)
+        judged = int(truth.judged.sum())
+        curve = PrecisionRecall.of(judgement)
+        reliability = Reliability.of(judgement) if probable else None
         intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
         known = known_from_unknown(judgement, 1.0 - matches.unknown if probable else matches.score)
         figures: dict[str, float | tuple[float, float]] = {
@@ -71,7 +73,8 @@ def in_sources(matches: Matches, references: Traverse, queries: Traverse) -> Mat
     found = Matches.none(count)
     where = queries.numbers[matches.matched]
     found.reference[where] = references.numbers[matches.reference[matches.matched]]
-    found.score[queries.numbers], found.unknown[queries.numbers] = matches.score, matches.unknown
+    found.score[queries.numbers] = matches.score
+    found.unknown[queries.numbers] = matches.unknown
     return found
 
 
@@ -79,7 +82,9 @@ def as_json(result: Result) -> str:
     """Return the result as ``--json`` writes it."""
     found = result.matches
     rows = zip(found.reference.tolist(), found.score.tolist(), found.unknown.tolist(), strict=True)
-    references, queries, features = result.references, result.queries, result.settings.features
+    references = result.references
+    queries = result.queries
+    features = result.settings.features
     written: dict[str, object] = {
         **result.chosen,
         "references": str(references.source.path),
@@ -152,7 +157,8 @@ def _frames(traverse: Traverse) -> str:
 
 def _some_matches(result: Result) -> Iterator[str]:
     """Yield a few matches, evenly spread; all of them are for a file."""
-    matches, count = result.matches, result.matches.matched.size
+    matches = result.matches
+    count = result.matches.matched.size
     shown = evenly(count, _SHOWN).tolist()
     references, queries = (_printable(one.source.frames) for one in (result.references, result.queries))
     rows = [["query", "", "reference", "", "score"]]

@@ -30,7 +30,9 @@ from services.recordings.reader import read_recording
 
 # Read when OpenCV opens its first video; of a damaged one FFmpeg writes at length.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-LEAST_ROWS, LEAST_COLUMNS = 24, 32  # The least size that `extract` takes.
+# The least size that `extract` takes.
+LEAST_ROWS = 24
+LEAST_COLUMNS = 32
 MOST_BYTES: Final = 256 * 2**20  # A larger file is no camera's image; it is not read at all.
 _PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")  # How a PNG file begins, and what every whole one ends with.
 Picture = Path | bytes  # A file, or what stands in one.

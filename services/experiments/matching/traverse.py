@@ -88,7 +88,8 @@ def _described(path: str, settings: FeatureSettings, frame: _Frame) -> tuple[byt
     """Return the raw features of a frame, None if it cannot be read, and by what they are known where they are new."""
     if not frame.read:
         return None, frame.known
-    image, depths_mm = read_color(frame.read[0]), [read_depth(one) for one in frame.read[1:]]
+    image = read_color(frame.read[0])
+    depths_mm = [read_depth(one) for one in frame.read[1:]]
     if image is None or any(depth_mm is None for depth_mm in depths_mm):
         return None, None
     try:

@@ -27,20 +27,24 @@ from smal.evaluation.ground_truth import IntervalTruth
 
 COLUMNS: Final = ("query", "reference_first", "reference_last")
 POSE_COLUMNS: Final = ("frame", "x_m", "y_m")
-_DEGREE_M, _GPS = 111_195.0, 0x8825  # Metres of a degree of latitude, and where EXIF has the position of a camera.
+# Metres of a degree of latitude, and where EXIF has the position of a camera.
+_DEGREE_M = 111_195.0
+_GPS = 0x8825
 Positions = NDArray[np.float64]  # x and y of frames in metres (n, 2), NaN where they are not known.
 
 
 def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
     """Read the file of `--truth` for traverses of so many frames; UsageError names the line and what is wrong."""
     intervals: list[tuple[int, int, int]] = []
-    judged, unknown = np.zeros(queries, dtype=np.bool_), np.zeros(queries, dtype=np.bool_)
+    judged = np.zeros(queries, dtype=np.bool_)
+    unknown = np.zeros(queries, dtype=np.bool_)
 
     def take(row: dict[Any, Any]) -> None:
         query, interval = _interval(row, queries, references)
         if unknown[query] or (judged[query] and interval is None):
             raise ValueError(f"query {query} has a row already, and one of them says that no reference shows it")
-        judged[query], unknown[query] = True, interval is None
+        judged[query] = True
+        unknown[query] = interval is None
         if interval is not None:
             intervals.append((query, *interval))
 
@@ -50,7 +54,8 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
 
 def truth_by_names(references: Sequence[str], queries: Sequence[str], tolerance: int) -> IntervalTruth:
     """Take frames of one name for one place, so many frames to both sides as well; others are not judged."""
-    numbers, last = {name: number for number, name in enumerate(references)}, len(references) - 1
+    numbers = {name: number for number, name in enumerate(references)}
+    last = len(references) - 1
     pairs = [(query, numbers[name]) for query, name in enumerate(queries) if name in numbers]
     intervals = [(query, max(number - tolerance, 0), min(number + tolerance, last)) for query, number in pairs]
     judged = np.array([name in numbers for name in queries])
@@ -59,8 +64,10 @@ def truth_by_names(references: Sequence[str], queries: Sequence[str], tolerance:
 
 def truth_by_positions(references: Positions, queries: Positions, radius_m: float, named: str) -> IntervalTruth:
     """Take frames within a radius for one place; queries whose position is not known are not judged."""
-    known, judged = np.flatnonzero(np.isfinite(references[:, 0])), np.isfinite(queries[:, 0])
-    tree, intervals = KDTree(references[known]), list[tuple[int, int, int]]()
+    known = np.flatnonzero(np.isfinite(references[:, 0]))
+    judged = np.isfinite(queries[:, 0])
+    tree = KDTree(references[known])
+    intervals = list[tuple[int, int, int]]()
     for query in np.flatnonzero(judged).tolist():
         near = known[sorted(tree.query_ball_point(queries[query], radius_m))]
         for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):

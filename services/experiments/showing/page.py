@@ -27,7 +27,8 @@ from smal.teaching.demonstration import Demonstration
 
 _SHOWN: Final = 5  # Frames of a drive that are shown, spread over it.
 MOST_NAMED: Final = len(COLOURS)  # As many lines as there are colours are told apart, and named.
-_FORK, _MEETING = "D", "s"
+_FORK = "D"
+_MEETING = "s"
 
 
 def write_page(
@@ -78,8 +79,11 @@ def _seen(model: Model | PaperModel, found: dict[int, Demonstration]) -> Iterato
 
 
 def _map(model: Model, drives: Mapping[int, Demonstration], advance: html.Advance) -> Iterator[str]:
-    ways, names = Ways(model.mapped), [printable(episode_of(parts[0])) for parts in model.mapped.names]
-    total, done, believed_on = sum(len(one.atoms) for one in drives.values()), count(1), {}
+    ways = Ways(model.mapped)
+    names = [printable(episode_of(parts[0])) for parts in model.mapped.names]
+    total = sum(len(one.atoms) for one in drives.values())
+    done = count(1)
+    believed_on = {}
     for number, one in drives.items():
         believed_on[number] = believed(model, ways, number, one, lambda: advance("recognizing", next(done), total))
     yield "<h2>The taught ways</h2>"
@@ -107,7 +111,8 @@ def _ways(ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: M
 
 
 def _costs(ways: Ways, goals: Sequence[str], names: Sequence[str]) -> Iterator[str]:
-    pictures, no_way = [], []
+    pictures = []
+    no_way = []
     for goal in goals:
         costs, _ = cost_to_go(ways.map, goal)
         said = f"Time to {escape(goal)} from each place of the drives, going over to another one where that is sooner."
@@ -124,7 +129,8 @@ def _belief(ways: Ways, names: Sequence[str], believed_on: Mapping[int, Believed
     if not believed_on:
         yield "<p>Recognition was not run: none of the drives' recordings is there.</p>"
         return
-    pictures, rows = [], []
+    pictures = []
+    rows = []
     for drive, one in believed_on.items():
         widest = int(one.spread.argmax())
         pictures.append(html.titled(draw_belief(ways, one), names[drive], ""))
@@ -216,7 +222,8 @@ def draw_belief(ways: Ways, believed: Believed) -> Figure:
     shares, spread = figure.subplots(2, 1, sharex=True)
     time_s = np.arange(len(believed.here)) * ways.map.tick_s
     parts = [believed.here, 1.0 - believed.here - believed.lost, believed.lost]
-    labels, colours = ["where it was", "elsewhere on the ways", "lost"], [COLOURS[0], COLOURS[1], MUTED]
+    labels = ["where it was", "elsewhere on the ways", "lost"]
+    colours = [COLOURS[0], COLOURS[1], MUTED]
     shares.stackplot(time_s, parts, labels=labels, colors=colours, lw=0, alpha=0.7)
     shares.set(ylabel="belief", ylim=(0, 1), xlim=(0, max(float(time_s[-1]), ways.map.tick_s)))
     spread.plot(time_s, believed.spread, color=COLOURS[0], lw=1.6)

@@ -99,7 +99,8 @@ def _of_map(model: Model) -> dict[str, str]:
 
 
 def _of_paper(model: PaperModel) -> dict[str, str]:
-    numbers, (shared, forks) = numbers_of(model), shared_and_forks(model)
+    numbers = numbers_of(model)
+    (shared, forks) = shared_and_forks(model)
     return {
         "states": f"{model.states} of {counted(model.sequence_length, 'frame')}, {shared} shared by drives, "
         f"{counted(forks, 'fork')}, {counted(numbers['goals'], 'goal state')}",

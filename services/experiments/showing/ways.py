@@ -71,7 +71,8 @@ class Ways:
         A stretch that is shared goes on where views are alike: over gaps of two correlation lengths. Where either of
         the drives begins or ends with it, nothing parts or meets.
         """
-        length, last = self.map.correlation_length, {drive: self.way[self.of == drive].max() for drive in (one, other)}
+        length = self.map.correlation_length
+        last = {drive: self.way[self.of == drive].max() for drive in (one, other)}
         here, there = self.map.stitched[(self.of[self.map.stitched] == (one, other)).all(axis=1)].T
         gaps = np.flatnonzero(np.diff(self.way[here]) > 2.0 * length)
         for begin, end in zip([0, *(gaps + 1)], [*gaps, len(here) - 1], strict=True):
@@ -92,7 +93,8 @@ class Believed:
 
 def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]) -> Believed:
     """Let recognition follow a taught drive of the map from its beginning; advance is called after each frame."""
-    localizer, found = Localizer(model), []
+    localizer = Localizer(model)
+    found = []
     first = int(np.searchsorted(ways.map.drives, drive))
     for k, features in enumerate(one.features):
         pose = None if one.odometry is None else one.odometry[k].tolist()

@@ -43,7 +43,8 @@ def body(name: str) -> Iterator[Piece]:
 
 def turtlebot(model: RobotModel) -> Iterator[Piece]:
     """Yield a TurtleBot II as the camera above sees it: plates on a round base, and wheels."""
-    top, wheel = model.height_m, model.drive.wheel_radius_m
+    top = model.height_m
+    wheel = model.drive.wheel_radius_m
     for size, low, high in ((0.94, 0.02, 0.1), (0.9, 0.17, 0.176), (0.9, 0.29, 0.296), (0.9, top - 0.006, top)):
         yield Finish("black_plastic"), drum((0.0, 0.0, low), (0.0, 0.0, high), 0.177 * size, 40)
     for side in (-model.drive.track_m / 2, model.drive.track_m / 2):

@@ -71,7 +71,8 @@ def trees(items: Iterable[Tree]) -> Iterator[Piece]:
     """Yield trunks and crowns."""
     for tree in items:
         rng = np.random.default_rng(zlib.crc32(f"{tree.x:.1f} {tree.y:.1f}".encode()))
-        base, neck = (tree.x, tree.y, 0.0), (tree.x, tree.y, tree.height_m * 0.6)
+        base = (tree.x, tree.y, 0.0)
+        neck = (tree.x, tree.y, tree.height_m * 0.6)
         yield Finish("bark"), tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6), 6)
         crown = _tiers(tree) if tree.kind == "conifer" else _crown(tree, rng)
         yield from ((Finish(_LEAVES[tree.kind]), mesh) for mesh in crown)
@@ -91,10 +92,12 @@ def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
 def _crown(tree: Tree, rng: np.random.Generator) -> Iterator[Mesh]:
     """Yield a large ball of leaves and four small ones around it."""
     radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
-    middle, half = (low + tree.height_m) / 2, (tree.height_m - low) / 2
+    middle = (low + tree.height_m) / 2
+    half = (tree.height_m - low) / 2
     yield ball((tree.x, tree.y, middle), (radius * 0.8, radius * 0.8, half * 0.95), _DETAIL)
     for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False) + rng.uniform(0, 1.5):
-        out, size = radius * rng.uniform(0.35, 0.5), radius * rng.uniform(0.5, 0.65)
+        out = radius * rng.uniform(0.35, 0.5)
+        size = radius * rng.uniform(0.5, 0.65)
         centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + half * rng.uniform(-0.45, 0.35))
         yield ball(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL)
 
@@ -102,5 +105,6 @@ def _crown(tree: Tree, rng: np.random.Generator) -> Iterator[Mesh]:
 def _tiers(tree: Tree) -> Iterator[Mesh]:
     radius, low = (fraction * tree.height_m for fraction in _CROWN["conifer"])
     for step in np.arange(_TIERS) / _TIERS:
-        foot, tip = low + (tree.height_m - low) * step * 0.8, low + (tree.height_m - low) * min(1.0, step + 0.4)
+        foot = low + (tree.height_m - low) * step * 0.8
+        tip = low + (tree.height_m - low) * min(1.0, step + 0.4)
         yield tube((tree.x, tree.y, foot), (tree.x, tree.y, tip), (radius * (1 - 0.8 * step), 0.0), 10)

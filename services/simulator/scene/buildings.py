@@ -44,7 +44,8 @@ def buildings(items: Sequence[Building]) -> Iterator[Piece]:
     """Yield walls and roofs of all buildings, posts under canopies, and what is seen of them from below."""
     looks = alike(building.facade for building in items)
     for building in each(items):
-        facade, low = looks[building.facade], building.min_height_m
+        facade = looks[building.facade]
+        low = building.min_height_m
         for ring in outline(building.footprint):
             yield from _walls(ring, building, facade)
         yield from _flat(building) if building.roof == "flat" else _pitched(building, facade)
@@ -63,7 +64,8 @@ def barriers(items: Iterable[Barrier]) -> Iterator[Piece]:
 
 
 def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Iterator[Piece]:
-    low, top = building.min_height_m, building.height_m
+    low = building.min_height_m
+    top = building.height_m
     wide = np.linalg.norm(np.diff(ring, axis=0), axis=1) >= _PIER_M
     if top - low < _LOW_M:
         wide[:] = False
@@ -101,7 +103,8 @@ def _flat(building: Building) -> Iterator[Piece]:
 
 def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     """Yield a roof with a ridge along the rectangle that a building nearly fills, else slopes along all its edges."""
-    top, footprint = building.height_m, building.footprint
+    top = building.height_m
+    footprint = building.footprint
     cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)
     box = footprint.minimum_rotated_rectangle
     fills = isinstance(box, Polygon) and not footprint.interiors and footprint.area >= _OBLONG * box.area
@@ -118,7 +121,8 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     if np.linalg.norm(b - a) < np.linalg.norm(c - b):
         a, b, c, d = b, c, d, a
     rise = building.roof_height_m or _SLOPE * float(np.linalg.norm(c - b)) / 2
-    first, last = (a + d) / 2 + (0.0, 0.0, rise), (b + c) / 2 + (0.0, 0.0, rise)
+    first = (a + d) / 2 + (0.0, 0.0, rise)
+    last = (b + c) / 2 + (0.0, 0.0, rise)
     yield cover, faces(np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]]), _METRES)
     yield Finish(facade, None, BARE), faces(np.array([[b, c, last], [d, a, first]]), _WALL_METRES)
 

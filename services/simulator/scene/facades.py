@@ -92,7 +92,8 @@ def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
     frame = (58, 60, 64) if dark else (232, 230, 224)
     if facade.style == "glass":
         return _Plan(wall, frame, 0.94, 0.72, (int(rng.integers(2, 4)), 1), False)
-    width, height = rng.uniform(0.34, 0.62), rng.uniform(0.46, 0.62)
+    width = rng.uniform(0.34, 0.62)
+    height = rng.uniform(0.46, 0.62)
     if facade.style == "concrete":
         width = rng.uniform(0.55, 0.9)
     panes = int(rng.integers(1, 4)), int(rng.integers(1, 4))
@@ -109,7 +110,8 @@ def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generato
     elif style == "wood":
         shade *= np.where(np.arange(shape[0]) % 16 < 2, 0.72, 1.0)[:, None]
     elif style == "concrete":
-        rows, columns = np.arange(shape[0]) % _CELL_PX, np.arange(shape[1]) % _CELL_PX
+        rows = np.arange(shape[0]) % _CELL_PX
+        columns = np.arange(shape[1]) % _CELL_PX
         shade *= np.where((rows < 3)[:, None] | (columns < 3)[None, :], 0.75, 1.0)
         shade *= 1.0 + 0.03 * rng.standard_normal(BAYS).repeat(_CELL_PX)
     return coloured(colour, shade)
@@ -131,7 +133,8 @@ def _courses(shape: tuple[int, int], rng: np.random.Generator, course_px: int, b
 
 
 def _window(picture: Picture, plan: _Plan, bay: int, storey: int, rng: np.random.Generator) -> None:
-    width, height = int(plan.width * _CELL_PX), int(plan.height * _CELL_PX)
+    width = int(plan.width * _CELL_PX)
+    height = int(plan.height * _CELL_PX)
     left = bay * _CELL_PX + (_CELL_PX - width) // 2
     top = storey * _CELL_PX + int((_CELL_PX - height) * 0.42)
     if plan.surround:
@@ -150,7 +153,8 @@ def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Gene
     """Paint a pane that mirrors a pale sky above and dark trees below, perhaps with a blind half down."""
     left, top, width, height = box
     fade = np.linspace(1.0, 0.0, height)[:, None, None]
-    sky, dark = np.array([132, 152, 170]), np.array([44, 52, 60])
+    sky = np.array([132, 152, 170])
+    dark = np.array([44, 52, 60])
     pane = np.broadcast_to(dark + (sky - dark) * fade**1.5, (height, width, 3)) * rng.uniform(0.75, 1.1)
     pane = pane.copy()
     if rng.random() < 0.35:
@@ -160,8 +164,10 @@ def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Gene
 
 
 def _door(picture: Picture, plan: _Plan, bay: int, rng: np.random.Generator) -> None:
-    width, height = 104, 186
-    left, top = bay * _CELL_PX + (_CELL_PX - width) // 2, _CELL_PX - height
+    width = 104
+    height = 186
+    left = bay * _CELL_PX + (_CELL_PX - width) // 2
+    top = _CELL_PX - height
     paints = np.array([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)])
     leaf = tuple(int(value) for value in rng.choice(paints))
     fill(picture, (left - 10, top - 10, width + 20, height + 10), plan.frame)

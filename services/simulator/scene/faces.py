@@ -116,7 +116,8 @@ def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
     picture = sheet((58, 48, 40))
     left = 6
     while left < SIZE - 20:
-        width, height = int(rng.integers(14, 46)), int(rng.uniform(0.62, 0.93) * SIZE)
+        width = int(rng.integers(14, 46))
+        height = int(rng.uniform(0.62, 0.93) * SIZE)
         if rng.random() < 0.12:
             left += int(rng.integers(20, 70))
             continue

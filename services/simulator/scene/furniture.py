@@ -41,14 +41,16 @@ def _boxes(piece: Furniture) -> Iterator[Piece]:
             yield Finish(part.wears, colour, _variant(piece)), mesh
         elif part.wears == "tyre":
             x_min, right, x_max, left = box
-            middle, radius = (x_min + x_max) / 2, (high - low) / 2
+            middle = (x_min + x_max) / 2
+            radius = (high - low) / 2
             yield Finish(part.wears), drum((middle, right, radius), (middle, left, radius), radius)
         elif part.wears:
             yield Finish(part.wears, colour), block(box, low, high)
 
 
 def _shelf(piece: Furniture) -> Iterator[Piece]:
-    x, y = piece.depth_m / 2, piece.width_m / 2
+    x = piece.depth_m / 2
+    y = piece.width_m / 2
     bays = np.linspace(-y, y - _BOARD_M, max(1, round(piece.width_m / _BAY_M)) + 1).tolist()
     rows = np.linspace(0.04, piece.height_m - _BOARD_M, max(1, round(piece.height_m / _COMPARTMENT_M)) + 1).tolist()
     wood = Finish("wood", piece.colour)
@@ -62,7 +64,8 @@ def _shelf(piece: Furniture) -> Iterator[Piece]:
 
 def _plant(piece: Furniture) -> Iterator[Piece]:
     """Yield a pot of soil with a bush in it."""
-    radius, height = piece.width_m / 2, piece.height_m
+    radius = piece.width_m / 2
+    height = piece.height_m
     pot = 0.3 * height
     yield Finish("pot", piece.colour), tube((0, 0, 0), (0, 0, pot), (0.45 * radius, 0.62 * radius), 20)
     yield Finish("soil"), flat(shapely.Point(0, 0).buffer(0.6 * radius), 0.92 * pot, 0.3)

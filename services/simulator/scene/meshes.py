@@ -35,7 +35,8 @@ class Mesh:
 
     def placed(self, pose: Pose) -> "Mesh":
         """Return the mesh turned about the vertical and moved."""
-        cos, sin = math.cos(pose.heading), math.sin(pose.heading)
+        cos = math.cos(pose.heading)
+        sin = math.sin(pose.heading)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return make(self.vertices @ turn + (pose.x, pose.y, 0.0), self.normals @ turn, self.uvs, self.triangles)
 
@@ -80,7 +81,10 @@ def grid(vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArr
     """Return the surface over a grid of points, given as arrays (rows, columns, 3), the uvs (rows, columns, 2)."""
     rows, columns = vertices.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    a = index[:-1, :-1]
+    b = index[1:, :-1]
+    c = index[1:, 1:]
+    d = index[:-1, 1:]
     triangles = np.concatenate(
         [np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)]
     )
@@ -95,8 +99,10 @@ def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
 
 def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
     """Return upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), anticlockwise from its right, foot first."""
-    begin, end = ring[:-1], ring[1:]
-    foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
+    begin = ring[:-1]
+    end = ring[1:]
+    foot = np.full((len(begin), 1), low)
+    top = np.full((len(begin), 1), high)
     return np.stack(
         [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
     )
@@ -116,7 +122,8 @@ def walls(
     walls.
     """
     chosen = np.ones(len(u), dtype=bool) if which is None else which
-    corners, u = sides(ring, low, high)[chosen], u[chosen]
+    corners = sides(ring, low, high)[chosen]
+    u = u[chosen]
     low_v, high_v = (np.full(len(corners), value) for value in v)
     coordinates = [(u[:, 0], low_v), (u[:, 1], low_v), (u[:, 1], high_v), (u[:, 0], high_v)]
     return quads(corners, np.stack([np.stack(pair, axis=1) for pair in coordinates], axis=1))
@@ -148,7 +155,8 @@ def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice_area = np.linalg.norm(across, axis=1)
     solid = twice_area > 1e-9
-    corners, normal = triangles[solid], across[solid] / twice_area[solid, None]
+    corners = triangles[solid]
+    normal = across[solid] / twice_area[solid, None]
     level = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
     tilt = np.linalg.norm(level, axis=1, keepdims=True)
     level = np.where(tilt > 1e-6, level / np.maximum(tilt, 1e-6), (1.0, 0.0, 0.0))
@@ -173,7 +181,8 @@ def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
 
 def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: int = 8) -> Mesh:
     """Return an open tube between two points (3,), with a radius at either end; radius 0 makes a cone."""
-    begin, finish = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    begin = np.asarray(start, dtype=np.float64)
+    finish = np.asarray(end, dtype=np.float64)
     axis = finish - begin
     length = float(np.linalg.norm(axis))
     axis /= length
@@ -191,7 +200,8 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: 
 
 def drum(start: ArrayLike, end: ArrayLike, radius: float, sectors: int = 16) -> Mesh:
     """Return a tube with flat ends."""
-    begin, finish = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    begin = np.asarray(start, dtype=np.float64)
+    finish = np.asarray(end, dtype=np.float64)
     out = 1e-4 * (finish - begin) / np.linalg.norm(finish - begin)
     ends = [tube(begin, begin - out, (radius, 0.0), sectors), tube(finish, finish + out, (radius, 0.0), sectors)]
     return merge([tube(begin, finish, (radius, radius), sectors), *ends])

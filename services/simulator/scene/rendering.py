@@ -57,7 +57,8 @@ class SceneCamera:
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = sapien = load_renderer()
-        self._mount, above = world.robot.camera, world.place.overhead
+        self._mount = world.robot.camera
+        above = world.place.overhead
         #: Focal length in pixels of the image.
         self.focal_px = settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
         self._seen_from: tuple[Pose, Tilt] | None = None
@@ -166,10 +167,12 @@ class SceneCamera:
 
     def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
         """Return a body of all the surfaces, whose pixels carry `label`; each picture is one material."""
-        render, materials = self._sapien.render, dict[int, Any]()
+        render = self._sapien.render
+        materials = dict[int, Any]()
         body = render.RenderBodyComponent()
         for surface in each(surfaces):
-            mesh, picture = surface.mesh, surface.picture
+            mesh = surface.mesh
+            picture = surface.picture
             if id(picture) not in materials:
                 materials[id(picture)] = _material(render, surface, label)
             arrays = mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs
@@ -184,7 +187,8 @@ class SceneCamera:
 
     def _look_down(self, mount: OverheadMount) -> Any:
         camera = self._lens(mount.width_px, mount.height_px, mount.focal_px)
-        cos, sin = math.cos(math.radians(mount.up_deg)), math.sin(math.radians(mount.up_deg))
+        cos = math.cos(math.radians(mount.up_deg))
+        sin = math.sin(math.radians(mount.up_deg))
         # Its axes ahead, to the left and up, and where it hangs, are the columns.
         frame = np.eye(4)
         frame[:3, :3] = np.transpose([(0.0, 0.0, -1.0), (-sin, cos, 0.0), (cos, sin, 0.0)])

@@ -47,7 +47,8 @@ def build(room: Room, light: Daylight) -> SceneSurfaces:
     """Make the meshes and pictures of a room."""
     furniture = (piece for one in room.furniture for piece in furnish(one))
     hung = (piece for fitting in room.fittings for piece in hang(fitting, room))
-    x, y = room.east_west_m, room.north_south_m
+    x = room.east_west_m
+    y = room.north_south_m
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     tag = room.robot.tag
     return SceneSurfaces(
@@ -85,7 +86,8 @@ def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
     """Return a fitting's face and the rim about it."""
     wall, _ = room.wall(fitting.wall)
     thick = _THICK_M[fitting.kind]
-    face, rim = front(*fitting.face(thick)).placed(wall), block(*fitting.face(thick - 0.001)).placed(wall)
+    face = front(*fitting.face(thick)).placed(wall)
+    rim = block(*fitting.face(thick - 0.001)).placed(wall)
     return (Finish(fitting.kind, fitting.colour, fitting.variant), face), (_RIM[fitting.kind], rim)
 
 
@@ -93,7 +95,8 @@ def paint_floor(room: Room) -> NDArray[np.uint8]:
     """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it."""
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
     across = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * room.east_west_m
-    rng, sheet = np.random.default_rng(_SEED), np.floor(across / _SHEET_M).astype(int)
+    rng = np.random.default_rng(_SEED)
+    sheet = np.floor(across / _SHEET_M).astype(int)
     tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
     seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
     grains: tuple[tuple[float, tuple[float, float]], ...] = ((0.045, (2, 2)), (0.03, (5, 14)), (0.015, (90, 90)))
@@ -112,7 +115,8 @@ def floor_light(room: Room) -> NDArray[np.float64]:
     x_min, y_min, x_max, y_max = room.bounds
     scale = _SHADE_PIXELS_PER_M
     shape = round((y_max - y_min) * scale), round((x_max - x_min) * scale)
-    on_floor, above = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+    on_floor = np.zeros(shape, np.uint8)
+    above = np.zeros(shape, np.uint8)
     parts = [(solid.shape, solid.low_m) for piece in room.furniture for solid in piece.solids]
     for outline, low_m in parts:
         ring = (shapely.get_coordinates(shapely.get_exterior_ring(outline)) - (x_min, y_max)) * (scale, -scale)
@@ -138,17 +142,20 @@ def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDAr
     light = (1 - 0.16 * np.exp(-up / 0.25)) * (1 - 0.13 * np.exp(-corner / 0.3)) * (1 - 0.08 * np.exp(-(height_m - up)))
     picture = coloured(colour, light * (1.0 + 0.012 * layered(rng, shape, (2.0, 70.0))))
     board = round(_SKIRTING_M / height_m * shape[0])
-    picture[-board:], picture[-board - 1] = (214, 211, 202), (150, 147, 140)
+    picture[-board:] = (214, 211, 202)
+    picture[-board - 1] = (150, 147, 140)
     return picture
 
 
 def paint_ceiling() -> NDArray[np.uint8]:
     """Return four by four mineral tiles with a row of two lamps among them, seamless."""
     rng = np.random.default_rng(_SEED)
-    size, tile = 512, 128
+    size = 512
+    tile = 128
     picture = coloured((196, 196, 192), 1.0 + 0.05 * noise(rng, (size, size), 1.2))
     for line in range(0, size, tile):
-        picture[line : line + 3], picture[:, line : line + 3] = 164, 164
+        picture[line : line + 3] = 164
+        picture[:, line : line + 3] = 164
     picture[tile + 6 : 2 * tile - 4, tile + 6 : 3 * tile - 4] = (252, 251, 246)
     picture[tile + 6 : 2 * tile - 4, 2 * tile - 2 : 2 * tile + 4] = 190
     return picture

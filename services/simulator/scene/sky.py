@@ -22,10 +22,12 @@ _TREES: Final = np.array([86.0, 104.0, 78.0])
 @lru_cache(maxsize=2)
 def paint_sky(seed: int, light: Daylight) -> Picture:
     """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
-    rng, clouds = np.random.default_rng(seed), np.random.default_rng([seed, light.clouds_seed])
+    rng = np.random.default_rng(seed)
+    clouds = np.random.default_rng([seed, light.clouds_seed])
     elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
     up = np.clip(elevation / 90.0, 0, 1)
-    horizon, zenith = np.array(light.horizon), np.array(light.zenith)
+    horizon = np.array(light.horizon)
+    zenith = np.array(light.zenith)
     sky = horizon + (zenith - horizon) * up**0.55
     cloud = np.clip(light.clouds * _clouds(clouds, elevation), 0, 1)
     # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.

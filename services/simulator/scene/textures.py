@@ -24,7 +24,8 @@ def noise(
 ) -> NDArray[np.float64]:
     """Return smooth seamless noise, mean 0 and standard deviation 1; `grain_px` is the size of its blobs."""
     down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
-    frequency_down, frequency_across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    frequency_down = np.fft.fftfreq(shape[0])[:, None]
+    frequency_across = np.fft.rfftfreq(shape[1])
     # Of what is finer the filter lets less than 1e-15 through: it is left out, which halves the time.
     frequency_across = frequency_across[frequency_across * across < 4.2]
     keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))
@@ -101,10 +102,12 @@ def _paving(
     upright: bool = False,
 ) -> Picture:
     """Paint slabs, each a little different, with dark joints; `running` shifts every other row, `upright` turns all."""
-    height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
+    height = _SHAPE[0] // rows
+    width = _SHAPE[1] // columns
     tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
     within = np.ones((height, width))
-    within[:joint_px], within[:, :joint_px] = 0.66, 0.66
+    within[:joint_px] = 0.66
+    within[:, :joint_px] = 0.66
     picture = tone * np.tile(within, (rows, columns))
     for row in range(1, rows, 2) if running else ():
         band = slice(row * height, (row + 1) * height)

@@ -53,7 +53,8 @@ def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.ui
     """
     height, width = image.shape[:2]
     turn_rad, down_rad, left_rad = (_EXPOSURE_S * one for one in rate)
-    right_px, down_px = focal_px * left_rad, -focal_px * down_rad
+    right_px = focal_px * left_rad
+    down_px = -focal_px * down_rad
     longest_px = math.hypot(right_px, down_px) + abs(turn_rad) * math.hypot(width, height) / 2
     if longest_px < _LEAST_PX:
         return image
@@ -146,7 +147,8 @@ class SimulatedView:
         return decode_jpeg(self.jpeg)
 
     def _rendered(self) -> NDArray[np.uint8]:
-        camera, variation = self.camera, self.variation
+        camera = self.camera
+        variation = self.variation
         image = camera.render(self.pose, self.tilt)
         if variation.visibility_m is not None:
             image = hazy(image, self.depth_m, variation.visibility_m, variation.light.horizon)

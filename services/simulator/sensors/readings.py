@@ -71,7 +71,9 @@ class Shake:
     """
 
     def __init__(self, strength: float, drive: DriveTrain, rng: np.random.Generator) -> None:
-        self._amplitude, self._drive, self._rng = strength * _SHAKE_RAD, drive, rng
+        self._amplitude = strength * _SHAKE_RAD
+        self._drive = drive
+        self._rng = rng
         # Angles, and their rates by the second, in units of the amplitude: (2, 3).
         self._state = np.zeros((2, 3))
         self.tilt = self.rate = LEVEL
@@ -94,7 +96,8 @@ def _propagation(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.flo
     In the long run the angle's variance is 1 and the rate's the square of the stiffness; the noise of a step is what
     the step takes from that.
     """
-    k, t = 2.0 / _SWING_S, duration_s
+    k = 2.0 / _SWING_S
+    t = duration_s
     swing = math.exp(-k * t) * np.array([[1 + k * t, t], [-(k**2) * t, 1 - k * t]])
     stationary = np.diag([1.0, k**2])
     kick = np.linalg.cholesky(stationary - swing @ stationary @ swing.T)
@@ -105,7 +108,8 @@ class InertialUnit:
     """A gyroscope and an accelerometer over the middle of the wheels' axis, on what the camera shakes with."""
 
     def __init__(self, error: float, rng: np.random.Generator) -> None:
-        self._error, self._rng = error, rng
+        self._error = error
+        self._rng = rng
         self._bias = error * _BIAS * rng.standard_normal(6)
         self._velocity_m_s = (0.0, 0.0)
         self._time_s = 0.0
@@ -121,9 +125,11 @@ class InertialUnit:
         self._time_s += duration_s
         noise = self._error * _NOISE / math.sqrt(duration_s) * self._rng.standard_normal(6)
         self._bias += self._error * _WALK * math.sqrt(duration_s) * self._rng.standard_normal(6)
-        before, self._velocity_m_s = self._velocity_m_s, velocity_m_s
+        before = self._velocity_m_s
+        self._velocity_m_s = velocity_m_s
         east, north = (np.subtract(velocity_m_s, before) / duration_s).tolist()
-        cos, sin = math.cos(heading), math.sin(heading)
+        cos = math.cos(heading)
+        sin = math.sin(heading)
         # It is pushed by the ground as if it fell upwards.
         level = np.array([east * cos + north * sin, north * cos - east * sin, GRAVITY_M_S2])
         true = np.concatenate([[rate.roll, rate.pitch, rate.yaw + turn_rate_rad_s], tilt.matrix().T @ level])
@@ -169,7 +175,8 @@ class Odometer:
         self._rolled_m[wheel] += rolled_m
         # Without the margin, a sum of steps that should be a whole tick would often be a hair less.
         ticks = math.floor(self._rolled_m[wheel] / self._tick_m + 1e-6)
-        new, self._ticks[wheel] = ticks - self._ticks[wheel], ticks
+        new = ticks - self._ticks[wheel]
+        self._ticks[wheel] = ticks
         return new * self._believed_m[wheel]
 
 
@@ -181,7 +188,9 @@ class Sensors:
     """
 
     def __init__(self, drive: DriveTrain, shake: float, error: float = 1.0) -> None:
-        self._drive, self._strength, self._error = drive, shake, error
+        self._drive = drive
+        self._strength = shake
+        self._error = error
 
     def begin(
         self, start: Pose, odometry: np.random.Generator, imu: np.random.Generator, shake: np.random.Generator
@@ -201,13 +210,17 @@ class Sensors:
         self._elapsed_s += duration_s
         if self._elapsed_s < STEP_S - 1e-9:
             return
-        before, after, step_s = self._pose, motion.pose, self._elapsed_s
+        before = self._pose
+        after = motion.pose
+        step_s = self._elapsed_s
         velocity_m_s = (after.x - before.x) / step_s, (after.y - before.y) / step_s
         moved = velocity_m_s, math.remainder(after.heading - before.heading, math.tau) / step_s, step_s
         self.odometer.step(self._rolled_m, step_s)
         self.shake.step(*moved)
         self._readings.append(self._unit.step(before.heading, *moved, self.shake.tilt, self.shake.rate))
-        self._pose, self._rolled_m, self._elapsed_s = after, (0.0, 0.0), 0.0
+        self._pose = after
+        self._rolled_m = (0.0, 0.0)
+        self._elapsed_s = 0.0
 
     def imu(self) -> tuple[ImuReading, ...]:
         """Return the inertial readings since this was last called, oldest first, at most the last `MAX_SAMPLES`."""

@@ -95,7 +95,8 @@ def _height_m(tags: Tags) -> float:
     OpenStreetMap's `height` is that of the ridge, so a stated height of the roof is taken off; where none is stated,
     the walls are taken to be as high as the map says.
     """
-    total, use = metres(tags.get("height")), tags.get("building")
+    total = metres(tags.get("height"))
+    use = tags.get("building")
     if total is not None:
         height_m = total - min(_stated_roof_m(tags) or 0.0, total / 2)
     elif levels := metres(tags.get("building:levels")):
@@ -109,7 +110,8 @@ def _height_m(tags: Tags) -> float:
 
 def _min_height_m(tags: Tags, top_m: float) -> float:
     """Return where a building's walls begin: its `min_height`, else 3 m a level below it; a canopy is a thin slab."""
-    stated, levels = metres(tags.get("min_height")), metres(tags.get("building:min_level"))
+    stated = metres(tags.get("min_height"))
+    levels = metres(tags.get("building:min_level"))
     highest_m = top_m - _SLAB_M
     if stated is not None:
         return min(stated, highest_m)

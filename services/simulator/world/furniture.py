@@ -122,5 +122,6 @@ class Furniture:
                 (part.up, self.height_m),
             )
         )
-        x, y = self.depth_m / 2, self.width_m / 2
+        x = self.depth_m / 2
+        y = self.width_m / 2
         return (x_min - x, y_min - y, x_max - x, y_max - y), low, high

@@ -69,7 +69,8 @@ def _draw_room(room: Room, ax: Axes) -> None:
         ends = wall.place(LineString([(0.0, left_m), (0.0, right_m)]))
         ax.plot(*ends.xy, color=_FITTING[fitting.kind], linewidth=4, zorder=1.6)
     if room.overhead is not None:
-        x, y = room.overhead.x_m, room.overhead.y_m
+        x = room.overhead.x_m
+        y = room.overhead.y_m
         ax.plot(x, y, "x", color="#444444", markersize=7, label="camera above", zorder=3)
 
 

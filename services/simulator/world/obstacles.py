@@ -74,11 +74,14 @@ class _Way:
     """The way of one episode, and what is solid about it."""
 
     def __init__(self, world: World, start: Pose) -> None:
-        self._radius_m, scale, self._obstacles = world.robot.radius_m, world.scale, obstacles_of(world.place)
+        self._radius_m = world.robot.radius_m
+        scale = world.scale
+        self._obstacles = obstacles_of(world.place)
         self._things = _THINGS[isinstance(world.place, Room)]
         self._line = LineString(plan_route(world, (start.x, start.y)))
         #: Not where episodes begin, and not where the goal counts as found.
-        first_m, last_m = 3 * scale.aside_m, self._line.length - scale.found_m - 2 * self._radius_m
+        first_m = 3 * scale.aside_m
+        last_m = self._line.length - scale.found_m - 2 * self._radius_m
         self.usable = (first_m, max(first_m, last_m))
         around = self._line.buffer(2 * _ASIDE * self._radius_m)
         solids = (one for one in world.place.solids if one.low_m < world.robot.top_m)
@@ -88,7 +91,9 @@ class _Way:
         """Return a thing on a stretch of the way that leaves a passage; nothing where no place was found."""
         for _ in range(_TRIES):
             piece = self._things[int(rng.integers(len(self._things)))]
-            along_m, aside, turned = rng.uniform(near_m, far_m), rng.uniform(-1.0, 1.0), rng.uniform(-0.4, 0.4)
+            along_m = rng.uniform(near_m, far_m)
+            aside = rng.uniform(-1.0, 1.0)
+            turned = rng.uniform(-0.4, 0.4)
             # Its nearest side is where the robot would touch it, or up to half of its width further away.
             there = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
             made = Obstacle(piece, Pose(there.x, there.y, there.heading + turned))

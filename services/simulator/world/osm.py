@@ -160,7 +160,8 @@ class _Found:
         if not places:
             raise WorldError("the file holds no located nodes or ways")
         every = np.concatenate(places)
-        low, high = every.min(axis=0), every.max(axis=0)
+        low = every.min(axis=0)
+        high = every.max(axis=0)
         # The robot cannot go beyond the bounds, so that a road along them could not be driven.
         margin = _BEYOND_M / metres_per_degree(float((low + high)[1]) / 2)
         return np.array([low - margin, high + margin])
@@ -216,7 +217,8 @@ def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> 
     A ring inside another one of the same role is a hole in it, as where roles were forgotten. An `OutlineError` says
     that the lines do not join to closed rings, that rings cross, or that nothing is enclosed.
     """
-    shells, holes = _faces(outer), _faces(inner)
+    shells = _faces(outer)
+    holes = _faces(inner)
     if not shells:
         raise OutlineError(OPEN)
     _, overlapping = STRtree(shells + holes).query(shells + holes, "overlaps")

@@ -11,13 +11,18 @@ from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import beside, obstacles_of
 
 #: Of a person seen from above, metres, and how much room one leaves to a robot ahead, more than both take.
-_RADIUS_M, _ROOM_M = 0.25, 0.5
+_RADIUS_M = 0.25
+_ROOM_M = 0.5
 #: How fast a person walks, in metres a second and in speeds of the robot, whichever is slower.
-_SPEED_M_S, _SPEEDS = 1.2, 2.0
+_SPEED_M_S = 1.2
+_SPEEDS = 2.0
 #: How far a walk leads to either side of the way, and at most along it, in radii of the robot.
-_ASIDE, _ALONG = (2.5, 7.5), 10.0
+_ASIDE = (2.5, 7.5)
+_ALONG = 10.0
 #: For how long one walks, and then stands, and waits for a robot before turning back, seconds.
-_WALKS_S, _STANDS_S, _WAITS_S = (2.0, 8.0), (0.0, 3.0), 2.0
+_WALKS_S = (2.0, 8.0)
+_STANDS_S = (0.0, 3.0)
+_WAITS_S = 2.0
 _TRIES: Final = 400
 
 
@@ -25,10 +30,13 @@ class Person:
     """Somebody who walks between two places, who starts anywhere between them."""
 
     def __init__(self, ends: LineString, speed_m_s: float, rng: np.random.Generator) -> None:
-        self._ends, self._speed_m_s, self._rng = ends, speed_m_s, rng
+        self._ends = ends
+        self._speed_m_s = speed_m_s
+        self._rng = rng
         (x, y), (to_x, to_y) = ends.coords
         self._heading = math.atan2(to_y - y, to_x - x)
-        self._at_m, self._onwards = float(rng.uniform(0.0, ends.length)), 1.0
+        self._at_m = float(rng.uniform(0.0, ends.length))
+        self._onwards = 1.0
         self._walks_s = self._stands_s = self._waited_s = 0.0
 
     @property
@@ -45,7 +53,8 @@ class Person:
     def step(self, duration_s: float, robot: Pose, radius_m: float) -> None:
         """Let time pass: walk, or stand a while, or wait for a robot ahead, and turn back where it does not leave."""
         here = self.pose
-        x, y = robot.x - here.x, robot.y - here.y
+        x = robot.x - here.x
+        y = robot.y - here.y
         ahead = x * math.cos(here.heading) + y * math.sin(here.heading) > 0.0
         self._walks_s -= duration_s
         if ahead and math.hypot(x, y) < radius_m + _RADIUS_M + _ROOM_M:
@@ -53,15 +62,18 @@ class Person:
         elif self._walks_s > 0.0:
             self._at_m += self._onwards * self._speed_m_s * duration_s
         elif self._walks_s < -self._stands_s:
-            self._walks_s, self._stands_s = self._rng.uniform(*_WALKS_S), self._rng.uniform(*_STANDS_S)
+            self._walks_s = self._rng.uniform(*_WALKS_S)
+        self._stands_s = self._rng.uniform(*_STANDS_S)
         if self._waited_s > _WAITS_S or not 0.0 <= self._at_m <= self._ends.length:
-            self._onwards, self._waited_s = -self._onwards, 0.0
+            self._onwards = -self._onwards
+            self._waited_s = 0.0
             self._at_m = min(max(self._at_m, 0.0), self._ends.length)
 
 
 def walk_about(world: World, way: LineString, rng: np.random.Generator, count: int) -> tuple[Person, ...]:
     """Return so many people, who walk about a way; WorldError where there is no room for as many."""
-    radius_m, found = world.robot.radius_m, list[Person]()
+    radius_m = world.robot.radius_m
+    found = list[Person]()
     speed_m_s = min(_SPEED_M_S, _SPEEDS * world.robot.drive.speed_m_s)
     for _ in range(_TRIES * count):
         along = rng.uniform(0.15, 1.0) * way.length + rng.uniform(-0.5, 0.5, 2) * _ALONG * radius_m

@@ -36,12 +36,14 @@ class Pose:
 
     def at(self, ahead_m: float, left_m: float = 0.0) -> tuple[float, float]:
         """Return the point, metres east and north, that is so far ahead of it, and to its left."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        cos = math.cos(self.heading)
+        sin = math.sin(self.heading)
         return self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
 
     def place(self, shape: Shape) -> Shape:
         """Return a shape about the origin, x ahead, where it is when it stands here."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        cos = math.cos(self.heading)
+        sin = math.sin(self.heading)
         return affine_transform(shape, [cos, -sin, sin, cos, self.x, self.y])
 
 

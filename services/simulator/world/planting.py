@@ -52,7 +52,8 @@ def planted(
     taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
     tree = STRtree(taken)
     woods = [one.shape for one in plantings if isinstance(one.shape, Polygon)]
-    total_m2, boxes_m2 = sum(wood.area for wood in woods), sum(wood.envelope.area for wood in woods)
+    total_m2 = sum(wood.area for wood in woods)
+    boxes_m2 = sum(wood.envelope.area for wood in woods)
     spacing_m = max(_SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED))
     in_rows: list[Tree] = []
     scattered: list[Tree] = []
@@ -72,7 +73,8 @@ def planted(
 
 def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
     x_min, y_min, x_max, y_max = polygon.bounds
-    across, up = np.arange(x_min, x_max, spacing_m), np.arange(y_min, y_max, spacing_m)
+    across = np.arange(x_min, x_max, spacing_m)
+    up = np.arange(y_min, y_max, spacing_m)
     grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
     points = grid + rng.uniform(0.1, 0.9, grid.shape) * spacing_m
     shapely.prepare(polygon)

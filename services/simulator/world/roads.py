@@ -36,7 +36,8 @@ _SHORTEST_M: Final = 0.3
 
 def road(line: LineString, tags: Tags) -> Road:
     """Return the road of a line with a known `highway`: as wide as stated, else as its lanes or its class suggest."""
-    highway, lanes = tags["highway"], 0
+    highway = tags["highway"]
+    lanes = 0
     if re.fullmatch("[0-9]{1,3}", tags.get("lanes", "")):
         lanes = min(int(tags["lanes"]), _MOST_LANES)
     width_m = metres(tags.get("width")) or metres(tags.get("est_width"))
@@ -105,7 +106,8 @@ def open_barriers(
     barriers: Iterable[Barrier], roads: Sequence[Road], gates: Sequence[shapely.Point]
 ) -> Iterator[Barrier]:
     """Yield the barriers, with gaps where roads cross them and at gates."""
-    tree, gate_tree = STRtree([road.line for road in roads]), STRtree(list(gates))
+    tree = STRtree([road.line for road in roads])
+    gate_tree = STRtree(list(gates))
     for barrier in barriers:
         gaps = [gates[hit].buffer(_GATE_M) for hit in gate_tree.query(barrier.line, "dwithin", 0.1)]
         crossed = [roads[hit] for hit in tree.query(barrier.line, "intersects")]

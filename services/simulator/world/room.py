@@ -66,7 +66,8 @@ class Fitting:
 
     def face(self, ahead_m: float = 0.0) -> tuple[Box, float, float]:
         """Return what it fills before its wall, from the left end of that, to so far off it; lower and upper height."""
-        left_m, right_m = self.along_m - self.width_m / 2, self.along_m + self.width_m / 2
+        left_m = self.along_m - self.width_m / 2
+        right_m = self.along_m + self.width_m / 2
         return (0.0, left_m, ahead_m, right_m), self.foot_m, self.foot_m + self.height_m
 
 
@@ -133,7 +134,8 @@ class Room:
 
     def wall(self, wall: Wall) -> tuple[Pose, float]:
         """Return a wall's left end, seen from inside, with the direction into the room, and the wall's length."""
-        x, y = self.east_west_m, self.north_south_m
+        x = self.east_west_m
+        y = self.north_south_m
         return {
             "south": (Pose(x, 0.0, math.pi / 2), x),
             "north": (Pose(0.0, y, -math.pi / 2), x),

@@ -141,7 +141,8 @@ class LaneGraph:
         # Who already stands tight, as a robot gone astray may, is only asked not to touch anything.
         tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= scale.clearance_m
         clear = self._obstacles.are_clear(legs, self._radius_m if tight else scale.clearance_m)
-        free, legs = near[clear], legs[clear]
+        free = near[clear]
+        legs = legs[clear]
         # The end may be a victim beside a wall, or a robot gone astray.
         share = np.minimum(1.0, scale.leg_end_m / np.maximum(distance[free], scale.leg_end_m))[:, None]
         legs[:, 0] += share * (legs[:, 1] - legs[:, 0])
@@ -164,7 +165,8 @@ class RoutesTo:
         costs = np.concatenate([extended.data, leg_costs])
         network = coo_array((costs, (rows, columns)), shape=(size + 1, size + 1)).tocsr()
         cost, before = dijkstra(network, indices=np.array(size), return_predecessors=True)
-        self.cost, self._towards_goal = cost[:size], before[:size]
+        self.cost = cost[:size]
+        self._towards_goal = before[:size]
 
     def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
         """Return the corners (k, 2) of the way from `start` to the goal, or None where there is none."""
@@ -210,7 +212,8 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
 def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
     """Return a place beside a way, to the left, with the way's direction; before its end, of which there is none."""
     along_m = min(max(along_m, 0.0), way.length - 0.1)
-    here, there = way.interpolate(along_m), way.interpolate(along_m + 0.1)
+    here = way.interpolate(along_m)
+    there = way.interpolate(along_m + 0.1)
     along = Pose(here.x, here.y, math.atan2(there.y - here.y, there.x - here.x))
     return Pose(*along.at(0.0, aside_m), along.heading)
 

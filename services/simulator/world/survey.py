@@ -124,7 +124,8 @@ class _Survey:
 
     def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
-        parts, tags = polygons(area.intersection(self._frame)), element.tags
+        parts = polygons(area.intersection(self._frame))
+        tags = element.tags
         if not parts:
             self.left_out[f"{kind}: {_OUTSIDE}"] += 1
             return False

@@ -109,10 +109,14 @@ def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[n
 
 def moved_victim(world: World, rng: np.random.Generator) -> Pose:
     """Draw where a victim lies that has moved up to `Scale.moved_m`: free, in sight of its place; else a WorldError."""
-    there, obstacles, scale = world.victim, obstacles_of(world.place), world.scale
+    there = world.victim
+    obstacles = obstacles_of(world.place)
+    scale = world.scale
     for _ in range(_TRIES):
-        away_m, towards = scale.moved_m * math.sqrt(rng.uniform()), rng.uniform(0.0, math.tau)
-        x, y = there.x + away_m * math.cos(towards), there.y + away_m * math.sin(towards)
+        away_m = scale.moved_m * math.sqrt(rng.uniform())
+        towards = rng.uniform(0.0, math.tau)
+        x = there.x + away_m * math.cos(towards)
+        y = there.y + away_m * math.sin(towards)
         sight = np.array([[(there.x, there.y), (x, y)]])
         if obstacles.is_free(x, y, scale.clearance_m) and obstacles.in_sight(sight)[0]:
             return Pose(x, y, there.heading)
@@ -144,7 +148,8 @@ def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     along = rng.uniform(0.0, max(route.length - world.scale.last_m, 0.0))
     aside, turned = rng.uniform(-1.0, 1.0, 2) * (world.scale.aside_m, _ASIDE_RAD)
-    here, there = beside(route, along), beside(route, along, aside)
+    here = beside(route, along)
+    there = beside(route, along, aside)
     pose = Pose(there.x, there.y, math.remainder(there.heading + turned, math.tau))
     return pose if _reaches(world, pose, np.array([here.x, here.y])) else None
 

@@ -42,7 +42,8 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
         )
         place = replace(place, fittings=tuple(fittings))
     if clutter_seed:
-        kept_free, rng = _kept_free(world), np.random.default_rng(clutter_seed)
+        kept_free = _kept_free(world)
+        rng = np.random.default_rng(clutter_seed)
         if isinstance(place, Terrain):
             place = replace(place, trees=_replanted(place, kept_free, rng))
         elif isinstance(place, Room):
@@ -92,7 +93,9 @@ def _pushed_about(room: Room, kept_free: BaseGeometry, rng: np.random.Generator)
             continue
         others = shapely.union_all([other.footprint for other in found if other is not piece] + [kept_free])
         for x, y, turn in shifts.tolist():
-            x_m, y_m, facing_deg = piece.x_m + x, piece.y_m + y, math.remainder(piece.facing_deg + turn, 360.0)
+            x_m = piece.x_m + x
+            y_m = piece.y_m + y
+            facing_deg = math.remainder(piece.facing_deg + turn, 360.0)
             if not floor.contains(shapely.Point(x_m, y_m)):
                 continue
             moved = replace(piece, x_m=x_m, y_m=y_m, facing_deg=facing_deg)

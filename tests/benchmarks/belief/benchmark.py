@@ -47,7 +47,9 @@ from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 
 _FEATURES: Final = FeatureSettings()
 #: Frames of a piece, at ten a second; those within which a belief is to be right, and for how long it is to stay so.
-PIECE, SOON, STAYS = 80, 30, 10
+PIECE = 80
+SOON = 30
+STAYS = 10
 _AWAY_EVERY: Final = 4  # A run in so many ends in another world.
 ERROR: Final = 0.05
 
@@ -148,7 +150,8 @@ class Judge:
         best = belief.summary(1)
         there = mapped.keyframes[best.keyframes[0]]
         # All particles in the axes of the drive, which the wheels drew; the truth by the taught frame's true pose.
-        poses, said = placed(belief.offsets, mapped.key_poses[belief.keyframes]), best.offsets[0]
+        poses = placed(belief.offsets, mapped.key_poses[belief.keyframes])
+        said = best.offsets[0]
         centre = placed(said, mapped.poses[there])
         near = float(belief.weights[self._within(poses, centre)].sum()) * (1.0 - belief.lost)
         goal_m = PLANNER_CONFIG.goal_s * mapped.speed
@@ -172,7 +175,8 @@ def run(judge: Judge, variant: Variant, drives: list[Asked], away: Asked, number
     model = judge.model
     with variant.in_place():
         robot = Localizer(model, seed=number)
-        found, pose = [], np.zeros(3)
+        found = []
+        pose = np.zeros(3)
         for piece in pieces:
             first = int(rng.integers(max(1, len(piece.poses) - PIECE)))
             for frame in range(first, min(first + PIECE, len(piece.poses))):
@@ -252,7 +256,8 @@ def benchmark(world: str, elsewhere: str, size: tuple[int, int], runs: int, taug
     away = Asked.of(drive(open_simulation(elsewhere, camera), _FEATURES, QUERY_SEED))
     said: dict[str, list[Said]] = {}
     for name, number in tqdm(list(product(VARIANTS, range(runs))), desc="asking", dynamic_ncols=True):
-        judge, variant = judges[number % len(judges)], VARIANTS[name]
+        judge = judges[number % len(judges)]
+        variant = VARIANTS[name]
         mapped = judge.model.mapped
         model = replace(judge.model, mapped=replace(mapped, views=variant.views(mapped.views)))
         said.setdefault(name, []).append(run(replace(judge, model=model), variant, asked, away, number))

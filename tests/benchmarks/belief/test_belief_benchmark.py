@@ -16,7 +16,8 @@ NUMBERS = {"as it is": (1, 4, 5), "without scouts": (1, 5), "lost only far from 
 @pytest.fixture(scope="module")
 def asked() -> tuple[belief.Judge, belief.Asked, belief.Asked]:
     """Who judges, a drive along the taught way, and one in another world."""
-    model, rng = map_of(METRES, 128), np.random.default_rng(3)
+    model = map_of(METRES, 128)
+    rng = np.random.default_rng(3)
     mapped = model.mapped
     poses = np.column_stack([np.arange(0.0, METRES, FRAME_M), *np.zeros((2, round(METRES / FRAME_M)))])
     atoms = np.ones(len(poses), np.int8)

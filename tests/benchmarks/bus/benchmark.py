@@ -40,9 +40,12 @@ from tests.schemas.messages import EXAMPLES
 from tests.services.secured import ROBOT, make_keys
 
 #: How much longer than plain Zenoh a message may take.
-FRAME_LIMIT, SMALL_LIMIT = 1.3, 3.0
+FRAME_LIMIT = 1.3
+SMALL_LIMIT = 3.0
 #: What certificates may cost: a frame times as long, a command milliseconds more; and a flood, milliseconds.
-SECURE_FRAME_LIMIT, SECURE_COMMAND_MS, FLOOD_MS = 1.5, 0.3, 20.0
+SECURE_FRAME_LIMIT = 1.5
+SECURE_COMMAND_MS = 0.3
+FLOOD_MS = 20.0
 COMMAND_PERIOD_S: Final = 0.02  # Of the robot's loop.
 _SIZE: Final = (768, 1024, 3)
 _PATIENCE_S: Final = 5.0  # A message of a busy machine takes less; what takes longer is lost.
@@ -79,13 +82,15 @@ class Link:
     """A router with both ends."""
 
     def __init__(self, endpoint: str, keys: Path | None, receiver: Child, stack: ExitStack) -> None:
-        self.endpoint, self._receiver = endpoint, receiver
+        self.endpoint = endpoint
+        self._receiver = receiver
         settings = ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)
         self._buses = {topic: stack.enter_context(closing(settings.open_bus(givers(topic)[0]))) for topic in TOPICS}
 
     def times_us(self, topic: Topic, plan: Plan, *, plain: bool = False) -> NDArray[np.float64]:
         """Send a message some times, after one that is not counted; return how long each took to arrive."""
-        bus, message = self._buses[topic], message_of(topic)
+        bus = self._buses[topic]
+        message = message_of(topic)
         payload = encode(message)
         publisher = bus.declare_publisher(replace(plain_beside(topic), recorded=False)) if plain else None
         times = []
@@ -130,7 +135,8 @@ def benchmark_secure(plan: Plan) -> dict[str, Any]:
     with TemporaryDirectory() as folder, linked() as openly, linked(make_keys(Path(folder))) as secured:
         ways = {"open": (openly, False), "secure": (secured, False)}
         rows = _compare(ways, (topics.JPEG, COMMAND), plan)
-    frame, (openly_us, secure_us) = rows[1], (one["median_us"] for one in rows[2:])
+    frame = rows[1]
+    (openly_us, secure_us) = (one["median_us"] for one in rows[2:])
     judged = [
         verdict("frame with certificates", frame["ratio"], SECURE_FRAME_LIMIT, " times as long"),
         verdict("command with certificates", (secure_us - openly_us) / 1e3, SECURE_COMMAND_MS, " ms more"),

@@ -57,7 +57,9 @@ def receive(endpoint: str, keys: Path | None, topics: Sequence[Topic], arrivals:
 def flood(endpoint: str, keys: Path, key: str, owner: Connection) -> None:
     """Publish with a watcher's certificate what it may not, until the owner is gone; tell the rate once a second."""
     session = open_session(endpoint, credentials_in(keys, "watcher"))
-    sent, began_s, told_s = 0, time.monotonic(), time.monotonic()
+    sent = 0
+    began_s = time.monotonic()
+    told_s = time.monotonic()
     while not owner.poll():
         session.put(
             key, bytes(_SIZE), priority=zenoh.Priority.REAL_TIME, express=True,

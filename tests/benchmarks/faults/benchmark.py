@@ -66,11 +66,14 @@ def _stops(name: str, model: Path, folder: Path) -> list[Stop]:
 
 def _run(cells: Sequence[Cell], model: Path, folder: Path) -> Iterator[Outcome]:
     """Run cells one after the other on a stack; one that does not drive any more is replaced by a new one, once."""
-    waiting, stacks, retried = list(cells), 0, ""
+    waiting = list(cells)
+    stacks = 0
+    retried = ""
     with tqdm(total=len(waiting), desc="faults", unit="cell", dynamic_ncols=True) as bar:
         while waiting:
             stacks += 1
-            routers, instances = kind = waiting[0].routers, waiting[0].instances
+            kind = (waiting[0].routers, waiting[0].instances)
+        routers, instances = kind
             plan = RigPlan(model, folder / f"stack{stacks}", routers=routers, robots=instances, instances=instances)
             with rig_for(plan) as rig:
                 while waiting and (waiting[0].routers, waiting[0].instances) == kind:

@@ -29,7 +29,8 @@ _ROOM: Final = 100_000  # What is left on the full disk, bytes: less than a seco
 #: How long an operator looks on, and how long after the last sign of life there is nobody, seconds.
 _LOOKS_ON_S: Final = 1.0
 #: From the death of a service to the next frame that the loop answers, and from the return of one that was away.
-_RESTARTED_S, _RECOVERED_S = 15.0, 1.0
+_RESTARTED_S = 15.0
+_RECOVERED_S = 1.0
 _OUT_S: Final = 3.0  # How long one lane is out, where the process must not end.
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
@@ -161,7 +162,8 @@ def lose_lane(rig: Rig, harm: Harm, lane: Lane, seconds: float = _OUT_S) -> Wind
 
 def lose_lane_for_good(rig: Rig, harm: Harm, lane: Lane) -> Window:
     """Harm one lane of the robot until its process has ended."""
-    way, pid = rig.links["robot"], rig.pid("robot")
+    way = rig.links["robot"]
+    pid = rig.pid("robot")
     rig.until(rig.moves, _MOVES_S)
     with _timed() as times:
         way.harm(harm, lane)
@@ -218,7 +220,8 @@ def restart_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Wi
 def lose_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Window:
     """Kill or freeze the one of two routers at which all are; then all are at the other, which is the next to go."""
     gone = rig.lost % 2
-    pid, at = rig.stack.pid(("router", "router-2")[gone]), addresses(rig.bus.endpoint)[gone]
+    pid = rig.stack.pid(("router", "router-2")[gone])
+    at = addresses(rig.bus.endpoint)[gone]
     rig.lost += 1
     if number == signal.SIGSTOP:
         return _frozen(rig, pid, seconds)

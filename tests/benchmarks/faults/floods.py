@@ -186,7 +186,8 @@ def flood_all(endpoint: str, keys: Path | None, role: str, told: Connection) -> 
     told.send("ready")
     with suppress(EOFError, OSError):
         while flood := told.recv():
-            sent, began_s = 0, time.monotonic()
+            sent = 0
+            began_s = time.monotonic()
             while not told.poll():
                 if not session.info.routers_zid():  # disconnected
                     with suppress(zenoh.ZError):

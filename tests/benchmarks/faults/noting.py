@@ -52,7 +52,8 @@ class NotingGate(CommandGate):
         self._stands_since_s = min(self._stands_since_s, time.monotonic())
         if told.source == "emergency_stop" and self._latched is not None:
             self._note(self._latched, "stood_s", self._stands_since_s)
-            self._latched, self._stood_s = None, now_s
+            self._latched = None
+            self._stood_s = now_s
         elif self._stood_s is not None and now_s - self._stood_s > _STANDS_S:
             self._stood_s = None
             self.arm(self.emergency_stop, "")

@@ -85,7 +85,8 @@ class _Passing:
     """One connection: its ends, which lanes it may be, and in which directions it carries nothing."""
 
     def __init__(self, to_client: asyncio.StreamWriter, to_router: asyncio.StreamWriter) -> None:
-        self.to_client, self.to_router = to_client, to_router
+        self.to_client = to_client
+        self.to_router = to_router
         self.lanes = set[str](LANES)
         self.swallows: set[asyncio.StreamWriter] = set()
 

@@ -52,7 +52,8 @@ def read_recordings(folder: Path) -> dict[str, Recorded]:
                         continue
                     # Only images are not JSON.
                     told = json.loads(message.data) if channel.message_encoding == "json" else {}
-                    episode, place = channel.metadata["episode"], place_of(topic.name, message.sequence, told)
+                    episode = channel.metadata["episode"]
+                    place = place_of(topic.name, message.sequence, told)
                     found[episode].duplicates += (episode, place) in own
                     found[episode].ended |= told.get("event") == "ended"
                     own.add((episode, place))

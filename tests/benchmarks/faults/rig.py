@@ -98,7 +98,8 @@ class RigPlan:
             every[f"console-{number}"] = flags(console="127.0.0.1:0", root=self.folder.resolve())
         module = {"moving base": "robot", "noting": "noting"}.get(self.robot)
         modules = {"robot": f"tests.benchmarks.faults.{module}"} if module else {}
-        scale, logs = dict.fromkeys(GROUPED, self.instances), self.folder / "logs"
+        scale = dict.fromkeys(GROUPED, self.instances)
+        logs = self.folder / "logs"
         return StackPlan(
             stack_services(), ROBOT, endpoint, every, self.secure, logs, self.robots, scale, modules=modules
         )
@@ -108,7 +109,9 @@ class Rig:
     """A driving stack, and one robot of it; made by ``rig_for``."""
 
     def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, Link], arrived: list[Entry]) -> None:
-        self.plan, self.stack, self.bus = plan, stack, bus
+        self.plan = plan
+        self.stack = stack
+        self.bus = bus
         self.links = links  # The link of each linked service.
         self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
         self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
@@ -150,7 +153,8 @@ class Rig:
         if self.supervised and time.monotonic() >= self._watch_s:
             self._watch_s = time.monotonic() + WATCH_S
             if "robot" in self.stack.restart_dead():
-                self._episode, self._armed = None, False
+                self._episode = None
+                self._armed = False
         if self.driven and self._episode is None and time.monotonic() >= self._begin_s:
             self._begin_s = time.monotonic() + WATCH_S
             self.begin(timeout_s=30.0)
@@ -160,7 +164,9 @@ class Rig:
     def forget(self) -> None:
         """Begin a new account; an episode that has ended meanwhile is noticed all the same."""
         self._look()
-        self.entries, self.notes, self.since_s = [], [], time.monotonic()
+        self.entries = []
+        self.notes = []
+        self.since_s = time.monotonic()
         self.outcomes.clear()
         for other in self.others:
             other.forget()
@@ -275,7 +281,8 @@ class Rig:
 @contextmanager
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
     """Set everything up, and leave no process behind."""
-    endpoint, arrived = ",".join(free_endpoint() for _ in range(plan.routers)), list[Entry]()
+    endpoint = ",".join(free_endpoint() for _ in range(plan.routers))
+    arrived = list[Entry]()
     if plan.secure is not None:
         endpoint = endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     plan.folder.mkdir(parents=True, exist_ok=True)
@@ -296,7 +303,8 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
             own = stacked.enter_context(closing(bus.of_robot(robot)))
             other = Rig(plan, stack, own, {}, ended)
             note(own, EPISODE, ended)
-            other.driven, other.supervised = True, False
+            other.driven = True
+            other.supervised = False
             rig.others.append(other)
         yield rig
 

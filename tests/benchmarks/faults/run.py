@@ -87,12 +87,15 @@ def _run(cell: Cell, rig: Rig) -> Outcome:
         outcome.outcomes = dict(sum((one.outcomes for one in (rig, *rig.others)), Counter()))
     harmed = {one.episode for one in rig.entries}
     rig.finish_episode()
-    steps, entries, outcome.notes = rig.steps(), rig.entries, rig.notes
+    steps = rig.steps()
+    entries = rig.entries
+    outcome.notes = rig.notes
     _judge(cell, outcome, entries, steps, over_s)
     if cell.next_episode:
         rig.start_moving()
         rig.finish_episode()
-        entries, outcome.notes = entries + rig.entries, outcome.notes + rig.notes
+        entries = entries + rig.entries
+        outcome.notes = outcome.notes + rig.notes
     _compare(outcome, entries, read_recordings(rig.plan.recordings), harmed if cell.next_episode else set())
     outcome.not_met = verdict(cell, outcome)
     return outcome
@@ -100,8 +103,11 @@ def _run(cell: Cell, rig: Rig) -> Outcome:
 
 def _judge(cell: Cell, outcome: Outcome, entries: list[Entry], steps: list[Any], over_s: float) -> None:
     """Judge what the robot did."""
-    fault, asked, frames = outcome.fault, judge.asked(entries), judge.obeyed(entries)
-    outcome.still_s, outcome.stale = judge.still_s(steps, asked), judge.stale_orders(steps, asked)
+    fault = outcome.fault
+    asked = judge.asked(entries)
+    frames = judge.obeyed(entries)
+    outcome.still_s = judge.still_s(steps, asked)
+    outcome.stale = judge.stale_orders(steps, asked)
     if cell.stands:
         outcome.stood_s, outcome.moved_again_s = judge.stood_s(steps, fault)
     elif cell.abandoned:

@@ -39,7 +39,8 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
         return [step.speed_m_s for step in read_steps(log, 0.0)]
 
     with rolling("yard", log) as address:
-        base, rng = FarBase(address), np.random.default_rng(1)
+        base = FarBase(address)
+        rng = np.random.default_rng(1)
         start = load_world("yard").start
         base.put(start, rng)
         base.order(Velocity(0.5, 0.0))

@@ -120,11 +120,13 @@ class Wheels:
     def take(self, message: dict[str, Any], at_s: float) -> dict[str, Any] | None:
         """Carry out an order, or answer a question."""
         if "order" in message:
-            self._order, self._ordered_s = Velocity(*message["order"]), at_s
+            self._order = Velocity(*message["order"])
+            self._ordered_s = at_s
             return None
         if "put" in message:
             self._base.put(Pose(*message["put"]), np.random.default_rng(message["seed"]))
-            self._order, self._stands_anywhere = STANDING, False
+            self._order = STANDING
+            self._stands_anywhere = False
             self._motions.clear()
         told = [[m.pose.x, m.pose.y, m.pose.heading, *m.rolled_m, m.collided] for m in self._motions]
         self._motions.clear()

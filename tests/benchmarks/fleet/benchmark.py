@@ -51,10 +51,12 @@ def _measured(robots: int, model: Path, folder: Path, hz: float | None) -> Recor
            **dict.fromkeys(("recognition", "policy"), flags(root=model.parent))}  # fmt: skip
     plan = StackPlan(("router", "robot", *_SHARED), "fleet", free_endpoint(), own, logs=folder, robots=robots)
     with Stack(plan) as stack, ThreadPoolExecutor(robots) as pool:
-        before, began_s = _used(stack), time.monotonic()
+        before = _used(stack)
+        began_s = time.monotonic()
 
         def run(robot: str) -> dict[str, Any]:
-            out, seed = folder / f"{robot}.json", plan.fleet.index(robot) + 1
+            out = folder / f"{robot}.json"
+            seed = plan.fleet.index(robot) + 1
             command = ["run", "--model", model, "--world", WORLD, "--episodes", 1, "--seed", seed, "--json", out,
                        "--connect", plan.endpoint, "--robot", robot, *(["--realtime"] if hz else [])]  # fmt: skip
             done = run_smal(*command)
@@ -64,7 +66,8 @@ def _measured(robots: int, model: Path, folder: Path, hz: float | None) -> Recor
             return found
 
         runs = list(pool.map(run, plan.fleet))
-        seconds, after = time.monotonic() - began_s, _used(stack)
+        seconds = time.monotonic() - began_s
+        after = _used(stack)
     frames = sum(one["episodes"][0]["ticks"] for one in runs)
     latencies = [one["decision_latency_ms"] for one in runs]
     return {

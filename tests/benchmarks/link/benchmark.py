@@ -120,13 +120,15 @@ def run(row: Row, model: Path, folder: Path) -> Record:
             for at, where in enumerate(air.machines)
         )
         out = folder / "run.json"
-        before, began_s = air.counts(), time.monotonic()
+        before = air.counts()
+        began_s = time.monotonic()
         other.pipe.send(["run", "--model", model, "--world", WORLD, "--episodes", 1, "--seed", 1, "--json", out,
                          "--connect", _ROUTERS[1], "--robot", ROBOT, "--realtime"])  # fmt: skip
         fault = _cut(air, robot, other) if row.cut else None
         if said := other.pipe.recv():
             raise JobError(f"{row.name}: {said}; see {folder}")
-        seconds, after = time.monotonic() - began_s, air.counts()
+        seconds = time.monotonic() - began_s
+        after = air.counts()
         entries = _arrived(robot)
     episode = json.loads(out.read_text())["episodes"][0]
     frames = obeyed(entries)
@@ -191,7 +193,8 @@ def own(folder: Path) -> list[Record]:
 
 def held_once(pids: Iterable[int]) -> int:
     """Return the bytes that processes hold: what they share, pages of files as these are, once."""
-    own, files = 0, dict[str, int]()
+    own = 0
+    files = dict[str, int]()
     for pid in pids:
         for mapping in re.split(r"\n(?=[0-9a-f]+-)", Path(f"/proc/{pid}/smaps").read_text()):
             held, changed = (1024 * int(re.findall(rf"^{name}: +(\d+)", mapping, re.M)[0]) for name in _HELD)

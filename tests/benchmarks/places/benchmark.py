@@ -18,12 +18,14 @@ from tests.benchmarks.recognition.benchmark import seconds_of
 from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 
 #: Cosine of a scene with the next one, and entries of what lies behind features.
-_SCENE, _LATENT = 0.97, 64
+_SCENE = 0.97
+_LATENT = 64
 _NOISE: Final = (1.0, 2.0)  # Length of noise beside that of what is shown, in references and queries.
 _BLOCK = 500
 
 
-FRAMES, QUICK = (2_500, 10_000), (500, 1_000)
+FRAMES = (2_500, 10_000)
+QUICK = (500, 1_000)
 
 
 def scenes(rng: np.random.Generator, count: int, size: int) -> NDArray[np.float32]:
@@ -47,7 +49,8 @@ def seen(rng: np.random.Generator, shown: NDArray[np.float32], noise: float, siz
 
 def over_product(frames: int) -> Record:
     """Match two traverses of so many frames; say how long that takes, and one product of their features."""
-    rng, method = np.random.default_rng(frames), METHODS["smal"]
+    rng = np.random.default_rng(frames)
+    method = METHODS["smal"]
     shown = scenes(rng, frames, _LATENT)
     places = (
         np.cumsum(np.repeat(rng.choice([0.75, 1.0, 1.25, 1.5], frames // 50 + 1), 50))[:frames].astype(int) % frames

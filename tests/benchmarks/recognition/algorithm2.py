@@ -44,8 +44,10 @@ def algorithm2(
     floor : float
         Smallest norm that is divided by.
     """
-    X, Y = np.asarray(templates, dtype=np.float64), np.asarray(query, dtype=np.float64)
-    gram, correlations = X.T @ X, X.T @ Y
+    X = np.asarray(templates, dtype=np.float64)
+    Y = np.asarray(query, dtype=np.float64)
+    gram = X.T @ X
+    correlations = X.T @ Y
     # The paper does not say where to start; from W = 0 every weight would stay at the floor.
     W = np.asarray(np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(len(gram)), correlations), dtype=np.float64)
     objectives: list[float] = []

@@ -26,7 +26,9 @@ from tests.benchmarks.reporting import Parser, Record, say, table
 
 TOLERANCE: Final = 1e-4
 #: Cosine of successive frames of the video, of its scene alone, and of a query frame with its own frame.
-SUCCESSIVE, SCENE, QUERY = 0.9, 0.97, 0.8
+SUCCESSIVE = 0.9
+SCENE = 0.97
+QUERY = 0.8
 _REPETITIONS: Final = 5
 _MAX_ITERATIONS: Final = 500
 Answer = TypeVar("Answer")

@@ -48,7 +48,8 @@ def objective_figure(found: Mapping[str, dict[str, Any]]) -> Figure:
     panels = drawn.subplots(2, len(found), squeeze=False, sharex="col")
     for column, (world, one) in enumerate(found.items()):
         upper, lower = panels[:, column]
-        theirs, bound = np.array(one["algorithm2"]), one["lower_bound"]
+        theirs = np.array(one["algorithm2"])
+        bound = one["lower_bound"]
         ours = [point for point in one["ours"] if point["iterations"] > 0]
         steps, values, gaps = ([point[name] for point in ours] for name in ("iterations", "objective", "duality_gap"))
         after = np.arange(1, theirs.size + 1)

@@ -31,9 +31,15 @@ from tests.benchmarks.reporting import Parser, say, table, verdict
 from tests.smal.synthetic_world import Room, drive
 
 #: 1.35 keyframes a metre, as in drives through streets; a correlation length is five of them.
-SPACING_M, FRAME_M, LIMIT_MS, MOST_TIMES = 0.75, 0.25, 20.0, 2.0
+SPACING_M = 0.75
+FRAME_M = 0.25
+LIMIT_MS = 20.0
+MOST_TIMES = 2.0
 #: Sides of the way round the room; frames of a long drive, and the seconds in which two cores are to learn it.
-SIDE_M, MANY_FRAMES, LIMIT_S, CORES = 5.0, 5_000, 120.0, 2
+SIDE_M = 5.0
+MANY_FRAMES = 5_000
+LIMIT_S = 120.0
+CORES = 2
 IMAGE: Final = 240, 320
 _FEATURES: Final = FeatureSettings()
 
@@ -41,15 +47,18 @@ _FEATURES: Final = FeatureSettings()
 def map_of(metres: float, components: int) -> Model:
     """Make up a straight way."""
     rng = np.random.default_rng(1)
-    count, turns = round(metres / SPACING_M) + 1, len(SETTINGS.turns_deg)
-    scene, views = rng.standard_normal(components), np.empty((count, 3, turns, components), np.int8)
+    count = round(metres / SPACING_M) + 1
+    turns = len(SETTINGS.turns_deg)
+    scene = rng.standard_normal(components)
+    views = np.empty((count, 3, turns, components), np.int8)
     # Few patterns of noise for many places: a hundred kilometres would take minutes else.
     noise = rng.standard_normal((64, 3, turns, components), dtype=np.float32)
     for place in range(count):
         scene = 0.9 * scene + np.sqrt(1.0 - 0.9**2) * rng.standard_normal(components)
         views[place] = packed(scene.astype(np.float32) + 0.5 * noise[place % len(noise)])
     frames = (count - 1) * round(SPACING_M / FRAME_M) + 1
-    step, turn = FRAME_M, 0.08
+    step = FRAME_M
+    turn = 0.08
     mapped = VisualMap(
         poses=np.column_stack([FRAME_M * np.arange(frames), np.zeros((frames, 2))]),
         drives=np.zeros(frames, np.int32),
@@ -76,8 +85,12 @@ def map_of(metres: float, components: int) -> Model:
 
 def case(metres: float, components: int, frames: int) -> dict[str, Any]:
     """Follow the way from its beginning; return what the JSON file holds of it."""
-    model, rng, times = map_of(metres, components), np.random.default_rng(2), []
-    localizer, planner, lost = Localizer(model), Planner(model.mapped), 0.0
+    model = map_of(metres, components)
+    rng = np.random.default_rng(2)
+    times = []
+    localizer = Localizer(model)
+    planner = Planner(model.mapped)
+    lost = 0.0
     for frame in range(frames):
         view = unpacked(model.mapped.views[round(frame * FRAME_M / SPACING_M), 1, STRAIGHT])
         raw = model.mapped.basis @ view + 0.01 * rng.standard_normal(_FEATURES.size).astype(np.float32)
@@ -93,8 +106,10 @@ def case(metres: float, components: int, frames: int) -> dict[str, Any]:
 
 def learned(frames: int) -> dict[str, Any]:
     """Learn a drive of so many frames; return what the JSON file holds of it."""
-    room, way = Room(), drive((3.5, 3.5, 0.0), [(SIDE_M, 90.0)] * (frames // 30 + 1), speed=0.75)
-    images, atoms = [room.look(pose, *IMAGE) for pose in way.poses[:frames]], way.atoms[:frames]
+    room = Room()
+    way = drive((3.5, 3.5, 0.0), [(SIDE_M, 90.0)] * (frames // 30 + 1), speed=0.75)
+    images = [room.look(pose, *IMAGE) for pose in way.poses[:frames]]
+    atoms = way.atoms[:frames]
     (one,) = demonstrations_of([(images, atoms, way.poses[:frames])], _FEATURES)
     drives = [replace(one, features=one.rows)]  # As recordings have them.
     began_s = time.process_time()
@@ -108,7 +123,8 @@ def learned(frames: int) -> dict[str, Any]:
 def benchmark(metres: Sequence[float], components: int, frames: int, learn_frames: Sequence[int]) -> dict[str, Any]:
     """Learn drives of so many frames, ascending, and follow ways of these lengths."""
     drives = [learned(one) for one in learn_frames]
-    less, more = drives[0], drives[-1]
+    less = drives[0]
+    more = drives[-1]
     growth = (more["cpu_s"] - less["cpu_s"]) / (more["frames"] - less["frames"])
     many_s = (more["cpu_s"] + growth * (MANY_FRAMES - more["frames"])) / CORES
     cases = [case(one, components, frames) for one in metres]

@@ -22,11 +22,14 @@ from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 from tests.benchmarks.senses.lies import CAMERA_LIES, DEPTH_LIES, MOUNT_LIES, WHEEL_LIES, Lie
 from tests.benchmarks.senses.trials import Trial, by_hand, by_itself, teach
 
-PLACES, SEARCHES, QUICK = 50, 20, 2
+PLACES = 50
+SEARCHES = 20
+QUICK = 2
 SEED: Final = 5000
 SETS_OFF_TICKS: Final = 10  # Frames from the beginning to the lies that do not begin with the episode: 1 s.
 #: Frame at which a camera or odometry fails: the robot drives at full speed by then; runs differ by seven frames.
-FAILS_AT_TICKS, APART_TICKS = 40, 7
+FAILS_AT_TICKS = 40
+APART_TICKS = 7
 WATCHED_TICKS: Final = 60  # Frames of a run after that.
 MOST_S: Final = 1.0  # Driving at full speed after which a robot stands whose camera or odometry failed, seconds.
 

@@ -98,7 +98,8 @@ def _backwards(honest: list[OdometryReading], since: int) -> OdometryReading:
     x, y, heading, *_ = honest[since]
     for one, other in zip(honest[since:], honest[since + 1 :], strict=False):
         turn = math.remainder(other.heading_rad - one.heading_rad, math.tau)
-        cos, sin = math.cos(one.heading_rad), math.sin(one.heading_rad)
+        cos = math.cos(one.heading_rad)
+        sin = math.sin(one.heading_rad)
         ahead = (other.x_m - one.x_m) * cos + (other.y_m - one.y_m) * sin
         x -= ahead * math.cos(heading)
         y -= ahead * math.sin(heading)
@@ -150,7 +151,8 @@ MOUNT_LIES: Final[dict[str, Callable[[Mount], Mount]]] = {
 @contextmanager
 def lying(simulation: Simulation, lie: Lie, since: int) -> Iterator[None]:
     """Have the senses of a simulated robot lie from a frame of the episode on."""
-    look, honest = simulation.look, Views()
+    look = simulation.look
+    honest = Views()
 
     def tell(captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False) -> SimulatedView:
         honest.append(look(captured_s, wanted))

@@ -86,7 +86,8 @@ class _Policy:
     turning = False
 
     def __init__(self, robot: Robot, mount: Mount | None) -> None:
-        self._robot, self._mount = robot, mount
+        self._robot = robot
+        self._mount = mount
 
     def asks(self, episode: LockstepEpisode) -> Velocity:
         view = episode.view
@@ -108,7 +109,8 @@ def _trial(
     begin = math.inf if lie is None else since + (_turning_ticks(driver, simulation) if since else 0)
     with lying(simulation, lie or honest, int(min(begin, 10**9))):
         episode = LockstepEpisode(simulation, request)
-        poses, outcome = [simulation.pose], None
+        poses = [simulation.pose]
+        outcome = None
         for _ in range(most):
             asked = driver.asks(episode)
             outcome = driver.said or episode.outcome

@@ -46,7 +46,8 @@ def runs(tmp_path: Path) -> Path:
 
 
 def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal: Smal) -> None:
-    file, report = corridor.save_model(tmp_path / "way.smal"), tmp_path / "report.json"
+    file = corridor.save_model(tmp_path / "way.smal")
+    report = tmp_path / "report.json"
     before = file.read_bytes()
     status, out, err = smal("learn", runs, "--add", "--out", file, "--json", report)
     assert status == 0, err
@@ -78,7 +79,8 @@ def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal
 
 
 def test_model_learns_each_file_once_when_links_lead_to_it(runs: Path, tmp_path: Path, smal: Smal) -> None:
-    file, report = corridor.save_model(tmp_path / "way.smal"), tmp_path / "report.json"
+    file = corridor.save_model(tmp_path / "way.smal")
+    report = tmp_path / "report.json"
     for number, one in enumerate([*runs.iterdir()] * 1000):
         (runs / f"link-{number}.mcap").symlink_to(one)
         (runs / f"name-{number}.mcap").hardlink_to(one)
@@ -89,7 +91,8 @@ def test_model_learns_each_file_once_when_links_lead_to_it(runs: Path, tmp_path:
 
 
 def test_a_model_that_nothing_surprised_stays(tmp_path: Path, smal: Smal) -> None:
-    file, folder = corridor.save_model(tmp_path / "way.smal"), tmp_path / "runs"
+    file = corridor.save_model(tmp_path / "way.smal")
+    folder = tmp_path / "runs"
     folder.mkdir()
     for number in range(2):
         record(folder, list(run(f"run-{number}", 0.0)))

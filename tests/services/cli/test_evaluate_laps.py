@@ -26,7 +26,8 @@ BEGIN_RAD = 0.3
 
 def angles() -> list[tuple[float, float]]:
     """Return where on the circle each frame is, laps counted on, and how far outside."""
-    found, angle_rad = [], BEGIN_RAD
+    found = []
+    angle_rad = BEGIN_RAD
     while (lap := int(angle_rad / math.tau)) < len(LAPS):
         step_rad, outside = LAPS[lap]
         found.append((angle_rad, outside))
@@ -35,10 +36,12 @@ def angles() -> list[tuple[float, float]]:
 
 
 def write_tub(folder: Path) -> None:
-    room, lines = Room(), []
+    room = Room()
+    lines = []
     (folder / "images").mkdir()
     for index, (angle_rad, outside) in enumerate(angles()):
-        radius, name = 2.0 + outside, f"{index}.jpg"
+        radius = 2.0 + outside
+        name = f"{index}.jpg"
         pose = (6.0 + radius * math.sin(angle_rad), 6.0 - radius * math.cos(angle_rad), angle_rad)
         (folder / "images" / name).write_bytes(encode_jpeg(room.look(pose)))
         record = {
@@ -62,7 +65,8 @@ def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: P
     assert len(laps) == len(LAPS) - 1
     _, taught = laps[0]
     for drive, lap in laps:
-        here_rad, shown_rad = true_rad[lap.first : lap.last], true_rad[taught.first + lap.shows]
+        here_rad = true_rad[lap.first : lap.last]
+        shown_rad = true_rad[taught.first + lap.shows]
         off = np.abs(np.remainder(here_rad - shown_rad + math.pi, math.tau) - math.pi) / math.tau
         assert off.max() < 0.02
         assert (lap.last - lap.first) * LAPS[int(here_rad[-1] / math.tau)][0] == pytest.approx(math.tau, rel=0.15)

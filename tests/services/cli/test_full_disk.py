@@ -36,7 +36,8 @@ def limited(most: int, *arguments: object) -> tuple[int, Sequence[str]]:
 def test_model_page_is_absent_when_the_disk_is_full(
     tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model, out = corridor.save_model(tmp_path / "way.smal"), tmp_path / "shown"
+    model = corridor.save_model(tmp_path / "way.smal")
+    out = tmp_path / "shown"
 
     def full(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -55,7 +56,8 @@ def test_certificates_are_absent_when_the_disk_is_full(tmp_path: Path) -> None:
 
 
 def test_model_is_absent_when_the_disk_is_full(tmp_path: Path) -> None:
-    recording, model = record(tmp_path, list(run("way", 0.0))), tmp_path / "way.smal"
+    recording = record(tmp_path, list(run("way", 0.0)))
+    model = tmp_path / "way.smal"
     status, lines = limited(100_000, "learn", recording, "--include-runs", "--out", model)
     assert (status, lines[-1]) == (1, f"smal: {model}: File too large")
     assert list(tmp_path.iterdir()) == [recording]

@@ -18,7 +18,8 @@ KEY = "observation.images.front"
 
 
 def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> None:
-    folder, out = sources.csv_folder(tmp_path / "set"), tmp_path / "drives"
+    folder = sources.csv_folder(tmp_path / "set")
+    out = tmp_path / "drives"
     report = tmp_path / "report.json"
     more = ("--goal", "dock", "--json", report, "--field-of-view", "60")
     status, said, errors = smal("import", "folder", folder, "--out", out, *more)

@@ -88,7 +88,8 @@ def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -
 def test_a_model_with_shared_states_is_learned(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
+    out = tmp_path / "models" / "corridor.smal"
+    report = tmp_path / "report.json"
     learn_paper([drives], out, length=5, json_file=report)
     model = PaperModel.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
@@ -144,7 +145,8 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
 def test_damaged_recordings_are_named_and_the_rest_teaches(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cut, foreign = drives / "drive-2.mcap", drives / "x.mcap"
+    cut = drives / "drive-2.mcap"
+    foreign = drives / "x.mcap"
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     foreign.write_bytes(b"not a recording")
     living = EpisodeWriter.begin(drives, event("living", 0, "started"))
@@ -163,7 +165,8 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
 def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, report = record(tmp_path, drive("drive-0")), tmp_path / "report.json"
+    path = record(tmp_path, drive("drive-0"))
+    report = tmp_path / "report.json"
     learn([path], tmp_path / "mapped.smal", json_file=report)
     visual_map = Model.load(tmp_path / "mapped.smal").mapped
     assert visual_map.odometry

@@ -54,7 +54,8 @@ def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_
 
 def test_a_map_has_no_depth(tmp_path: Path) -> None:
     """It is refused where it is asked for, and left out where it is only recorded."""
-    features, out = FeatureSettings.of(("thumbnail", "depth")), tmp_path / "model.smal"
+    features = FeatureSettings.of(("thumbnail", "depth"))
+    out = tmp_path / "model.smal"
     path = record(tmp_path, drive("drive-0", features=features))
     with pytest.raises(UsageError) as caught:
         learning.learn([path], out, modalities=features)

@@ -23,7 +23,9 @@ LONG = "r" * 31
 RUN = "run --world yard --model"
 DEMONSTRATE = "demonstrate --world yard"
 LEARN = "paper learn --out new"
-IMPORT, EXPORT, LAPS = "import folder --out new", "export folder --out new", "evaluate --out new --laps"
+IMPORT = "import folder --out new"
+EXPORT = "export folder --out new"
+LAPS = "evaluate --out new --laps"
 WORLD = "world import map.osm --out new.json"
 
 #: A model with options of ``run`` and ``up`` that do not fit it.

@@ -111,7 +111,8 @@ def test_a_rotation_that_was_interrupted_is_gone_on_with(
     keys: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch, written: int
 ) -> None:
     """After each file that it writes: what signs is there, and what it has signed is taken."""
-    write, names = certificates._write, []
+    write = certificates._write
+    names = []
 
     def interrupted(path: Path, content: bytes, mode: int = 0o600) -> None:
         if len(names) == written:
@@ -192,7 +193,8 @@ def test_two_authorities_replace_each_other_while_a_driver_goes_on(
 def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
     tls_endpoint: str, keys: Path, tmp_path: Path, smal: Smal
 ) -> None:
-    services, many = ("router", "features"), {"robots": 8, "scale": {"features": 2}}
+    services = ("router", "features")
+    many = {"robots": 8, "scale": {"features": 2}}
     plan = StackPlan(services, ROBOT, tls_endpoint, secure=keys, logs=tmp_path / "logs", **many)
     with Stack(plan) as stack:
         status, out, err = smal("doctor", "--router", tls_endpoint, "--secure", keys)

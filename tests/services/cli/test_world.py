@@ -62,7 +62,8 @@ def test_a_part_of_a_map_about_a_place(imported: Imported) -> None:
 
 @pytest.mark.rendering
 def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path, smal: Smal) -> None:
-    rendered, again = ("world", "render", "yard", "--views", 3, "--camera", "160x120", "--out"), tmp_path / "again"
+    rendered = ("world", "render", "yard", "--views", 3, "--camera", "160x120", "--out")
+    again = tmp_path / "again"
     assert smal(*rendered, tmp_path)[0] == smal(*rendered, again, "--workers", 2)[0] == 0
     world = load_world("yard")
     length = shapely.LineString(plan_route(world, (world.start.x, world.start.y))).length

@@ -93,7 +93,8 @@ class Page:
 
     def let_go(self) -> None:
         """Let go of the key, and wait until that is heard."""
-        self.held, beats = None, self.beats
+        self.held = None
+        beats = self.beats
         eventually(lambda: self.beats > beats + 2)
 
     def vanish(self) -> None:

@@ -25,7 +25,8 @@ from tests.services.console.page import Page
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
-OpenPage, Lost = Callable[[], Page], Callable[[float], float]
+OpenPage = Callable[[], Page]
+Lost = Callable[[float], float]
 #: Where the test is about something else: a busy machine may have the robot stand for a moment, and no longer.
 unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
@@ -128,7 +129,8 @@ def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_the
     eventually(lambda: driving.beats > beats + 5)
     assert not robot.wheels.driven
     assert robot.gate.stop_cause == "operator_lost"
-    driving.late_s, beats = 0.0, driving.beats
+    driving.late_s = 0.0
+    beats = driving.beats
     eventually(lambda: driving.beats > beats + 5)
     assert not robot.wheels.driven, "the key that was held all the time moves nothing"
     driving.let_go()
@@ -141,10 +143,12 @@ def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_the
 @unattended
 def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> None:
     """What a slow link or a console that was frozen delivers afterwards must not have a robot move by itself."""
-    asked_at, episode = driving.beat, driving.state["robot"]["episode"]
+    asked_at = driving.beat
+    episode = driving.state["robot"]["episode"]
     driving.answers = False
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
-    driving.answers, driving.held = True, None
+    driving.answers = True
+    driving.held = None
     beats = driving.beats
     eventually(lambda: driving.beats > beats + 5)
     for what in ({"do": "resume"}, {"do": "drive", "goal": "dock"}):
@@ -162,7 +166,8 @@ def test_an_emergency_stop_overtakes_a_flood(
     """Somebody who drives says thousands of things; the stop of whoever watches waits for none but one of them."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
-    flooding, most = True, 0
+    flooding = True
+    most = 0
 
     def flood() -> None:
         with suppress(ConnectionClosed):
@@ -262,7 +267,8 @@ def test_nothing_begins_for_who_has_left_before_it_could(
     robot: Robot, console: Console, open_page: OpenPage, settings: ServiceSettings, run_node: RunNode, how: str
 ) -> None:
     """A model takes seconds to load; a robot must not set out then with nobody there."""
-    asked, goes_on = threading.Event(), threading.Event()
+    asked = threading.Event()
+    goes_on = threading.Event()
 
     def start(_: RecordRequest) -> None:
         asked.set()
@@ -271,7 +277,8 @@ def test_nothing_begins_for_who_has_left_before_it_could(
     slow = Node("recorder", settings)
     slow.serve("start", RecordRequest, start)
     run_node(slow)
-    page, other = open_page(), open_page()
+    page = open_page()
+    other = open_page()
     page.sit()
     page.insist(asked.is_set, do="drive", goal="dock")
     if how == "leaves":

@@ -67,7 +67,8 @@ def test_a_reader_ends_that_has_worked_for_too_long() -> None:
 
 
 def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library: Library) -> None:
-    path, listed = library.root / "drives" / "drive-1.mcap", ListedRecording("drives/drive-1.mcap", 1.0, 5)
+    path = library.root / "drives" / "drive-1.mcap"
+    listed = ListedRecording("drives/drive-1.mcap", 1.0, 5)
     with closing(Reader()) as reader:
         assert reader.read(path, listed).outcome == "found"
         reader.stop()

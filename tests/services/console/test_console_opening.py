@@ -24,7 +24,9 @@ unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unat
 @pytest.fixture
 def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
     """Have the robot open another world until the test lets it go on."""
-    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
+    asked = threading.Event()
+    goes_on = threading.Event()
+    begin = robot.wheels.begin
 
     def open_world(request: ResetRequest) -> Beginning:
         asked.set()
@@ -42,7 +44,8 @@ def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_anothe
 ) -> None:
     """Its body tells of no steps between which it could end."""
     asked, goes_on = opening
-    page, other = open_page(), open_page()
+    page = open_page()
+    other = open_page()
     page.sit()
     page.insist(asked.is_set, do="drive", goal="dock")
     if how == "leave":
@@ -60,7 +63,8 @@ def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
     robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
 ) -> None:
     asked, goes_on = opening
-    page, other = open_page(), open_page()
+    page = open_page()
+    other = open_page()
     page.sit()
     page.held = "forward"
     page.insist(asked.is_set, do="drive", goal="dock")

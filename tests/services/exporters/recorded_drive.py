@@ -20,19 +20,22 @@ MADE: Final[tuple[Atom, ...]] = (
     *["forward"] * 8, *["left"] * 4, *["forward"] * 4, "stop", *["right"] * 5, *["backward"] * 2,
     *["forward"] * 4, "stop",
 )  # fmt: skip
-SPEED, TURN_RATE = corridor.STEP_M / 0.1, math.radians(4.5) / 0.1
+SPEED = corridor.STEP_M / 0.1
+TURN_RATE = math.radians(4.5) / 0.1
 FOCAL_PX: Final = 44.8
 START_NS: Final = 1_700_000_000_250_000_000
 
 
 def poses(share: float = 1.0) -> list[corridor.Pose]:
     """Return where the robot is at each tick, at a share of full speed."""
-    found, (x, y, heading) = [], (0.0, 0.0, 0.0)
+    found = []
+    (x, y, heading) = (0.0, 0.0, 0.0)
     for atom in MADE:
         found.append((x, y, heading))
         heading += share * 0.1 * TURN_RATE * ((atom == "left") - (atom == "right"))
         ahead = share * 0.1 * SPEED * ((atom == "forward") - (atom == "backward"))
-        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
+        x = x + ahead * math.cos(heading)
+        y = y + ahead * math.sin(heading)
     return found
 
 

@@ -200,7 +200,8 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
         ahead, left = KEYS[MADE[tick]]
         assert command.twist.linear.x == pytest.approx(ahead * SPEED)
         assert command.twist.angular.z == pytest.approx(left * TURN_RATE, abs=1e-4)
-    info, imu = by_topic["/camera/camera_info"][0], by_topic["/imu"][0]
+    info = by_topic["/camera/camera_info"][0]
+    imu = by_topic["/imu"][0]
     assert (info.k[0], info.k[4], info.k[2], info.k[5], info.width, info.height) == (44.8, 44.8, 32.0, 24.0, 64, 48)
     assert (imu.linear_acceleration.z, imu.angular_velocity.z, imu.orientation_covariance[0]) == (9.81, 0.06, -1.0)
     # The camera looks ahead: its z is the robot's x, its x the robot's -y.
@@ -237,7 +238,8 @@ def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
     table = table_of(dataset / info["data_path"].format(chunk_index=0, file_index=0))
     assert set(table.column_names) == set(info["features"]) - {CAMERA}
     for name in table.column_names:
-        kind, shape = info["features"][name]["dtype"], info["features"][name]["shape"]
+        kind = info["features"][name]["dtype"]
+        shape = info["features"][name]["shape"]
         arrow = {"float32": "float", "int64": "int64", "bool": "bool"}[kind]
         wanted = arrow if shape == [1] else f"fixed_size_list<element: {arrow}>[{shape[0]}]"
         assert str(table.schema.field(name).type).replace("item:", "element:") == wanted
@@ -311,7 +313,8 @@ def test_damaged_images_and_a_frame_without_a_movement_are_counted(form: str, tm
 
 def test_what_cannot_be_read_is_said_and_the_rest_exported(tmp_path: Path) -> None:
     whole = recording(tmp_path / "recordings")
-    copy, noise = tmp_path / "copy.mcap", tmp_path / "noise.mcap"
+    copy = tmp_path / "copy.mcap"
+    noise = tmp_path / "noise.mcap"
     copy.write_bytes(whole.read_bytes())
     noise.write_bytes(np.random.default_rng(1).bytes(1000))
     _, tally = exported([noise, whole, copy], "folder", tmp_path / "out")

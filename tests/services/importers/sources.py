@@ -42,7 +42,8 @@ class Moment(NamedTuple):
 def drive(rate_hz: float = 20.0) -> list[Moment]:
     """Return the drive at a rate; at its end the robot stands."""
     moments = []
-    pose, time_s = (0.0, 0.0, 0.0), 0.0
+    pose = (0.0, 0.0, 0.0)
+    time_s = 0.0
     for seconds, linear, angular in LEGS:
         for _ in range(round(seconds * rate_hz)):
             moments.append(Moment(START_S + time_s, pose, linear, angular))

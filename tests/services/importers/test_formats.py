@@ -214,7 +214,8 @@ def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path)
     (demonstration,) = teacher.teaching.demonstrations
     assert demonstration.successful
     model = learn([demonstration], corridor.FEATURES)
-    localizer, visual_map = Localizer(model), model.mapped
+    localizer = Localizer(model)
+    visual_map = model.mapped
     errors = []
     for tick, moment in enumerate(sources.drive(10.0)):
         raw = extract(moment.image, corridor.FEATURES)
@@ -237,7 +238,8 @@ def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahea
 
 
 def test_an_import_is_the_same_every_time_and_another_source_is_another(tmp_path: Path) -> None:
-    one, other = sources.csv_folder(tmp_path / "one"), sources.csv_folder(tmp_path / "other", 30.0)
+    one = sources.csv_folder(tmp_path / "one")
+    other = sources.csv_folder(tmp_path / "other", 30.0)
     reports = [imported(folder, "folder", tmp_path / out)[0] for folder, out in ((one, "a"), (one, "b"), (other, "c"))]
     names = [Path(report.files[0]).name for report in reports]
     assert names[0] == names[1] != names[2]

@@ -22,8 +22,11 @@ from tests.services.importers.test_formats import FORMATS, FRAMES, MADE, episode
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
 NOTHING_ZIPPED = b"PK\x05\x06" + bytes(18)  # The end of a zip file, and nothing before it.
-INFO, LINES, CATALOG = "meta/info.json", "meta/episodes.jsonl", "catalog_0.catalog"
-DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
+INFO = "meta/info.json"
+LINES = "meta/episodes.jsonl"
+CATALOG = "catalog_0.catalog"
+DATA = "data/chunk-000/file-000.parquet"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = f"videos/{CAMERA}/chunk-000/file-000.mp4"
 
 

@@ -30,7 +30,8 @@ BEGIN_S = (22.0, 25.48, 28.96)  # When laps of it begin, seconds after the secon
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
 def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp_path: Path) -> None:
     def lap(number: int) -> ImportReport:
-        begin_s, episodes = BEGIN_S[number], ("22-08-27_1",)
+        begin_s = BEGIN_S[number]
+        episodes = ("22-08-27_1",)
         folder = tmp_path / str(number)
         return imported(CIRCLES, "donkeycar", folder, episodes=episodes, from_s=begin_s, to_s=begin_s + 3.45)[0]
 
@@ -40,9 +41,11 @@ def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp
     teacher.read(Path(first.files[0]))
     model = learn(teacher.teaching.demonstrations)
     assert model.mapped.movements[Atom.RIGHT, 0] == pytest.approx(1.0, abs=1e-4)
-    right, driven = [], []
+    right = []
+    driven = []
     for number in (1, 2):
-        images, robot = images_of(episode_of(lap(number))), Robot(model)
+        images = images_of(episode_of(lap(number)))
+        robot = Robot(model)
         for frame, image in enumerate(images):
             driven.append(robot.step(image))
             # All laps are as fast as each other.

@@ -70,7 +70,8 @@ class Trial:
     """One session tries everything; another one, the router's own, sees what comes of it."""
 
     def __init__(self, session: zenoh.Session, within: zenoh.Session) -> None:
-        self._session, self._within = session, within
+        self._session = session
+        self._within = within
         self._lock = threading.Lock()
         self.done: set[Cell] = set()
 
@@ -226,7 +227,8 @@ def _refused(endpoint: str, credentials: Credentials) -> bool:
 
 def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
     endpoint = free_endpoint.replace("tcp/", "tls/")
-    foreign, old = make_keys(tmp_path / "foreign"), tmp_path / "old"
+    foreign = make_keys(tmp_path / "foreign")
+    old = tmp_path / "old"
     shutil.copytree(keys, old)
     certificates.issue(old, certificates.HOSTS, days=-1 / 1440)
     operator = certificate_in(keys, "operator")
@@ -246,7 +248,8 @@ def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: st
 
 
 def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
-    endpoint, brief = free_endpoint.replace("tcp/", "tls/"), tmp_path / "brief"
+    endpoint = free_endpoint.replace("tcp/", "tls/")
+    brief = tmp_path / "brief"
     shutil.copytree(keys, brief)
 
     def open_briefly() -> zenoh.Session | None:
@@ -265,7 +268,8 @@ def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
     """Return what sends a command of the policy and waits until the robot has it."""
     robot, policy = (stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role))))
                      for role in ("robot", "policy"))  # fmt: skip
-    key, heard = COMMANDS["policy"].key(ROBOT), threading.Event()
+    key = COMMANDS["policy"].key(ROBOT)
+    heard = threading.Event()
     robot.declare_subscriber(key, zenoh.handlers.Callback(lambda _sample: heard.set(), indirect=False))
     publisher = policy.declare_publisher(key)
 
@@ -339,7 +343,8 @@ def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) 
 def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
     """Zenoh says nothing of it."""
     endpoint = free_endpoint.replace("tcp/", "tls/")
-    foreign, old = make_keys(tmp_path / "foreign"), tmp_path / "old"
+    foreign = make_keys(tmp_path / "foreign")
+    old = tmp_path / "old"
     shutil.copytree(keys, old)
     shutil.copytree(keys, mixed := tmp_path / "mixed")
     shutil.copytree(keys, broken := tmp_path / "broken")

@@ -12,7 +12,8 @@ from services.table import roles
 from tests.services.secured import open_session
 from tests.services.waiting import eventually
 
-STOP, STATUS = COMMANDS["emergency_stop"].key("rescuebot"), rpc_key("rescuebot", "robot", "status")
+STOP = COMMANDS["emergency_stop"].key("rescuebot")
+STATUS = rpc_key("rescuebot", "robot", "status")
 FLOOD = 40_000  # More than a router lets through in the time that it takes to ask them.
 
 
@@ -25,7 +26,8 @@ def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:
 
 
 def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(router_endpoint: str) -> None:
-    asked, stops = [0], [0]
+    asked = [0]
+    stops = [0]
 
     def answer(query: zenoh.Query) -> None:
         with query:
@@ -46,7 +48,8 @@ def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_s
         eventually(lambda: (other.put(STOP, b"first"), stops[0])[1])
         # What was put until then has come: nothing of one session overtakes.
         list(other.get(STATUS, timeout=100.0))
-        before, since_s = stops[0], time.monotonic()
+        before = stops[0]
+        since_s = time.monotonic()
         for number in range(FLOOD):
             flooder.get(STATUS, zenoh.handlers.RingChannel(1), timeout=100.0)
             if number % (FLOOD // 10) == 0:

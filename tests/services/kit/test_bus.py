@@ -78,7 +78,10 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
 
 
 def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: Bus) -> None:
-    begun, release, handled, urgent = threading.Event(), threading.Event(), list[int](), threading.Event()
+    begun = threading.Event()
+    release = threading.Event()
+    handled = list[int]()
+    urgent = threading.Event()
     threads: set[int] = set()
 
     def work(payload: bytes, encoding: str, _transit_s: float | None) -> None:
@@ -104,12 +107,14 @@ def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: B
 
 def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_endpoint: str) -> None:
     leaving = Bus("rescuebot", router_endpoint)
-    before, stayed = heard(leaving, topics.STATE), heard(other, topics.STATE)
+    before = heard(leaving, topics.STATE)
+    stayed = heard(other, topics.STATE)
     leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="here")))
     publish_until(client, EXAMPLES[State], lambda: not before.empty() and not stayed.empty())
     assert call_when_served(client, "sim", "end", Nothing()) == EndRequest(episode="here")
     leaving.close()
-    count, after = before.qsize(), stayed.qsize()
+    count = before.qsize()
+    after = stayed.qsize()
     client.publish(EXAMPLES[State])
     eventually(lambda: stayed.qsize() > after)
     assert before.qsize() == count
@@ -120,7 +125,8 @@ def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_
 def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus, other: Bus) -> None:
     stranger = Bus("stranger", router_endpoint)
     try:
-        samples, of_all = heard(other, topics.COMMANDS["teleop"]), SimpleQueue[str]()
+        samples = heard(other, topics.COMMANDS["teleop"])
+        of_all = SimpleQueue[str]()
         other.listen("smal/*/command/teleop", lambda key, _payload, _encoding: of_all.put(key))
         stranger.publish(command(1))
         publish_until(client, command(2), lambda: not samples.empty())
@@ -189,7 +195,8 @@ def test_a_request_that_is_dropped_is_told_at_once(client: Bus, other: Bus) -> N
 
 
 def test_a_service_that_leaves_keeps_nobody_waiting(client: Bus, router_endpoint: str) -> None:
-    leaving, asked = Bus("rescuebot", router_endpoint), list[Callable[[Strict], None]]()
+    leaving = Bus("rescuebot", router_endpoint)
+    asked = list[Callable[[Strict], None]]()
     leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="e")))
     leaving.serve("sim", "wait", lambda _request, reply: asked.append(reply))
     call_when_served(client, "sim", "end", Nothing())
@@ -204,7 +211,8 @@ def test_a_service_that_leaves_keeps_nobody_waiting(client: Bus, router_endpoint
 
 def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> None:
     router = Router(free_endpoint)
-    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+    sender = Bus("rescuebot", free_endpoint)
+    receiver = Bus("rescuebot", free_endpoint)
     try:
         samples = heard(receiver, topics.COMMANDS["teleop"])
         receiver.serve("sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request)))
@@ -254,7 +262,8 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
     monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
     router = Router(free_endpoint)
-    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+    sender = Bus("rescuebot", free_endpoint)
+    receiver = Bus("rescuebot", free_endpoint)
 
     def send(tick: int) -> None:
         sender.publish(EXAMPLES[topic.message].model_copy(update={"tick": tick}))
@@ -281,7 +290,9 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
 
 def test_nothing_is_missing_where_live_samples_come_during_the_replay(client: Bus, router_endpoint: str) -> None:
     """As for a recorder that is started again while the robot drives."""
-    before, after, late = 100, 150, [Bus("rescuebot", router_endpoint) for _ in range(6)]
+    before = 100
+    after = 150
+    late = [Bus("rescuebot", router_endpoint) for _ in range(6)]
 
     def send(ticks: range, pace_s: float = 0.0) -> None:
         for tick in ticks:
@@ -305,7 +316,8 @@ def test_nothing_is_missing_where_live_samples_come_during_the_replay(client: Bu
 
 def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:
     assert not client.has_listeners(topics.DEPTH)
-    one, all_of_it = Bus("rescuebot", router_endpoint), Bus("rescuebot", router_endpoint)
+    one = Bus("rescuebot", router_endpoint)
+    all_of_it = Bus("rescuebot", router_endpoint)
     samples = heard(one, topics.DEPTH)
     eventually(lambda: client.has_listeners(topics.DEPTH))
     assert not client.has_listeners(topics.OVERHEAD)

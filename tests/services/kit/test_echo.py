@@ -56,7 +56,8 @@ def test_every_lane_echoes(client: Bus) -> None:
 
 
 def test_every_lane_echoes_with_a_certificate(free_endpoint: str, tmp_path: Path) -> None:
-    keys, endpoint = make_keys(tmp_path), free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")
+    keys = make_keys(tmp_path)
+    endpoint = free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     with secured_router(endpoint, keys):
         for role in ("robot", "watcher"):
             with closing(Bus("rescuebot", endpoint, credentials=credentials_in(keys, role), role=role)) as bus:
@@ -78,7 +79,8 @@ def test_a_sample_of_another_size_is_no_echo(
 @pytest.mark.system
 def test_echo_passes_between_linked_routers(tmp_path: Path) -> None:
     """A process whose router is gone may have its lanes at two routers for a while."""
-    key, heard = echo_key("robot", "p", "urgent", "stop"), list[bytes]()
+    key = echo_key("robot", "p", "urgent", "stop")
+    heard = list[bytes]()
     with linked(tmp_path, secure=True) as stack:
         credentials = credentials_in(tmp_path / "keys", "robot")
         here, there = (open_session(at, credentials) for at in stack._routers.values())

@@ -180,7 +180,8 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
     robots = Robots(client, fleet("rescuebot", MANY), topics.OBSERVATION, stack)
     start(stack, "features", router_endpoint, MANY)
     robots.served_by("features", 1)
-    tick, ended = 0, threading.Event()
+    tick = 0
+    ended = threading.Event()
 
     def drive() -> None:
         nonlocal tick
@@ -261,7 +262,8 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
 def test_what_an_idle_robot_sent_is_let_go_and_what_it_sends_next_arrives(
     client: Bus, router_endpoint: str, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot, ticks = client.of_robot("rescuebot"), list[int]()
+    robot = client.of_robot("rescuebot")
+    ticks = list[int]()
     robot.publish(EXAMPLES[State].model_copy(update={"tick": 1}))
     with monkeypatch.context() as later:
         later.setattr("services.kit.bus.KEPT_S", 0.0)
@@ -377,7 +379,8 @@ def test_a_flood_of_announcements_keeps_no_instance_busy(client: Bus, router_end
     stack.callback(thread.join)
     stack.callback(instance.stop)
     eventually(lambda: instance.instance in instance._answering)
-    before, began_s = instance.looks, time.monotonic()
+    before = instance.looks
+    began_s = time.monotonic()
     for number in range(300):
         stack.callback(client.stand(f"{PREFIX}/{number:08x}-1"))
     eventually(lambda: len(instance._seen.instances) == 301)

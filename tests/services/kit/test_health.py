@@ -75,7 +75,8 @@ def test_a_stuck_handler_is_no_health(
     node: Node, client: Bus, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.kit.health.STUCK_S", 0.05)
-    begun, release = threading.Event(), threading.Event()
+    begun = threading.Event()
+    release = threading.Event()
 
     def work(_message: object) -> None:
         begun.set()

@@ -110,7 +110,8 @@ def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: i
 @pytest.mark.parametrize("cls", SERVICES)
 @pytest.mark.parametrize("stride", [None, 1])
 def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | None, tmp_path: Path) -> None:
-    mapped, service = corridor.save_model(tmp_path / "mapped.smal"), cls()
+    mapped = corridor.save_model(tmp_path / "mapped.smal")
+    service = cls()
     reply = service.load(LoadedModel.read(mapped, stride=stride))
     keyframes = len(Model.load(mapped).mapped.keyframes)
     assert keyframes > 10

@@ -157,7 +157,8 @@ def test_calls(node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCap
 
 
 def test_status_is_answered_while_a_handler_is_busy(node: Node, run_node: RunNode, client: Bus) -> None:
-    begun, finish = threading.Event(), threading.Event()
+    begun = threading.Event()
+    finish = threading.Event()
 
     def work(_received: Command) -> None:
         begun.set()
@@ -217,7 +218,8 @@ def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
 
 def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> None:
     done: list[int] = []
-    soon, other = node.soon(lambda: done.append(1)), node.soon(lambda: done.append(2))
+    soon = node.soon(lambda: done.append(1))
+    other = node.soon(lambda: done.append(2))
     for _ in range(5):
         soon()
     other()
@@ -233,7 +235,8 @@ def test_a_node_ends_although_what_works_apart_hangs(
     node: Node, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("services.kit.node._LAST_WORK_S", 0.05)
-    hangs, release = threading.Event(), threading.Event()
+    hangs = threading.Event()
+    release = threading.Event()
 
     def hang() -> None:
         hangs.set()
@@ -364,12 +367,10 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
     """An emergency stop: behind junk, behind calls, and while the node's own thread is busy."""
-    stop, stopped, busy, release = (
-        topics.COMMANDS["emergency_stop"],
-        threading.Event(),
-        threading.Event(),
-        threading.Event(),
-    )
+    stop = topics.COMMANDS["emergency_stop"]
+    stopped = threading.Event()
+    busy = threading.Event()
+    release = threading.Event()
 
     def work(_: Nothing) -> None:
         busy.set()

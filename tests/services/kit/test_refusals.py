@@ -136,10 +136,12 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
 @pytest.mark.zenoh
 def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
     """Whoever could would make all wait for a slow one, or go before an emergency stop."""
-    block, first = zenoh.CongestionControl.BLOCK, zenoh.Priority.REAL_TIME
+    block = zenoh.CongestionControl.BLOCK
+    first = zenoh.Priority.REAL_TIME
     with stranger(router_endpoint) as rude, stranger(router_endpoint) as receiver:
         for name in (*TOPICS, "anything"):
-            key, came = f"smal/rescuebot/{name}", SimpleQueue[zenoh.Sample]()
+            key = f"smal/rescuebot/{name}"
+            came = SimpleQueue[zenoh.Sample]()
             receiver.declare_subscriber(key, came.put)
             publisher = rude.declare_publisher(key, congestion_control=block, priority=first, express=True)
             eventually(lambda publisher=publisher: publisher.matching_status.matching)
@@ -185,7 +187,8 @@ def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) 
 @pytest.mark.zenoh
 def test_a_message_larger_than_any_topic_s_reaches_nobody(router_endpoint: str, client: Bus) -> None:
     """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
-    camera, sizes = topics.JPEG.key("rescuebot"), SimpleQueue[int]()
+    camera = topics.JPEG.key("rescuebot")
+    sizes = SimpleQueue[int]()
     with stranger(router_endpoint) as sender, stranger(router_endpoint) as witness:
         _held = witness.declare_subscriber(camera, lambda sample: sizes.put(len(sample.payload)))
 
@@ -206,7 +209,8 @@ def test_a_message_larger_than_any_topic_s_reaches_nobody(router_endpoint: str, 
 def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> None:
     router = stranger(mode="router", **{"listen/endpoints": [free_endpoint]})
     with router, stranger(free_endpoint) as sender:
-        bus, sizes = Bus("rescuebot", free_endpoint), SimpleQueue[int]()
+        bus = Bus("rescuebot", free_endpoint)
+        sizes = SimpleQueue[int]()
         try:
             bus.listen("smal/**", lambda _key, payload, _encoding: sizes.put(len(payload)))
             taken_until(lambda: sender.put(KEY, b"1"), 1, sizes)
@@ -292,7 +296,9 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
     service.serve("sim", "end", answer)
     eventually(lambda: _called(client, "sim"))
     with stranger(router_endpoint) as session:
-        before, began_s, ended = answered, time.monotonic(), SimpleQueue[None]()
+        before = answered
+        began_s = time.monotonic()
+        ended = SimpleQueue[None]()
         handler = zenoh.handlers.Callback(lambda _reply: None, lambda: ended.put(None), indirect=False)
         for _ in range(5000):
             session.get(rpc_key("rescuebot", "sim", "end"), handler, timeout=100.0)
@@ -326,7 +332,8 @@ def test_a_call_larger_than_any_service_takes_reaches_none(router_endpoint: str,
 @pytest.mark.parametrize("way", ["key", "delete", "many"])
 def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
     """A thousand replies of nearly a megabyte: the first is taken, and a call of somebody else goes on beside it."""
-    key, sent = rpc_key("rescuebot", "sim", "end"), threading.Event()
+    key = rpc_key("rescuebot", "sim", "end")
+    sent = threading.Event()
 
     def on_query(query: zenoh.Query) -> None:
         with query:
@@ -382,7 +389,8 @@ def test_whoever_goes_on_and_on_does_not_fill_the_log(
     node.at_once(TELEOP, fail)
     run_node(node)
     introduce(client, "sample", COMMAND, EXAMPLES[State])
-    before, began_s = status(client).failed, time.monotonic()
+    before = status(client).failed
+    began_s = time.monotonic()
     for _ in range(20):
         for verb in ("refuse", "fail"):
             with pytest.raises(RpcError):

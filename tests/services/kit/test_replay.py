@@ -106,7 +106,9 @@ def test_a_sender_that_is_forgotten_leaves_nothing_behind() -> None:
 
 
 def test_samples_are_taken_by_one_thread_at_a_time() -> None:
-    entered, proceed, done = threading.Event(), threading.Event(), []
+    entered = threading.Event()
+    proceed = threading.Event()
+    done = []
 
     def take(number: int) -> None:
         if number == 0:

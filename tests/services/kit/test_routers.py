@@ -36,15 +36,18 @@ class Stream:
     def __init__(self, stack: Stack, *, apart: bool) -> None:
         own = ",".join(reversed(addresses(stack.plan.endpoint))) if apart else stack.plan.endpoint
         at = stack.settings.model_copy(update={"router": own})
-        self.robot, self.policy = stack.settings.open_bus("robot"), at.open_bus("policy")
-        self.recorder, self.operator = at.open_bus("recorder"), at.open_bus("operator")
+        self.robot = stack.settings.open_bus("robot")
+        self.policy = at.open_bus("policy")
+        self.recorder = at.open_bus("recorder")
+        self.operator = at.open_bus("operator")
         self.buses = (self.robot, self.policy, self.recorder, self.operator)
         self.heard: list[int] = []
         self.recorded: list[int] = []
         self.robot.serve("robot", "end", lambda _request, reply: reply(EndRequest(episode="here")))
         for bus, ticks, replay in ((self.policy, self.heard, False), (self.recorder, self.recorded, True)):
             bus.subscribe(topics.ODOMETRY, lambda *sample, ticks=ticks: self._note(ticks, *sample), replay=replay)
-        self.sent, self._ended = 0, threading.Event()
+        self.sent = 0
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
         eventually(lambda: self.heard and self.recorded and self.answered())
@@ -139,7 +142,8 @@ def test_who_finds_a_router_again_that_was_frozen_comes_under_a_new_name(tmp_pat
 
 
 def test_stacks_of_two_machines_are_one_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keys, addresses_of_both = make_keys(tmp_path / "keys"), [free_endpoint() for _ in range(2)]
+    keys = make_keys(tmp_path / "keys")
+    addresses_of_both = [free_endpoint() for _ in range(2)]
     here, there = (one.replace("tcp/127.0.0.1", "tls/localhost") for one in addresses_of_both)
 
     def machine(at: str, other: str) -> Stack:

@@ -13,7 +13,9 @@ from tests.services.waiting import eventually
 
 
 def test_a_message_that_was_changed_on_its_way_is_refused(client: Bus, router_endpoint: str) -> None:
-    pose, heard, refused = EXAMPLES[Pose], SimpleQueue[bytes](), SimpleQueue[str]()
+    pose = EXAMPLES[Pose]
+    heard = SimpleQueue[bytes]()
+    refused = SimpleQueue[str]()
     payload = encode(pose)
     changed = payload.replace(b"x_m", b"y_m")
     assert changed != payload

@@ -130,7 +130,9 @@ steps = st.one_of(
 
 @given(st.lists(steps, max_size=60))
 def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list[tuple[str, object]]) -> None:
-    operator, sent, tick = Operator(), [], 0
+    operator = Operator()
+    sent = []
+    tick = 0
     for kind, value in script:
         if kind == "press":
             sent.append(brief(operator.service.hold(Velocity(*value), operator.now_s + 0.6)))
@@ -157,9 +159,13 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
 @given(st.lists(st.sampled_from(["e", "heartbeat", "lost", "n", "armed", "refused"]), min_size=20, max_size=60))
 def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(script: list[str]) -> None:
     """Whatever gets lost: while a stop of the operator's is not released, the robot stands or hears of it again."""
-    operator, gate = Operator(), CommandGate(first_stop=1)
+    operator = Operator()
+    gate = CommandGate(first_stop=1)
     gate.arm(1, "")
-    held, asked, since, tick = False, None, False, 0
+    held = False
+    asked = None
+    since = False
+    tick = 0
     for step in script:
         if step in ("e", "lost"):
             operator.service.stop_for_emergency()
@@ -174,7 +180,8 @@ def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(s
             if repeated is not None:
                 gate.stop()
         elif step == "n" and asked is None and operator.service.to_release is not None:
-            asked, since = operator.service.to_release, False
+            asked = operator.service.to_release
+            since = False
             operator.service.arming()
         elif step in ("armed", "refused") and asked is not None:
             if asked and step == "armed" and gate.arm(asked, "") is None:

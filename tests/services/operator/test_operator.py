@@ -138,7 +138,9 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
     stays: bool,
 ) -> None:
     """It was armed before, and sets out as soon as it can: with a policy that commands, and nobody who looks on."""
-    opening, opened, begin = threading.Event(), threading.Event(), robot.wheels.begin
+    opening = threading.Event()
+    opened = threading.Event()
+    begin = robot.wheels.begin
 
     def open_world(request: ResetRequest) -> Beginning:
         opening.set()

@@ -101,7 +101,8 @@ def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Pat
 def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Path) -> None:
     content = record(tmp_path, list(episode("e", frames=24))).read_bytes()
     cut = tmp_path / "cut.mcap"
-    read, complaints = [], set()
+    read = []
+    complaints = set()
     # Every region is hit: magic, header, metadata, chunks, indexes, summary, footer.
     for size in sorted({*range(0, 64, 3), *range(0, len(content), 4001), *range(len(content) - 64, len(content), 3)}):
         cut.write_bytes(content[:size])
@@ -153,7 +154,9 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
 ) -> None:
     """With a clock that runs as the drive does: two minutes of four messages a tick, looked after each second."""
     told = [image("e", 0), applied("e", 0, sequence=0), observation("e", 0), command("e", 0, "teleop")]
-    now_s, held, ticks = 0.0, [], 1200
+    now_s = 0.0
+    held = []
+    ticks = 1200
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path, lambda: now_s)
         recorder.handle(event("e", 0, "started"))

@@ -97,7 +97,8 @@ def test_what_comes_before_the_beginning_and_after_the_end_is_kept(
     recorder: RecorderService, client: Bus, tmp_path: Path
 ) -> None:
     start, *most, end = list(episode("drive-1"))
-    early, late = applied("drive-1", 0), observation("drive-1", 4)
+    early = applied("drive-1", 0)
+    late = observation("drive-1", 4)
     send(client, [early, start, *(message for message in most if message not in (early, late))])
     send(client, [end, event("drive-2", 0, "started"), late])
     eventually((tmp_path / "drive-1.mcap").exists)
@@ -212,7 +213,8 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
 ) -> None:
     """What was not written yet, and what was sent meanwhile, is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
-    before, killed = list(episode("before", frames=3)), list(episode("killed", frames=40))
+    before = list(episode("before", frames=3))
+    killed = list(episode("killed", frames=40))
     publish(client, before)
     eventually(lambda: sealed(client, 1))
     publish(client, killed[:50])
@@ -242,7 +244,8 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
 def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode_is_another_one(
     settings: ServiceSettings, tmp_path: Path
 ) -> None:
-    sent, over = list(episode("e", frames=2)), list(episode("over", frames=2))
+    sent = list(episode("e", frames=2))
+    over = list(episode("over", frames=2))
     leave(tmp_path, sent[:20])
     leave(tmp_path, over)
     (tmp_path / "bad.mcap.partial").write_bytes(b"holiday pictures")
@@ -259,7 +262,8 @@ def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode
 
 
 def test_recording_goes_on_when_the_recorder_is_restarted(settings: ServiceSettings, tmp_path: Path) -> None:
-    sent, over = list(episode("e", frames=4)), list(episode("over", frames=2))
+    sent = list(episode("e", frames=4))
+    over = list(episode("over", frames=2))
     for messages in ((*over, *sent[:20]), (*over, *sent)):
         with Node("recorder", settings) as node:
             recorder = RecorderService(node, tmp_path, tmp_path)
@@ -278,7 +282,8 @@ class Room:
     """A disk that fills as time goes by, and a clock."""
 
     def __init__(self, free: int) -> None:
-        self.now_s, self.free = 0.0, free
+        self.now_s = 0.0
+        self.free = free
 
     def disk(self) -> Disk:
         return Disk(lambda: self.now_s, lambda _: self.free)
@@ -288,7 +293,8 @@ class Room:
         for tick in ticks:
             data = image("e", tick).data + bytes(IMAGE)
             recorder.handle(image("e", tick).model_copy(update={"data": data}))
-            self.now_s, self.free = self.now_s + 1.0, self.free - IMAGE
+            self.now_s = self.now_s + 1.0
+            self.free = self.free - IMAGE
             recorder.look_after_files()
 
 

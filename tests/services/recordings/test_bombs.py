@@ -35,7 +35,8 @@ CHUNK_HEAD = struct.Struct("<BQQQQIIQ")  # Head of a chunk that is not packed.
 ALLOWED = 128 * MIB
 #: What reading may take beside what is allowed: the largest chunk while it is unpacked and checked, and the reader.
 BESIDE = 160 * MIB
-CHUNKS, PADDING = 12, 24 * MIB
+CHUNKS = 12
+PADDING = 24 * MIB
 #: What can be packed as well as a fair recording may be, a hundred times.
 FAIR = np.random.default_rng(1).bytes(MIB // 2) * (PADDING // (MIB // 2))
 _KEYS = {"episode": 1, "camera/jpeg": 2, "padding": 3, "pose/truth": 4}
@@ -206,7 +207,8 @@ def test_what_a_few_bytes_unpack_to_costs_no_time(tmp_path: Path, content: bytes
 
 def test_what_looks_like_a_chunk_at_every_byte_is_not_searched_for_ever(tmp_path: Path) -> None:
     """One megabyte took 19 s of processor time, and four times as long with each doubling."""
-    heads, head = bytearray(MAGIC + b"\xff" + bytes(20)), CHUNK_HEAD.size
+    heads = bytearray(MAGIC + b"\xff" + bytes(20))
+    head = CHUNK_HEAD.size
     behind = 2 * MIB
     while len(heads) + head < behind:
         room = behind - len(heads) - head

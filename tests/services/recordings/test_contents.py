@@ -56,7 +56,8 @@ def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
     for folder, sent in ((tmp_path / "1", rest), (tmp_path / "2", [*rest[1::2], *rest[::2]])):
         folder.mkdir()
         path = record(folder, [started, *sent, ended])
-        (known,), (read,) = contents_of(path).episodes, read_recording(path, FINGERPRINT).episodes
+        (known,) = contents_of(path).episodes
+    (read,) = read_recording(path, FINGERPRINT).episodes
         told.append(
             (known, [(piece.ticks.tolist(), piece.atoms.tolist(), str(piece.odometry)) for piece in read.pieces()])
         )
@@ -115,8 +116,11 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
 @pytest.mark.parametrize("hole", [1, 4096])
 def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_path: Path, hole: int) -> None:
     path = record(tmp_path, list(episode("e", frames=35)))
-    content, whole, seconds = path.read_bytes(), read_all(path), seconds_of(path)
-    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
+    content = path.read_bytes()
+    whole = read_all(path)
+    seconds = seconds_of(path)
+    bad = tmp_path / "bad.mcap"
+    out = tmp_path / "out.mcap"
     for at in range(8, len(content) - hole, 28_001):
         instead = bytes([content[at] ^ 0x10]) if hole == 1 else bytes(hole)
         bad.write_bytes(content[:at] + instead + content[at + hole :])
@@ -129,7 +133,8 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
 
 def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> None:
     sent = list(episode("e", frames=24))
-    partial, other = leave(tmp_path, sent), tmp_path / "e.mcap"
+    partial = leave(tmp_path, sent)
+    other = tmp_path / "e.mcap"
     before = partial.read_bytes()
     other.write_bytes(b"another")
     status, _, why = smal("recording", "repair", partial, "--out", other)

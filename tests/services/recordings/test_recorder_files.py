@@ -139,7 +139,8 @@ def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(sent: 
 
 def test_who_says_a_million_things_within_a_tick_does_not_fill_the_memory() -> None:
     """With a stolen key of the policy that took 460 MB, and with four of them more than a recorder has."""
-    ledger, one = Ledger(), command("e", 5, "policy")
+    ledger = Ledger()
+    one = command("e", 5, "policy")
     tracemalloc.start()
     for place in range(30_000):
         ledger.admit(one.model_copy(update={"sequence": place}))
@@ -200,7 +201,8 @@ def test_a_kill_at_any_moment_loses_nothing_that_was_written(tmp_path: Path) -> 
     """While it is recorded, while it is sealed, and while what was left is sealed."""
     sent = [message for message in episode("e", frames=33) if message.topic_name in ("episode", "observation")]
     tell = os.write
-    killed, step = True, 0
+    killed = True
+    step = 0
     while killed:
         folder = tmp_path / str(step)
         folder.mkdir()

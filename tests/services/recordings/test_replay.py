@@ -83,7 +83,8 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
     def run(model: Model) -> None:
         features, recognition, policy = (Node(name, settings) for name in ("features", "recognition", "policy"))
         loaded = LoadedModel.of(model, "model")
-        recognizing, deciding = RecognitionService(), PolicyService()
+        recognizing = RecognitionService()
+        deciding = PolicyService()
         recognizing.load(loaded)
         deciding.load(loaded)
         features.subscribe(topics.JPEG, FeaturesService(model.feature_settings).handle)
@@ -103,7 +104,9 @@ def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]
     """Return what the library does on the recorded frames: velocity, kind of decision, belief."""
     (recorded,) = read_recording(path).episodes
     stamps = {tick: stamp_ns for tick, stamp_ns in stamps_of(path).items() if tick in recorded.images}
-    robot, decisions, last_ns = smal.Robot(model), [], None
+    robot = smal.Robot(model)
+    decisions = []
+    last_ns = None
     for tick in sorted(recorded.images):
         elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
         image = decode_image(bytes(recorded.images[tick]))
@@ -179,7 +182,8 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
         heard.wait(topic, 3)  # they come on their own ways
         assert sorted(heard.said[topic.name]) == [0, 1, 2, 3]
     sent = {(one.topic_name, one.tick): one for one in episode("drive-1", frames=4)}
-    told, recorded = heard.said["odometry"][2], sent["odometry", 2]
+    told = heard.said["odometry"][2]
+    recorded = sent["odometry", 2]
     changed = {"robot", "episode", "stamp_ns"}
     assert told.model_dump(exclude=changed) == recorded.model_dump(exclude=changed)
     image = heard.said["camera/jpeg"][2]

@@ -110,7 +110,10 @@ def test_frames_hang_together_and_lie_where_the_robot_was(path: Path) -> None:
 
 
 def turned(quaternion: Any, vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    x = quaternion.x
+    y = quaternion.y
+    z = quaternion.z
+    w = quaternion.w
     axis = np.array([x, y, z])
     v = np.array(vector, float)
     return tuple((v + 2 * np.cross(axis, np.cross(axis, v) + w * v)).tolist())
@@ -135,7 +138,8 @@ def test_the_belief_lies_on_the_taught_ways_and_the_ways_about_the_robot(path: P
         parent, child, origin = transform(views["map"][tick])
         assert (parent, child) == ("odom", "map")
         x_m, y_m, heading_rad = origin
-        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        cos = math.cos(heading_rad)
+        sin = math.sin(heading_rad)
         there = x_m + cos * 1.0 - sin * 0.5, y_m + sin * 1.0 + cos * 0.5
         assert (*there, heading_rad) == pytest.approx(driven_corridor.pose(tick))
     (driven,) = views["driven"]

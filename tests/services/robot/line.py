@@ -76,8 +76,12 @@ class LineBody:
         sight: float = 1e9,
         wanted: Callable[[Topic], bool] = lambda _: False,
     ) -> None:
-        self.clock, self.wanted = clock, wanted
-        self.x, self.goal, self.wall, self.sight = 0.0, goal, wall, sight
+        self.clock = clock
+        self.wanted = wanted
+        self.x = 0.0
+        self.goal = goal
+        self.wall = wall
+        self.sight = sight
         self.moves: list[tuple[Atom, float, float]] = []
         self.orders: list[tuple[Atom, float]] = []
         self.made: Counter[Topic] = Counter()
@@ -88,13 +92,15 @@ class LineBody:
     def begin(self, request: ResetRequest) -> Beginning:
         self.x = 30.0 if request.start == "anywhere" else 0.0
         self.moves.clear()
-        self._order, self._at_s = STANDING, self.clock()
+        self._order = STANDING
+        self._at_s = self.clock()
         return Beginning(((0.0, 0.0), (self.goal, 0.0)), 5.0)
 
     def drive(self, velocity: Velocity) -> Velocity:
         now = self.clock()
         self.advance(self._order, now - self._at_s)
-        self._order, self._at_s = velocity, now
+        self._order = velocity
+        self._at_s = now
         self.orders.append((velocity.atom(), max(map(abs, velocity))))
         return velocity
 

@@ -33,7 +33,8 @@ def test_no_forged_command_reaches_the_gate(
 
     But whatever comes on the key of the emergency stop stops the robot: who is there may stop it, by any form.
     """
-    body, gate = Body(now_s), CommandGate(first_stop=7)
+    body = Body(now_s)
+    gate = CommandGate(first_stop=7)
     check_stopping(body)
     node = Node("robot", settings)
     RobotService(EpisodeRunner(body, OperatorsTask(), gate, settings.robot, "s"), node)

@@ -21,7 +21,8 @@ class GateMachine(RuleBasedStateMachine):
 
     @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans(), max_age_s=st.sampled_from([0.25, 0.5]))
     def start(self, driver: Source, attended: bool, max_age_s: float) -> None:
-        self.attended, self.max_age_s = attended, max_age_s
+        self.attended = attended
+        self.max_age_s = max_age_s
         self.now = 0.0
         self.restart()
         self.next_episode(driver)
@@ -40,7 +41,8 @@ class GateMachine(RuleBasedStateMachine):
         self.forget("none", "policy")
 
     def forget(self, episode: str, driver: Source) -> None:
-        self.episode, self.driver = episode, driver
+        self.episode = episode
+        self.driver = driver
         self.taken_over = False
         self.tick = 0
         self.captured: dict[int, float] = {}
@@ -88,7 +90,8 @@ class GateMachine(RuleBasedStateMachine):
             return  # it was heard before, or somebody else is there
         left = self.operator is not None and not present
         known_s = self.answered_s if self.last_beat[0] == session else -math.inf
-        self.operator, self.answered_s = session if present else None, max(known_s, sent_s)
+        self.operator = session if present else None
+        self.answered_s = max(known_s, sent_s)
         self.last_beat = session, self.beats
         if left and self.attended:
             self.latched("operator_lost")

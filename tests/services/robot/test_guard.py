@@ -34,7 +34,9 @@ def noisy(boxes: list[Box], pose: Pose, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("high", [0.3, 2.0])
 def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, high: float) -> None:
     wall: Box = (*WALL[:4], high)
-    rng, gate, pose = np.random.default_rng(0), CommandGate(first_stop=1), (0.0, 0.0, bearing)
+    rng = np.random.default_rng(0)
+    gate = CommandGate(first_stop=1)
+    pose = (0.0, 0.0, bearing)
     gate.guard = guard(braking_s=0.0)
     assert gate.arm(1, "") is None
     gate.begin("e", "teleop")
@@ -55,7 +57,8 @@ def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, hig
 
 @pytest.mark.parametrize("shown", [None, np.zeros((60, 80), dtype=np.float32)])
 def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.ndarray | None) -> None:
-    here, ways = (0.0, 0.0, 0.0), ("forward", "backward")
+    here = (0.0, 0.0, 0.0)
+    ways = ("forward", "backward")
     made = guard()
     made.look(shown, here, 0.0)
     assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[index]
@@ -86,7 +89,11 @@ LIES: dict[str, Callable[[list[np.ndarray]], np.ndarray]] = {
 def test_guard_stands_before_a_wall_when_depth_lies(lie: str, since: int) -> None:
     """A base with mass drives by what the guard grants, a share every 20 ms; a wall stands 8 m ahead, a post beside."""
     boxes: list[Box] = [WALL, (5.0, -3.0, 5.3, -2.7, 1.5)]
-    rng, made, pose, speed_m_s, honest = np.random.default_rng(1), guard(), (0.0, 0.0, 0.0), 0.0, list[np.ndarray]()
+    rng = np.random.default_rng(1)
+    made = guard()
+    pose = (0.0, 0.0, 0.0)
+    speed_m_s = 0.0
+    honest = list[np.ndarray]()
     for tick in range(100):
         measured = noisy(boxes, pose, rng)
         honest = [*honest, measured] if tick >= since else [measured]
@@ -109,7 +116,9 @@ def test_guard_sees_nothing_when_its_mount_is_at_another_height(height: float) -
 
 def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
     """A stop must not wait for the guard, which may be looking, or computing how far the way is free."""
-    gate, busy, release = CommandGate(first_stop=1), threading.Event(), threading.Event()
+    gate = CommandGate(first_stop=1)
+    busy = threading.Event()
+    release = threading.Event()
 
     class Slow(Guard):
         def share(self, velocity: Velocity, now_s: float) -> float:
@@ -138,7 +147,8 @@ def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
 
 
 def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
-    here, wall = (0.0, 0.0, 0.0), (1.2, -6.0, 1.6, 6.0, 2.0)
+    here = (0.0, 0.0, 0.0)
+    wall = (1.2, -6.0, 1.6, 6.0, 2.0)
     made = guard()
     made.look(depth([wall], here), here, 0.0)
     shares = [made.share(KEYS["forward"], 0.02 * k) for k in range(13)]
@@ -147,7 +157,8 @@ def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
 
 @pytest.mark.parametrize(("source", "goes"), [("teleop", INSISTED), ("policy", 0.0)])
 def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_does(source: str, goes: float) -> None:
-    here, wall = (0.0, 0.0, 0.0), (0.55, -6.0, 1.6, 6.0, 2.0)
+    here = (0.0, 0.0, 0.0)
+    wall = (0.55, -6.0, 1.6, 6.0, 2.0)
     gate = CommandGate(first_stop=1)
     gate.guard = guard()
     assert gate.arm(1, "") is None
@@ -165,11 +176,14 @@ def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_d
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("angular", [0.3, 0.6, 1.0])
 def test_who_drives_in_a_bend_stands_before_what_stands_in_it(side: float, angular: float) -> None:
-    made, pose = guard(), (0.0, 0.0, 0.0)
+    made = guard()
+    pose = (0.0, 0.0, 0.0)
     bend = side * angular * (math.pi / 4) / SPEED_M_S  # straight on is free: the box stands on the circle, 2.5 m along
-    x, y = math.sin(2.5 * abs(bend)) / abs(bend), (1.0 - math.cos(2.5 * abs(bend))) / bend
+    x = math.sin(2.5 * abs(bend)) / abs(bend)
+    y = (1.0 - math.cos(2.5 * abs(bend))) / bend
     box: Box = (x - 0.2, y - 0.2, x + 0.2, y + 0.2, 0.5)
-    driven_m, asked = 0.0, Velocity(1.0, side * angular)
+    driven_m = 0.0
+    asked = Velocity(1.0, side * angular)
     for tick in range(60):
         made.look(depth([box], pose), pose, tick / 10)
         step_m = made.share(asked, tick / 10) * SPEED_M_S / 10

@@ -71,7 +71,8 @@ def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(caplog: pyt
 
 def test_what_is_carried_out_is_told_when_it_changes() -> None:
     clock = Clock()
-    body, gate = LineBody(clock), armed()
+    body = LineBody(clock)
+    gate = armed()
     told: list[Applied] = []
     loop = ActuatorLoop(gate, body, told.append, clock)
     gate.begin("e", "policy")
@@ -171,7 +172,8 @@ def test_all_delays_together_are_checked() -> None:
         ServiceError, match=r"line: after the silence of the driver it would move for 0\.51 s, more than"
     ):
         check_stopping(body)
-    body.braking_s, body.watchdog_s = 0.0, 0.6
+    body.braking_s = 0.0
+    body.watchdog_s = 0.6
     with pytest.raises(ServiceError, match=r"of this process it would move for 0.60 s.*its watchdog 0.60 s"):
         check_stopping(body)
     body.watchdog_s = float("nan")

@@ -66,7 +66,8 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
 
 def robot_of(settings: ServiceSettings, run_node: RunNode, session: str, *, armed: bool = False) -> RobotService:
     """Start a robot that has not asked whether there is another one."""
-    wheels, gate = Wheels(), CommandGate(first_stop=1)
+    wheels = Wheels()
+    gate = CommandGate(first_stop=1)
     if armed:
         gate.arm(1, "")
     node = Node("robot", settings)
@@ -152,7 +153,9 @@ class Endless(Wheels):
 def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator_alone(
     settings: ServiceSettings, run_node: RunNode, client: Bus
 ) -> None:
-    wheels, gate, told = Endless(), CommandGate(), list[str]()
+    wheels = Endless()
+    gate = CommandGate()
+    told = list[str]()
     runner = EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s")
     node = Node("robot", settings)
     RobotService(runner, node)

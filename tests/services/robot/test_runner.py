@@ -53,7 +53,8 @@ def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers()
     clock = Clock()
     _, whole = begin(LineBody(clock), mode="realtime")
     runner = runner_of(LineBody(clock))
-    runner.radio, runner.jpeg_quality = True, 1
+    runner.radio = True
+    runner.jpeg_quality = 1
     first = reset(runner, mode="realtime")
     assert isinstance(first[-1], CompressedImage)
     assert isinstance(whole[-1], CompressedImage)
@@ -83,7 +84,8 @@ def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None
 
 def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:
     body = LineBody(Clock())
-    body.senses, body.camera = False, None
+    body.senses = False
+    body.camera = None
     _, first = begin(body, mode="realtime")
     assert [type(m) for m in first] == [Episode, Pose, CompressedImage]
 
@@ -111,7 +113,8 @@ def test_silence_stops_the_robot_within_half_a_second(body_of: type[LineBody]) -
 
 
 def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock() -> None:
-    clock, wall_ns = Clock(), iter([7_000_000_000])
+    clock = Clock()
+    wall_ns = iter([7_000_000_000])
     runner = runner_of(LineBody(clock), wall_clock_ns=lambda: next(wall_ns))
     reset(runner, mode="realtime")
     captured_s = {}
@@ -169,7 +172,8 @@ def test_slow_pictures_do_not_prolong_a_command() -> None:
 
 
 def order_times(body: LineBody) -> list[float]:
-    at_s, times = 100.0, []
+    at_s = 100.0
+    times = []
     for _, _, duration in body.moves[-len(body.orders) :]:
         at_s += duration
         times.append(at_s)
@@ -247,7 +251,8 @@ def test_where_a_person_says_that_the_goal_is_it_is() -> None:
 
 
 def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
-    body, gate = LineBody(Clock()), armed()
+    body = LineBody(Clock())
+    gate = armed()
     runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
     reset(runner, until_said=True)
     run = runner.running

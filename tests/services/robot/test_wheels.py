@@ -16,8 +16,10 @@ from tests.services.robot.gating import command
 from tests.services.robot.line import Clock, LineBody
 
 FULL = Kinematics(2.0, 0.8)
-TICK_S, STEP_S = 0.1, 0.02
-AHEAD, LEFT = Velocity(1.0, 0.0), Velocity(0.0, 1.0)
+TICK_S = 0.1
+STEP_S = 0.02
+AHEAD = Velocity(1.0, 0.0)
+LEFT = Velocity(0.0, 1.0)
 Orders = list[Velocity]
 
 
@@ -27,7 +29,9 @@ def compare(orders: Orders, report: float, *, delay_s: float = 0.1, starts_s: fl
     The base begins to obey after a delay, and has its full speed after ``starts_s``. Its odometry reports so many times
     what it does.
     """
-    wheels, speed, pose = WheelCheck(FULL), [0.0, 0.0], [0.0, 0.0, 0.0]
+    wheels = WheelCheck(FULL)
+    speed = [0.0, 0.0]
+    pose = [0.0, 0.0, 0.0]
     steps = round(TICK_S / STEP_S)
     late = round(delay_s / STEP_S)
     for tick, order in enumerate(orders):
@@ -69,7 +73,9 @@ def test_wheels_agree_when_a_base_is_slow(starts_s: float, report: float) -> Non
 @pytest.mark.parametrize("seed", range(5))
 def test_wheels_agree_when_a_base_slips_in_bends(seed: int) -> None:
     """A skid-steered base that drives ahead turns at a third of the commanded rate; its odometry is noisy."""
-    rng, wheels, heading = np.random.default_rng(seed), WheelCheck(FULL), 0.0
+    rng = np.random.default_rng(seed)
+    wheels = WheelCheck(FULL)
+    heading = 0.0
     for tick in range(600):
         assert wheels.read((0.2 * tick, 0.0, heading), tick * TICK_S) is None
         bend = 0.45 * math.sin(tick / 20.0)
@@ -122,7 +128,8 @@ def test_loop_compares_what_the_body_carries_out_when_it_refuses() -> None:
             return super().drive(STANDING)
 
     clock = Clock()
-    gate, body = CommandGate(first_stop=1), Refusing(clock)
+    gate = CommandGate(first_stop=1)
+    body = Refusing(clock)
     gate.wheels = WheelCheck(body.kinematics)
     assert gate.arm(1, "") is None
     gate.begin("e", "policy")

@@ -50,7 +50,8 @@ class Robot:
 
 def run_robot(settings: ServiceSettings, run_node: RunNode, *, attended: bool) -> Robot:
     """Run a robot on a line."""
-    wheels, gate = Wheels(), CommandGate(attended=attended)
+    wheels = Wheels()
+    gate = CommandGate(attended=attended)
     check_stopping(wheels)
     node = Node("robot", settings)
     RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)

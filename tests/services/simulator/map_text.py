@@ -29,7 +29,8 @@ class MapText:
         if number is None or tags:
             number = self._new()
             self._node_of.setdefault(at, number)
-            latitude, longitude = LATITUDE + at[1] / NORTH_M, LONGITUDE + at[0] / EAST_M
+            latitude = LATITUDE + at[1] / NORTH_M
+            longitude = LONGITUDE + at[0] / EAST_M
             self._nodes.append(
                 f'<node id="{number}" version="1" lat="{latitude:.7f}" lon="{longitude:.7f}">{_tags(tags)}</node>'
             )
@@ -55,7 +56,8 @@ class MapText:
         return self.relation(members, type="multipolygon", **tags)
 
     def text(self) -> str:
-        north, east = self._half_m / NORTH_M, self._half_m / EAST_M
+        north = self._half_m / NORTH_M
+        east = self._half_m / EAST_M
         bounds = (
             f'<bounds minlat="{LATITUDE - north:.7f}" minlon="{LONGITUDE - east:.7f}" '
             f'maxlat="{LATITUDE + north:.7f}" maxlon="{LONGITUDE + east:.7f}"/>'
@@ -73,7 +75,10 @@ class MapText:
 
 def corners(x: float, y: float, width: float, height: float) -> list[Point]:
     """Return a closed rectangle about a middle."""
-    left, right, low, high = x - width / 2, x + width / 2, y - height / 2, y + height / 2
+    left = x - width / 2
+    right = x + width / 2
+    low = y - height / 2
+    high = y + height / 2
     return [(left, low), (right, low), (right, high), (left, high), (left, low)]
 
 

@@ -17,7 +17,8 @@ def town(tmp_path: Path) -> Path:
 
 
 def test_world_is_the_same_when_its_file_is_foreign(town: Path) -> None:
-    found, sound = load_foreign_world(town), load_world(town)
+    found = load_foreign_world(town)
+    sound = load_world(town)
     assert (found.name, found.start, found.victim) == (sound.name, sound.start, sound.victim)
 
 

@@ -11,7 +11,8 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from tests.services.simulator.simulator_driving import StubCamera, camera_in
 
-FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
+FORWARD = ATOMS.index("forward")
+RIGHT = ATOMS.index("right")
 
 
 @pytest.mark.rendering

@@ -50,7 +50,8 @@ def test_it_sends_a_lost_frame_again_and_then_gives_up() -> None:
 
 def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
     """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
-    clock, wanted = Clock(), set[Topic]()
+    clock = Clock()
+    wanted = set[Topic]()
     runner, sent = begin(LineBody(clock, wanted=wanted.__contains__))
     assert not [m for m in sent if isinstance(m, DepthImage)]
     wanted.add(DEPTH)

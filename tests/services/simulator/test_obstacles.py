@@ -87,7 +87,8 @@ def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
 def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(world: str) -> None:
     simulation = simulated(world)
     simulation.reset(1, "run", people=3)
-    first, passed = simulation.people[0], [simulation.people[0].pose]
+    first = simulation.people[0]
+    passed = [simulation.people[0].pose]
     for _ in range(300):
         simulation.advance(STANDING, 0.1)
         passed.append(first.pose)
@@ -120,7 +121,8 @@ def test_a_way_too_short_for_so_many_says_so() -> None:
 def test_clearance_is_of_the_robots_side_from_walls_things_and_people() -> None:
     simulation = simulated("campus")
     simulation.reset(1, "run")
-    radius_m, there = simulation.world.robot.radius_m, simulation.world.place
+    radius_m = simulation.world.robot.radius_m
+    there = simulation.world.place
     walls_m = Obstacles(there).clearance(simulation.pose.x, simulation.pose.y) - radius_m
     assert simulation.clearance_m == pytest.approx(walls_m)
     simulation.reset(1, "run", obstacles=3)

@@ -100,10 +100,12 @@ def test_depth_is_told_in_millimetres_with_how_its_camera_sits() -> None:
 
 def test_a_depth_camera_errs_more_far_away_and_has_holes_beside_what_is_near() -> None:
     wall = np.full((768, 1024), 4.0, dtype=np.float32)
-    wall[:, :200], wall[200:500, 500:600] = np.inf, 0.5
+    wall[:, :200] = np.inf
+    wall[200:500, 500:600] = 0.5
     told = measured(wall, FOCAL)
     assert told.shape == (192, 256)
-    near, far = told[60:110, 127:147], told[:, 60:110]
+    near = told[60:110, 127:147]
+    far = told[:, 60:110]
     assert not told[:, :49].any()  # out of range
     for part, true_m, share in ((near[near > 0], 0.5, 0.003), (far[far > 0], 4.0, 0.03)):
         assert abs(part.mean() - true_m) < 0.01 * true_m

@@ -26,7 +26,8 @@ class Hall:
     bounds = (-200.0, -200.0, 200.0, 200.0)
 
     def __init__(self, *things: Solid, model: RobotModel = RESCUEBOT) -> None:
-        self.solids, self.robot = things, model
+        self.solids = things
+        self.robot = model
 
 
 def perfect(robot: RobotModel) -> DriveTrain:
@@ -65,7 +66,8 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: 
         headings = [begin.heading, *(motion.pose.heading for motion in motions)]
         assert abs(np.diff(np.diff(np.unwrap(headings)))).max() < 5e-3, "the heading does not shake"
         assert not any(motion.collided for motion in motions)
-    (real_way, real_turn), (ideal_way, ideal_turn) = moved[PhysicalBase], moved[KinematicBase]
+    (real_way, real_turn) = moved[PhysicalBase]
+    (ideal_way, ideal_turn) = moved[KinematicBase]
     assert real_way == pytest.approx(ideal_way, rel=0.01, abs=2e-3)
     assert real_turn == pytest.approx(ideal_turn, rel=0.03, abs=5e-3)
 

@@ -18,7 +18,8 @@ from tests.services.simulator.simulator_driving import camera_in
 pytestmark = pytest.mark.rendering
 
 YARD, INDOOR = (load_world(name) for name in ("yard", "indoor"))
-WIDTH, HEIGHT = 160, 120
+WIDTH = 160
+HEIGHT = 120
 EYE = YARD.robot.camera
 TILTS = [LEVEL, Tilt(0.1, 0, 0), Tilt(0, 0.1, 0), Tilt(0, -0.08, 0), Tilt(0.05, 0.1, -0.2), Tilt(-0.1, 0.03, 0.3)]
 
@@ -33,7 +34,9 @@ def facing_the_victim(name: str, away_m: float) -> Pose:
 
 def test_an_image_has_something_in_it_and_repeats_to_the_bit() -> None:
     """In another order as well, so that nothing is left over from the frame before; nothing is black."""
-    camera, other, start = camera_in("indoor"), SceneCamera(INDOOR, CameraSettings(160, 120)), INDOOR.start
+    camera = camera_in("indoor")
+    other = SceneCamera(INDOOR, CameraSettings(160, 120))
+    start = INDOOR.start
     poses = [start, facing_the_victim("indoor", 0.8), Pose(start.x, start.y, start.heading + 1.5)]
     for pose in (*poses, *reversed(poses)):
         image = camera.render(pose)
@@ -50,7 +53,8 @@ def test_an_image_has_something_in_it_and_repeats_to_the_bit() -> None:
 def test_the_victim_is_seen_near_and_facing_and_from_no_start(
     name: str, near_m: float, nearer_m: float, share: float
 ) -> None:
-    camera, near = camera_in(name), facing_the_victim(name, near_m)
+    camera = camera_in(name)
+    near = facing_the_victim(name, near_m)
     assert camera.victim_pixels(near) > share
     assert camera.victim_pixels(facing_the_victim(name, nearer_m)) > camera.victim_pixels(near)
     assert camera.victim_pixels(Pose(near.x, near.y, near.heading + math.pi)) == 0
@@ -64,7 +68,8 @@ def test_the_victim_is_seen_near_and_facing_and_from_no_start(
 def rays(focal_px: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
     """Return each pixel's ray (height, width, 3) about the robot (ahead, left, up), of length 1 along the axis."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    left, up = -(columns - WIDTH / 2) / focal_px, -(rows - HEIGHT / 2) / focal_px
+    left = -(columns - WIDTH / 2) / focal_px
+    up = -(rows - HEIGHT / 2) / focal_px
     return np.stack([np.ones_like(left), left, up], axis=-1) @ tilt.matrix().T
 
 
@@ -77,10 +82,12 @@ def ground_depth_m(focal_px: float, tilt: Tilt) -> NDArray[np.float64]:
 @pytest.mark.parametrize("tilt", TILTS, ids=str)
 def test_the_ground_is_as_deep_as_geometry_says(tilt: Tilt) -> None:
     camera = camera_in("yard")
-    depth, expected = camera.depth_m(YARD.start, tilt), ground_depth_m(camera.focal_px, tilt)
+    depth = camera.depth_m(YARD.start, tilt)
+    expected = ground_depth_m(camera.focal_px, tilt)
     assert (depth.shape, depth.dtype) == ((HEIGHT, WIDTH), np.float32)
     # Nearer than this nothing stands around the start; farther than the other the map ends.
-    near, there = expected < 2.8, expected < 15
+    near = expected < 2.8
+    there = expected < 15
     assert near.mean() > 0.1
     np.testing.assert_allclose(depth[near], expected[near], atol=0.0011)
     assert (depth[there] <= expected[there] + 0.01).all(), "nothing is seen through the ground"

@@ -39,7 +39,8 @@ def sensors(shake: float = 0.0) -> Sensors:
 
 def go(made: Sensors, wheels: Wheels) -> list[Pose]:
     """Roll without slipping for one step of each pair of wheel speeds; return the true pose after each."""
-    pose, poses = START, []
+    pose = START
+    poses = []
     for left, right in wheels:
         pose = move(pose, WheelSpeeds(left, right), TURTLEBOT.drive.track_m, STEP_S)
         made.feel(Motion(pose, (left * STEP_S, right * STEP_S), collided=False), STEP_S)
@@ -49,8 +50,10 @@ def go(made: Sensors, wheels: Wheels) -> list[Pose]:
 
 def seen_from_start(pose: Pose) -> tuple[float, float, float]:
     """Return a pose in the frame that odometry has: from the start, x ahead."""
-    dx, dy = pose.x - START.x, pose.y - START.y
-    cos, sin = math.cos(START.heading), math.sin(START.heading)
+    dx = pose.x - START.x
+    dy = pose.y - START.y
+    cos = math.cos(START.heading)
+    sin = math.sin(START.heading)
     return dx * cos + dy * sin, dy * cos - dx * sin, math.remainder(pose.heading - START.heading, math.tau)
 
 
@@ -84,7 +87,8 @@ def test_the_integrals_are_the_true_heading_and_velocity(wheels: Wheels) -> None
     # Each acceleration is felt in the heading between the two steps that it is the difference of.
     velocity = np.zeros(2)
     for before, (ahead, left, up) in zip(poses[:-1], accelerometer(readings), strict=True):
-        cos, sin = math.cos(before.heading), math.sin(before.heading)
+        cos = math.cos(before.heading)
+        sin = math.sin(before.heading)
         velocity += STEP_S * np.array([ahead * cos - left * sin, ahead * sin + left * cos])
         assert up == GRAVITY_M_S2
     true = np.array([poses[-1].x - poses[-2].x, poses[-1].y - poses[-2].y]) / STEP_S

@@ -42,7 +42,8 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
         for _ in range(5):
             sliced.advance(KEYS[atom], 0.02)
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
-    one, other = whole.look(), sliced.look()
+    one = whole.look()
+    other = sliced.look()
     assert (one.odometry, one.imu) == (other.odometry, other.imu)
 
 
@@ -54,7 +55,8 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
     for one in (simulation, again):
         one.reset(5, "run")
         one.advance(KEYS["forward"], 0.5)
-    before, wheels = simulation.pose, simulation.look().odometry
+    before = simulation.pose
+    wheels = simulation.look().odometry
     carried = simulation.carry_away()
     assert carried == simulation.pose == again.carry_away()
     assert math.hypot(carried.x - before.x, carried.y - before.y) > 1.0

@@ -38,7 +38,8 @@ def can_drive(world: World, *path: tuple[float, float]) -> bool:
 
 @pytest.mark.skipif(not BROWN.exists(), reason=f"the real extract is not on this machine: {BROWN}")
 def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
-    world, again = load_world(BROWN), load_world(BROWN)
+    world = load_world(BROWN)
+    again = load_world(BROWN)
     assert len(world.place.buildings) > 350  # type: ignore[attr-defined]
     assert len(world.place.trees) == 32  # type: ignore[attr-defined]
     assert (world.start, world.victim) == (again.start, again.victim)

@@ -80,7 +80,9 @@ meaningful = st.one_of(
 @given(st.lists(st.sampled_from(SEQUENCES), max_size=10), st.data())
 def test_it_does_not_matter_how_the_bytes_come_in_pieces(parts: list[bytes], data: st.DataObject) -> None:
     whole = b"".join(parts)
-    parser, keys, rest = KeyParser(), [], whole
+    parser = KeyParser()
+    keys = []
+    rest = whole
     while rest:
         size = data.draw(st.integers(1, len(rest)))
         keys += parser.feed(rest[:size])

@@ -27,8 +27,11 @@ from tests.services.waiting import eventually
 pytestmark = pytest.mark.zenoh
 
 #: As the kitty keyboard protocol has it.
-W_PRESSED, W_REPEATED, W_RELEASED = b"\x1b[119u", b"\x1b[119;1:2u", b"\x1b[119;1:3u"
-A_PRESSED, A_RELEASED = b"\x1b[97u", b"\x1b[97;1:3u"
+W_PRESSED = b"\x1b[119u"
+W_REPEATED = b"\x1b[119;1:2u"
+W_RELEASED = b"\x1b[119;1:3u"
+A_PRESSED = b"\x1b[97u"
+A_RELEASED = b"\x1b[97;1:3u"
 #: How a robot that has no time refuses: a person presses again.
 REFUSED = r"robot \w+: |press again"
 HOLD_S = 2.0  # The longest that can be set.

@@ -27,7 +27,8 @@ class Shot:
 
 def homography(camera: Calibration, height_m: float) -> np.ndarray:
     """Return the 3x3 matrix from (x, y, 1) on the plane at a height to pixels: K R [I | -C] of a pinhole camera."""
-    cos, sin = math.cos(camera.up_rad), math.sin(camera.up_rad)
+    cos = math.cos(camera.up_rad)
+    sin = math.sin(camera.up_rad)
     rotation = np.array([[sin, -cos, 0.0], [-cos, -sin, 0.0], [0.0, 0.0, -1.0]])
     k = np.array([[camera.focal_px, 0, camera.centre_x_px], [0, camera.focal_px, camera.centre_y_px], [0, 0, 1.0]])
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, height_m]])
@@ -78,9 +79,12 @@ def _put(
     v = upper + (np.arange((lower - upper) * SUPERSAMPLING) + 0.5) / SUPERSAMPLING
     pixels = np.stack([*np.meshgrid(u, v), np.ones((len(v), len(u)))], axis=-1)
     seen = pixels @ np.linalg.inv(homography(camera, tag.height_m)).T
-    x, y = seen[..., 0] / seen[..., 2] - pose[0], seen[..., 1] / seen[..., 2] - pose[1]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    ahead, leftward = x * cos + y * sin, y * cos - x * sin
+    x = seen[..., 0] / seen[..., 2] - pose[0]
+    y = seen[..., 1] / seen[..., 2] - pose[1]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    ahead = x * cos + y * sin
+    leftward = y * cos - x * sin
     background = np.kron(picture[upper:lower, left:right], np.ones((SUPERSAMPLING, SUPERSAMPLING)))
     drawn = _robot(background, ahead, leftward, tag)
     if cover is not None:

@@ -87,12 +87,14 @@ def test_accuracy_holds_from_16_to_80_pixels_a_side(
 @given(st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=4, max_size=4), _angles)
 def test_no_other_square_fits_better(shifts: list[tuple[float, float]], heading: float) -> None:
     square = np.array([[0.1, 0.1], [0.1, -0.1], [-0.1, -0.1], [-0.1, 0.1]])
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     corners = square @ [[cos, sin], [-sin, cos]] + (2.0, -1.0) + np.array(shifts)
     x, y, found, error = fit_square(corners, 0.2)
 
     def squares(p: np.ndarray) -> float:
-        c, s = math.cos(p[2]), math.sin(p[2])
+        c = math.cos(p[2])
+        s = math.sin(p[2])
         return float(np.sum((square @ [[c, s], [-s, c]] + p[:2] - corners) ** 2))
 
     assert 4 * error**2 == pytest.approx(squares(np.array([x, y, found])), abs=1e-12)

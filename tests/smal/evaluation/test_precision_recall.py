@@ -30,7 +30,8 @@ def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angl
     assert judged.findable.tolist() == right.any(axis=1).tolist()
     for i in range(0, 300, 30):
         for j in range(30):
-            (x, y, a), (u, v, b) = queries[i], references[j]
+            (x, y, a) = queries[i]
+            (u, v, b) = references[j]
             cos = math.cos(a) * math.cos(b) + math.sin(a) * math.sin(b)
             apart_deg = math.degrees(math.acos(max(-1.0, min(1.0, cos))))
             assert right[i, j] == (math.dist((x, y), (u, v)) <= distance_m and apart_deg <= angle_deg)
@@ -68,7 +69,8 @@ def all_answered(score: NDArray[np.float64], right: NDArray[np.bool_]) -> Judgem
 
 def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
     """Return (recall, precision, threshold) for each score, highest first, counting all queries each time."""
-    j, points = judgement, []
+    j = judgement
+    points = []
     queries = [i for i in range(j.score.size) if j.judged[i]]
     for threshold in sorted({j.score[i] for i in queries if j.answered[i]}, reverse=True):
         answers = [i for i in queries if j.answered[i] and j.score[i] >= threshold]
@@ -85,9 +87,11 @@ def taken(judgement: Judgement, queries: NDArray[np.int64]) -> Judgement:
 @given(judgements())
 @settings(deadline=None)
 def test_equals_counting_by_hand(judgement: Judgement) -> None:
-    curve, points = PrecisionRecall.of(judgement), by_hand(judgement)
+    curve = PrecisionRecall.of(judgement)
+    points = by_hand(judgement)
     assert np.column_stack([curve.recall, curve.precision, curve.threshold]).tolist() == [list(p) for p in points]
-    area, before = 0.0, 0.0
+    area = 0.0
+    before = 0.0
     for recall, precision, _ in points:
         area += precision * (recall - before)
         before = recall
@@ -142,6 +146,7 @@ def test_scores_that_are_what_they_say_have_no_calibration_error() -> None:
 
 
 def test_known_from_unknown_is_the_share_of_pairs() -> None:
-    sure, findable = np.array([0.9, 0.4, 0.4, 0.1]), np.array([True, True, False, False])
+    sure = np.array([0.9, 0.4, 0.4, 0.1])
+    findable = np.array([True, True, False, False])
     assert known_from_unknown(judgement_of(sure, findable, findable), sure) == pytest.approx(3.5 / 4)
     assert known_from_unknown(judgement_of(sure, findable), sure) is None

@@ -11,8 +11,11 @@ from smal.evaluation.teach_and_repeat import COLUMNS, TeachAndRepeat
 from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration
 
-HEIGHT, WIDTH, FIELD_RAD = 44, COLUMNS, math.radians(75.0)
-STEP_M, TURN_RAD = 0.2, math.radians(4.0)
+HEIGHT = 44
+WIDTH = COLUMNS
+FIELD_RAD = math.radians(75.0)
+STEP_M = 0.2
+TURN_RAD = math.radians(4.0)
 #: A straight way of 8 m, a bend of 48 degrees to the left, 6 m.
 TAUGHT = [Atom.FORWARD] * 40 + [Atom.LEFT, Atom.FORWARD] * 12 + [Atom.FORWARD] * 30 + [Atom.STOP]
 
@@ -33,24 +36,29 @@ class Wood:
         """Paint the pillars, far ones first; columns are equal angles."""
         image = np.full((HEIGHT, WIDTH), 128, dtype=np.uint8)
         x, y = (self.pillars[:, :2] - pose[:2]).T
-        distance, bearing = np.hypot(x, y), (np.arctan2(y, x) - pose[2] + np.pi) % (2 * np.pi) - np.pi
-        middle, half = WIDTH * (0.5 - bearing / FIELD_RAD), WIDTH / FIELD_RAD * self.pillars[:, 2] / distance
+        distance = np.hypot(x, y)
+        bearing = (np.arctan2(y, x) - pose[2] + np.pi) % (2 * np.pi) - np.pi
+        middle = WIDTH * (0.5 - bearing / FIELD_RAD)
+        half = WIDTH / FIELD_RAD * self.pillars[:, 2] / distance
         left, right = np.clip([middle - half, middle + half], 0, WIDTH).round().astype(int)
         rows = np.minimum(HEIGHT / distance, HEIGHT / 2).astype(int)
         for one in np.argsort(-distance):
-            top, bottom = HEIGHT // 2 - rows[one], HEIGHT // 2 + rows[one]
+            top = HEIGHT // 2 - rows[one]
+            bottom = HEIGHT // 2 + rows[one]
             image[top:bottom, left[one] : right[one]] = self.pillars[one, 3]
         return image[..., None].repeat(3, axis=2)
 
     def drive(self) -> Demonstration:
-        images, atoms = [self.seen(pose) for pose in self.way], np.array(TAUGHT, dtype=np.int8)
+        images = [self.seen(pose) for pose in self.way]
+        atoms = np.array(TAUGHT, dtype=np.int8)
         return Demonstration("d", np.zeros((len(atoms), 1), np.float32), atoms, images=images, odometry=self.way)
 
     def repeat(
         self, robot: TeachAndRepeat, start: tuple[float, ...], ticks: int, slip: float = 0.0
     ) -> NDArray[np.float64]:
         """Return the poses (f, 3) until it stops; wheels that slip count more way than there is."""
-        poses, wheels = [np.array(start)], np.zeros(3)
+        poses = [np.array(start)]
+        wheels = np.zeros(3)
         robot.reset()
         while len(poses) < ticks and (atom := robot.step(self.seen(poses[-1]), wheels.tolist())) != Atom.STOP:
             poses.append(moved(poses[-1], atom))

@@ -29,7 +29,10 @@ def turning(tick: int) -> Pose:
 
 def delays(way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, seed: int = 0) -> list[float]:
     """Deliver, tick after tick, the image of another tick; return how old each is said to be."""
-    rng, made, images, found = np.random.default_rng(seed), CaptureTime(MOUNT), {}, []
+    rng = np.random.default_rng(seed)
+    made = CaptureTime(MOUNT)
+    images = {}
+    found = []
     for tick in range(ticks):
         if shown(tick) not in images:
             noise = rng.normal(1.0, 0.01, (60, 80))
@@ -76,7 +79,8 @@ def test_delay_stays_when_a_late_robot_stands_again() -> None:
 @pytest.mark.parametrize("to", [(0.0, 3.0, 1.0), (-2.0, -1.0, math.pi), (4.0, -1.0, -0.5), (-2.0, 0.5, 0.1)])
 def test_delay_is_zero_when_the_robot_was_carried(way: Callable[[int], Pose], to: Pose) -> None:
     """Its wheels do not turn meanwhile: no pose of theirs explains what it sees now."""
-    rng, made = np.random.default_rng(0), CaptureTime(MOUNT)
+    rng = np.random.default_rng(0)
+    made = CaptureTime(MOUNT)
     for tick in range(40):
         x, y, heading = way(tick)
         there = (x, y, heading) if tick < 20 else (x + to[0], y + to[1], heading + to[2])
@@ -99,7 +103,8 @@ STREET: list[Box] = [(-5.0, 2.5, 60.0, 3.0, 3.0), (-5.0, -4.0, 60.0, -3.5, 3.0),
 def test_delay_is_zero_when_the_camera_shakes(seed: int) -> None:
     """A mast swings by 1.4 degrees while the robot drives; images are on time, in the yard and in a street."""
     for boxes in (YARD, STREET):
-        rng, made = np.random.default_rng(seed), CaptureTime(MOUNT)
+        rng = np.random.default_rng(seed)
+        made = CaptureTime(MOUNT)
         for tick in range(60):
             x, y, heading = straight(tick)
             yaw, pitch = np.radians(rng.uniform(-0.7, 0.7, 2))

@@ -74,7 +74,8 @@ def test_what_has_left_the_view_is_still_known_and_what_has_walked_away_is_forgo
 
 
 def test_out_of_view_what_has_come_is_soon_forgotten_and_what_stands_there_is_not() -> None:
-    box, aside = (2.5, -0.2, 2.9, 0.2, 1.7), (0.0, 0.0, math.radians(80.0))
+    box = (2.5, -0.2, 2.9, 0.2, 1.7)
+    aside = (0.0, 0.0, math.radians(80.0))
     for before, known in ([], False), ([box], True):
         made = Surroundings(MOUNT.radius_m)
         for boxes in [before] * 4 + [[box]] * 3:
@@ -88,7 +89,9 @@ def test_from_what_walks_it_keeps_off_and_what_stands_beside_the_way_it_passes()
     def aside_at(y_m: float) -> Box:
         return 2.6, y_m, 3.0, y_m + 0.4, 1.7
 
-    made, walks = around(), [aside_at(1.8 - 0.1 * tick) for tick in range(10)]  # at 1 m/s, towards the way
+    # at 1 m/s, towards the way
+    made = around()
+    walks = [aside_at(1.8 - 0.1 * tick) for tick in range(10)]
     for box in walks:
         made.look(HERE, depth([box], HERE), MOUNT)
     assert made.moving.any()
@@ -102,7 +105,9 @@ def test_from_what_walks_it_keeps_off_and_what_stands_beside_the_way_it_passes()
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_that_stands_moves_because_the_robot_does(seed: int) -> None:
     """Distances err by a hundredth, as those of a depth camera; what seems to come does so far off, and is let pass."""
-    rng, made, pose = np.random.default_rng(seed), Surroundings(MOUNT.radius_m), (0.0, 0.0, 0.3)
+    rng = np.random.default_rng(seed)
+    made = Surroundings(MOUNT.radius_m)
+    pose = (0.0, 0.0, 0.3)
     boxes: list[Box] = [(3.0, 0.7, 3.5, 1.2, 1.0), (4.5, -1.6, 5.0, -1.0, 0.6), (7.0, -6.0, 7.4, 6.0, 2.0)]
     for tick in range(30):
         measured = depth(boxes, pose) * rng.normal(1.0, 0.01, (60, 80))
@@ -125,17 +130,21 @@ def test_a_robot_stands_before_what_it_comes_to(
 
 
 KNOWN_M = 4.0  # Aside of the way.
-END_M, TURN_RAD = 16.0, float(MOVEMENTS[Atom.LEFT, 1])
+END_M = 16.0
+TURN_RAD = float(MOVEMENTS[Atom.LEFT, 1])
 
 
 def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
     """Follow the way, y = 0, and go round boxes; return the poses and how often nothing led round."""
-    around, pose, blocked = Surroundings(MOUNT.radius_m), (0.0, 0.0, 0.0), 0
+    around = Surroundings(MOUNT.radius_m)
+    pose = (0.0, 0.0, 0.0)
+    blocked = 0
     poses = [pose]
     for _ in range(ticks):
         around.look(pose, depth(boxes, pose), MOUNT)
         x = np.arange(pose[0] + 1.4, min(pose[0] + 7.8, END_M + 1.5), 0.35)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
+        c = math.cos(pose[2])
+        s = math.sin(pose[2])
         way = np.stack([x - pose[0], np.full(x.size, -pose[1])], axis=1) @ np.array([[c, -s], [s, c]])
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
         if hit_m(around, way) < math.inf:
@@ -175,9 +184,11 @@ def test_it_goes_round_and_comes_back(boxes: list[Box]) -> None:
 def test_who_faces_away_from_what_it_goes_round_turns_back_at_once(heading: float) -> None:
     """It went on straight away, and meant to turn back later."""
     box: Box = (2.2, -0.3, 2.8, 0.5, 1.0)
-    made, pose = around(box), (0.0, 0.0, heading)
+    made = around(box)
+    pose = (0.0, 0.0, heading)
     made.look(pose, depth([box], pose), MOUNT)
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
     turn = turn_round(made, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
     assert turn is not None

@@ -22,11 +22,13 @@ def view(pose: corridor.Pose, box_m: float | None = None) -> Image:
     rows, columns = picture.shape[:2]
     picture[rows // 2 :] = 100 + picture[rows // 2 :] // 16  # A floor that looks much the same everywhere.
     if box_m is not None and box_m - pose[0] > 0.3:
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        cos = math.cos(pose[2])
+        sin = math.sin(pose[2])
         ahead = (box_m - pose[0]) * cos - pose[1] * sin
         left = -pose[1] * cos - (box_m - pose[0]) * sin
         focal = 0.7 * columns / ahead
-        middle, half = columns / 2 - focal * left, focal / 4
+        middle = columns / 2 - focal * left
+        half = focal / 4
         foot = min(rows, round(rows / 2 + focal / 2))
         picture[rows // 2 : foot, max(0, round(middle - half)) : max(0, round(middle + half))] = BOX
     return picture
@@ -40,7 +42,9 @@ def model() -> Model:
 
 def driven(watches: bool, box_m: float | None) -> tuple[Robot, list[tuple[str, float]], float]:
     """Let a robot drive the way, 0.2 m a frame; return it, what it did and how fast, and how far it came."""
-    robot, here, did = Robot(model(), watches=watches), (0.0, 0.1, 0.0), []
+    robot = Robot(model(), watches=watches)
+    here = (0.0, 0.1, 0.0)
+    did = []
     for _ in range(40):
         robot.step(view(here, box_m), here)
         did.append((robot.decision.kind, robot.decision.motion[0]))

@@ -31,7 +31,9 @@ def looks(*views: list[Box]) -> Surroundings:
 
 def waits(planner: Planner, ticks: int) -> list[Decision]:
     """Stand before a wall for so many ticks, and turn as is decided, until it is decided to drive."""
-    made, heading, decisions = Surroundings(MOUNT.radius_m), 0.0, []
+    made = Surroundings(MOUNT.radius_m)
+    heading = 0.0
+    decisions = []
     for _ in range(ticks):
         pose = (0.0, 0.0, heading)
         made.look(pose, depth([WALL], pose), MOUNT)
@@ -77,7 +79,8 @@ def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
     """They wait for each other; it backs off to where people feel free to go, as long as it knows that it can."""
     x = 0.0
     somebody: Box = (0.7, -0.3, 1.0, 0.3, 1.7)
-    planner, made = Planner(map_of(16.0)), looks([WALL], [WALL, somebody])
+    planner = Planner(map_of(16.0))
+    made = looks([WALL], [WALL, somebody])
     motions = []
     for _ in range(round(1.9 * PLANNER_CONFIG.waits_s / 0.1)):
         pose = (x, 0.0, 0.0)
@@ -98,14 +101,16 @@ def test_what_has_just_come_is_not_what_it_was_sent_to_find(robot: str) -> None:
     if robot == "car":
         taught = replace(taught, movements=taught.movements + np.array([0.05, 0.0]) * (taught.movements[:, 1:] != 0.0))
     for before, said in (([], None), (thing, "found")):
-        planner, made = Planner(taught), looks(*[before] * 4, *[thing] * 3)
+        planner = Planner(taught)
+        made = looks(*[before] * 4, *[thing] * 3)
         for _ in range(100):
             planner.decide(end, seen=Glimpse(0.999, 1.1, 0.0), around=made)
         assert planner.said == said
 
 
 def test_search_ends_when_a_thing_stands_before_the_target() -> None:
-    planner, made = Planner(map_of(16.0)), looks([(0.5, -0.4, 0.8, 0.4, 1.7)])
+    planner = Planner(map_of(16.0))
+    made = looks([(0.5, -0.4, 0.8, 0.4, 1.7)])
     assert made.free_m(ahead=True) == 0.0
     end = belief((160, 0.0, 0.0, 0.0))
     decisions = [planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)]

@@ -47,7 +47,8 @@ def _mixture(rng: np.random.Generator) -> Problem:
 
 def _near_duplicates(rng: np.random.Generator) -> Problem:
     """Several demonstrations of one route, and a query on it between two cuts."""
-    length, size = int(rng.choice([2, 3, 5])), 100
+    length = int(rng.choice([2, 3, 5]))
+    size = 100
     route = corridor(4 * length, size, int(rng.integers(2**31)))
     noise = float(rng.choice([1e-4, 0.05, 0.3]))
     drives = [unit(route + noise * unit(rng.standard_normal(route.shape))) for _ in range(5)]
@@ -64,9 +65,11 @@ def _exact_duplicates(rng: np.random.Generator) -> Problem:
 
 def _rank_deficient(rng: np.random.Generator) -> Problem:
     """Up to 50 times as many templates as entries."""
-    length, n = int(rng.choice([1, 2, 5])), int(rng.choice([20, 150]))
+    length = int(rng.choice([1, 2, 5]))
+    n = int(rng.choice([20, 150]))
     size = int(rng.choice([3, 10, 40]))
-    X, Y = unit(rng.standard_normal((n, size))), unit(rng.standard_normal((length, size)))
+    X = unit(rng.standard_normal((n, size)))
+    Y = unit(rng.standard_normal((length, size)))
     return _problem(X.T, Y.T, length, rng)
 
 
@@ -113,7 +116,9 @@ def structured(structure: str, seed: int) -> Problem:
 
 def answers(problem: Problem, tolerance: float) -> Iterator[tuple[str, Solution]]:
     """Solve one problem, given in all ways that have the same optimum."""
-    X, Y, parameters = problem.X, problem.Y, (*problem.parameters, tolerance)
+    X = problem.X
+    Y = problem.Y
+    parameters = (*problem.parameters, tolerance)
     yield "Fortran order", solve(X, Y, *parameters)
     yield "C order", solve(np.ascontiguousarray(X), Y, *parameters)
     yield "float64", solve(X.astype(np.float64), Y.astype(np.float64), *parameters)
@@ -143,7 +148,9 @@ def check_bounds(solutions: dict[str, Solution], best: float) -> None:
 
 def optimum(problem: Problem) -> float:
     """Minimum of Eq. 7 by CVXPY and Clarabel."""
-    X, Y, length = problem.X.astype(float), problem.Y.astype(float), problem.length
+    X = problem.X.astype(float)
+    Y = problem.Y.astype(float)
+    length = problem.length
     import cvxpy as cp  # noqa: PLC0415 - takes long to load, and all processes read this file
 
     W = cp.Variable((X.shape[1], Y.shape[1]))
@@ -156,6 +163,7 @@ def polar(G: Array, lambda1: float, lambda2: float) -> float:
     """Polar of the penalty of one sequence, exactly: the least s for which G / s is in the dual set."""
     import cvxpy as cp  # noqa: PLC0415 - takes long to load, and all processes read this file
 
-    A, s = cp.Variable(G.shape), cp.Variable()
+    A = cp.Variable(G.shape)
+    s = cp.Variable()
     constraints = [cp.norm(A, 2, axis=1) <= lambda1 * s, cp.norm(G - A, 2, axis=0) <= lambda2 * s]
     return float(cp.Problem(cp.Minimize(s), constraints).solve(solver=cp.CLARABEL))

@@ -78,11 +78,14 @@ def test_bounds_do_not_depend_on_the_scale(scale: float) -> None:
 def test_products_are_as_exact_as_rounding_says(
     shape: tuple[int, int, int], seed: int, decades: int, positive: bool
 ) -> None:
-    (n, m, q), rng = shape, np.random.default_rng(seed)
+    n, m, q = shape
+    rng = np.random.default_rng(seed)
     X, T = (rng.standard_normal((k, m)) * 10.0 ** rng.uniform(-decades, decades, (k, m)) for k in (n, q))
     if positive:  # nothing cancels, so every rounding counts
-        X, T = np.abs(X), np.abs(T)
-    X, T = X.astype(np.float32), T.astype(np.float32)
+        X = np.abs(X)
+        T = np.abs(T)
+    X = X.astype(np.float32)
+    T = T.astype(np.float32)
     exact = X.astype(np.float64) @ T.T.astype(np.float64)
     allowed = rounding(m, np.float32) * np.outer(np.linalg.norm(X, axis=1), np.linalg.norm(T, axis=1))
     assert (np.abs(X @ T.T - exact) <= allowed * (1 + 1e-6)).all()

@@ -13,7 +13,8 @@ from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
 from tests.smal.worlds import COLOR, corridor, drive
 
-PLACES, LENGTH = 120, 5
+PLACES = 120
+LENGTH = 5
 VIEWS = corridor(PLACES)
 DRIVES = [drive(VIEWS, start, seed=start, name=f"drive {start}") for start in range(4)]
 RECOVERY = dataclasses.replace(drive(VIEWS, 40, seed=9, name="recovery", end=72), recovery=True)
@@ -67,7 +68,8 @@ def test_the_state_is_that_of_eq_9_however_strange_the_view(model: PaperModel, n
 
 
 def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: PaperModel) -> None:
-    recognizer, query = Recognizer(model), DRIVES[0].features
+    recognizer = Recognizer(model)
+    query = DRIVES[0].features
     statuses = [recognizer.observe(tick, query[tick], due=True).status for tick in (*range(6), *range(7, 13))]
     assert statuses == ["collecting"] * 4 + ["recognized"] * 2 + ["collecting"] * 4 + ["recognized"] * 2
     recognizer.reset()
@@ -75,7 +77,8 @@ def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: PaperModel) ->
 
 
 def test_bad_features_are_refused_and_not_taken_in(model: PaperModel) -> None:
-    recognizer, query = Recognizer(model), DRIVES[0].features
+    recognizer = Recognizer(model)
+    query = DRIVES[0].features
     for tick in range(4):
         recognizer.observe(tick, query[tick], due=True)
     for bad in (
@@ -115,8 +118,10 @@ def test_where_nothing_is_to_follow_the_robot_stops() -> None:
     astray = drive(np.concatenate([corridor(20, seed=8, smooth=0.9), VIEWS]), 0, seed=4, end=20)
     model = learn([DRIVES[0], astray], LearningSettings(features=COLOR))
     assert model.states - np.unique(model.transitions.state).size == 1
-    maker, stop = DecisionMaker(model), (Atom.STOP,) * LENGTH
-    goal, end = int(model.transitions.goals[0]), int(model.state_streams[1][-1])
+    maker = DecisionMaker(model)
+    stop = (Atom.STOP,) * LENGTH
+    goal = int(model.transitions.goals[0])
+    end = int(model.state_streams[1][-1])
     assert maker.decide(Recognition("recognized", 0, goal)) == PaperDecision("goal", stop, goal)
     assert maker.decide(Recognition("recognized", 5, end)) == PaperDecision("dead_end", stop, end)
 
@@ -124,7 +129,9 @@ def test_where_nothing_is_to_follow_the_robot_stops() -> None:
 @pytest.mark.parametrize("length", [1, 2, 10])
 def test_a_drive_seen_again_is_driven_again(length: int) -> None:
     model = learn(DRIVES[:1], LearningSettings(features=COLOR, sequence_length=length, tau=0.6))
-    recognizer, maker, one = Recognizer(model), DecisionMaker(model), DRIVES[0]
+    recognizer = Recognizer(model)
+    maker = DecisionMaker(model)
+    one = DRIVES[0]
     first = len(one.atoms) % length
     made = []
     for tick, view in enumerate(one.features[first : first + 60]):

@@ -19,7 +19,8 @@ RESIDUAL_ERROR = 2.0 * 1e-15**0.5
 def near_copy(seed: int, lambda_: float, noise: float) -> tuple[Problem, int]:
     """Query a template sequence that noise was added to, and tell where it starts."""
     rng = np.random.default_rng(seed)
-    length, size = int(rng.choice([1, 2, 3, 5])), int(rng.choice([40, 60, 100]))
+    length = int(rng.choice([1, 2, 3, 5]))
+    size = int(rng.choice([40, 60, 100]))
     count = length * int(rng.integers(3, 20))
     X = np.asfortranarray(unit(rng.standard_normal((count, size))).T, dtype=np.float32)
     start = length * int(rng.integers(0, count // length))

@@ -18,8 +18,11 @@ def test_norms_by_hand() -> None:
 def test_objective_term_by_term(seed: int) -> None:
     """The sums of the paper, written out, for float32 input and a shorter last sequence."""
     rng = np.random.default_rng(seed)
-    length, n, q = 3, 11, 4
-    X, Y = rng.standard_normal((6, n)).astype(np.float32), rng.standard_normal((6, q)).astype(np.float32)
+    length = 3
+    n = 11
+    q = 4
+    X = rng.standard_normal((6, n)).astype(np.float32)
+    Y = rng.standard_normal((6, q)).astype(np.float32)
     W = rng.standard_normal((n, q)) * (rng.random((n, 1)) < 0.6)
     residuals = Y.astype(float) - X.astype(float) @ W
     expected = sum(np.sqrt(sum(residuals[k, i] ** 2 for k in range(6))) for i in range(q))

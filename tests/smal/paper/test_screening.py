@@ -41,7 +41,8 @@ def test_large_problems(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
     X, Y = matching_problem(seed, blocks=400, length=5, size=120, noise=0.5, mixed=1 + seed)
     if kind == "outliers":
-        X, Y = np.concatenate([X, np.where(rng.random(2000) < 0.5, 3.0, -3.0)[None]]), np.pad(Y, ((0, 1), (0, 0)))
+        X = np.concatenate([X, np.where(rng.random(2000) < 0.5, 3.0, -3.0)[None]])
+        Y = np.pad(Y, ((0, 1), (0, 0)))
     elif kind == "near duplicates":
         copies = unit(X[:, :25].T + 0.02 * unit(rng.standard_normal((25, 120))))
         X[:, 1000:1025] = copies.T

@@ -37,7 +37,8 @@ def test_agrees_with_cvxpy(structure: str) -> None:
     seeds = [seed for seed in range(60) if structured(structure, seed).X.shape[1] <= 60][:2]
     assert len(seeds) == 2
     for problem in (structured(structure, seed) for seed in seeds):
-        best, norms = optimum(problem), float(np.linalg.norm(problem.Y, axis=0).sum())
+        best = optimum(problem)
+        norms = float(np.linalg.norm(problem.Y, axis=0).sum())
         for name, solution in answers(problem, 1e-6):
             assert solution.objective == pytest.approx(best, rel=1e-5, abs=1e-6 * norms), name
             check_bounds({name: solution}, best * (1 + 1e-6) + 1e-7 * norms)

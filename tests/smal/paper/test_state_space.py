@@ -12,7 +12,9 @@ from smal.paper.state_matching import Solution, solve
 from smal.paper.state_space import MemoryBoundError, StateSpace, learn_state_space
 from tests.smal.worlds import corridor, unit
 
-SIZE, LENGTH, LAMBDA = 300, 5, 0.1 * np.sqrt(5)
+SIZE = 300
+LENGTH = 5
+LAMBDA = 0.1 * np.sqrt(5)
 # Rough enough that neighbouring sequences are places of their own.
 ROUGH = 0.9
 VIEWS = corridor(60, SIZE, smooth=ROUGH)

@@ -44,8 +44,10 @@ def test_images_are_an_array_or_come_one_after_the_other() -> None:
 
 
 def test_features_are_of_any_kind() -> None:
-    walk, places = Walk(np.random.default_rng(0), 200), np.arange(30.0, 180.0)
-    references, queries = walk.at(np.arange(200.0), 0.4) + 3.0, walk.at(places, 1.0) - 2.0
+    walk = Walk(np.random.default_rng(0), 200)
+    places = np.arange(30.0, 180.0)
+    references = walk.at(np.arange(200.0), 0.4) + 3.0
+    queries = walk.at(places, 1.0) - 2.0
     for method in ("smal", "nearest"):
         found = smal.match(references, queries, method=method)
         right = np.abs(found.reference - places)[found.matched] <= 6
@@ -105,7 +107,8 @@ def by_hand(references: NDArray[np.float32], queries: NDArray[np.float32], lengt
 @settings(max_examples=60, deadline=None)
 def test_equals_a_search_by_hand(seed: int, n: int, q: int, length: int) -> None:
     rng = np.random.default_rng(seed)
-    references, queries = random_features(rng, n), random_features(rng, q)
+    references = random_features(rng, n)
+    queries = random_features(rng, q)
     matches = match_nearest_sequence(references, queries, length, ignore)
     first = length - 1 if length <= n else q
     assert matches.reference[:first].tolist() == [NONE] * min(first, q)
@@ -131,7 +134,8 @@ def dense(chain: Chain) -> np.ndarray:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 20))
 @settings(max_examples=40, deadline=None)
 def test_probabilities_are_those_of_dense_matrices(seed: int, references: int, queries: int) -> None:
-    chain, rng = Chain(references), np.random.default_rng(seed)
+    chain = Chain(references)
+    rng = np.random.default_rng(seed)
     moves = dense(chain)
     np.testing.assert_allclose(moves.sum(axis=0), 1.0, atol=1e-5)
     ratios = np.exp(rng.normal(scale=2.0, size=(queries, references))).astype(np.float32)

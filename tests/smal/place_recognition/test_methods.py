@@ -14,7 +14,9 @@ from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.place_recognition.paper_matching import LAMBDA_SCALE, match_as_in_the_paper
 from tests.smal.place_recognition.traverses import Road, Walk, unit
 
-N, FIRST, LAST = 100, 20, 80
+N = 100
+FIRST = 20
+LAST = 80
 
 
 def raw_traverses(features: FeatureSettings, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

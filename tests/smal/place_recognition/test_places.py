@@ -54,13 +54,15 @@ def test_the_place_is_found(name: str, lag: int | None) -> None:
 
 def test_scores_are_the_share_that_is_right() -> None:
     """With so much noise that many queries are not found."""
-    said, true = [], []
+    said = []
+    true = []
     for seed in range(4):
         places = drives()["waves"]
         matches = match_places(*traverses(places, 14.0, seed), tolerance=3)
         said.append(matches.score)
         true.append(np.abs(matches.reference - places) <= 3)
-    scores, right = np.concatenate(said), np.concatenate(true)
+    scores = np.concatenate(said)
+    right = np.concatenate(true)
     assert 0.8 < right.mean() < 0.95
     assert abs(scores.mean() - right.mean()) < 0.1
 
@@ -71,7 +73,8 @@ def test_what_no_reference_shows_is_unknown() -> None:
     references, queries = traverses(places, 1.0)
     matches = match_places(np.delete(references, np.arange(80, 160), axis=0), queries)
     # A few frames pass before it is sure.
-    lacking, known = (places >= 100) & (places < 145), (places < 75) | (places > 165)
+    lacking = (places >= 100) & (places < 145)
+    known = (places < 75) | (places > 165)
     assert matches.unknown[lacking].min() > 0.9
     assert matches.unknown[known].max() < 0.1
     assert matches.score[lacking].max() < 0.1
@@ -102,7 +105,8 @@ def test_parts_answer_as_the_whole_does_whoever_works_on_them(monkeypatch: pytes
 
 
 def test_what_nobody_waits_for_any_more_ends() -> None:
-    begun, looks = threading.Event(), itertools.count()
+    begun = threading.Event()
+    looks = itertools.count()
 
     def ratios(seen: NDArray[np.float32]) -> NDArray[np.float32]:
         begun.set()

@@ -54,7 +54,8 @@ class ByHand:
 @settings(max_examples=60, deadline=None)
 def test_equals_the_equations(seed: int, n: int, q: int, length: int) -> None:
     rng = np.random.default_rng(seed)
-    references, queries = random_features(rng, n), random_features(rng, q)
+    references = random_features(rng, n)
+    queries = random_features(rng, q)
     matches = match_seqslam(references, queries, length, ignore)
     hand = ByHand(references, queries, length)
     for t in range(q):

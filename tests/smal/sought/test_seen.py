@@ -18,8 +18,12 @@ from smal.sought.witness import Witness
 from tests.corridor import model, moved
 from tests.corridor import view as corridor
 
-STEPS, SPEED = 80, 2.5  # Views of the drive, and how many of them a second.
-ORANGE, BLUE, GREY = (230, 110, 30), (40, 70, 150), (120, 130, 110)
+# Views of the drive, and how many of them a second.
+STEPS = 80
+SPEED = 2.5
+ORANGE = (230, 110, 30)
+BLUE = (40, 70, 150)
+GREY = (120, 130, 110)
 
 
 @cache
@@ -86,7 +90,8 @@ def test_it_is_near_where_it_looks_about_as_large_as_at_the_end_of_the_way() -> 
 
 
 def test_a_hidden_view_is_no_evidence() -> None:
-    witness, hidden = Witness(sight()), np.full((*SHAPE, 3), 30, np.uint8)
+    witness = Witness(sight())
+    hidden = np.full((*SHAPE, 3), 30, np.uint8)
     before = witness.look(hidden).probability
     assert 0.1 < before < 0.5
     found = witness.look(view(STEPS - 1.4, ORANGE, BLUE)).probability
@@ -108,7 +113,8 @@ def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_p
     """Of a model without anything to be seen, arrived is what it says; a file keeps what is sought."""
     for sights, said in (({}, "found"), ({"victim": sight()}, "not_here")):
         replace(model(), sights=sights).save(tmp_path / "way.smal")
-        robot, here = Robot(Model.load(tmp_path / "way.smal")), (0.1, 0.3, 0.1)
+        robot = Robot(Model.load(tmp_path / "way.smal"))
+        here = (0.1, 0.3, 0.1)
         for _ in range(250):
             here = moved(here, robot.step(corridor(*here), here))
             if robot.done:

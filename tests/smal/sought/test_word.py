@@ -20,7 +20,9 @@ from tests import corridor
 
 TAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 READS = FeatureSettings(("color", "hog", "apriltag"))
-AT_END, BESIDE, OTHER = 7, 3, 8
+AT_END = 7
+BESIDE = 3
+OTHER = 8
 
 
 def view(pose: corridor.Pose, *tags: tuple[int, float, float]) -> Image:
@@ -28,13 +30,15 @@ def view(pose: corridor.Pose, *tags: tuple[int, float, float]) -> Image:
     picture = corridor.view(*pose, scale=4)
     rows, columns = picture.shape[:2]
     for number, along_m, left_m in tags:
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        cos = np.cos(pose[2])
+        sin = np.sin(pose[2])
         ahead = (along_m - pose[0]) * cos + (left_m - pose[1]) * sin
         left = (left_m - pose[1]) * cos - (along_m - pose[0]) * sin
         if ahead < 0.5:
             continue
         side = round(0.7 * columns * 0.3 / ahead)
-        white, at = side // 8, round(columns / 2 - 0.7 * columns * left / ahead - side / 2)
+        white = side // 8
+        at = round(columns / 2 - 0.7 * columns * left / ahead - side / 2)
         top = rows // 2 - side // 2
         if side > 20 and at > white and at + side + white < columns:
             picture[top - white : top + side + white, at - white : at + side + white] = 255
@@ -53,7 +57,8 @@ def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(t
     model().save(tmp_path / "way.smal")
     for number, said in ((AT_END, "found"), (OTHER, "not_here")):
         # By the tag alone: at 80 x 60 pixels two tags look much the same.
-        robot, here = Robot(replace(Model.load(tmp_path / "way.smal"), sights={})), (0.1, 0.1, 0.0)
+        robot = Robot(replace(Model.load(tmp_path / "way.smal"), sights={}))
+        here = (0.1, 0.1, 0.0)
         for _ in range(250):
             here = corridor.moved(here, robot.step(view(here, (number, 5.5, 0.0)), here))
             if robot.done:
@@ -62,7 +67,9 @@ def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(t
 
 
 def test_a_tag_adds_to_how_its_place_looks() -> None:
-    at_end, sight, word = corridor.pose(corridor.FRAMES), model().sights.get("victim"), model().words["victim"]
+    at_end = corridor.pose(corridor.FRAMES)
+    sight = model().sights.get("victim")
+    word = model().words["victim"]
     pictures = [view(at_end, (number, 5.5, 0.0)) for number in (AT_END, OTHER)]
     small = [cv2.resize(one, (80, 60), interpolation=cv2.INTER_AREA) for one in pictures]
     right, wrong = (Witness(sight, word).look(one, 0.0, detect(two, READS)) for one, two in zip(small, pictures))  # noqa: B905
@@ -101,12 +108,14 @@ def test_the_text_of_a_qr_code_is_what_is_found() -> None:
 def test_a_network_draws_boxes_and_one_that_does_not_is_refused_in_one_line(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     onnx = pytest.importorskip("onnx")
-    helper, floats = onnx.helper, onnx.TensorProto.FLOAT
+    helper = onnx.helper
+    floats = onnx.TensorProto.FLOAT
 
     def network(name: str, *shape: int) -> Path:
         """Write a network whose boxes score by how bright the picture is: 16 to 48 of 64 columns, all rows."""
         rows = np.zeros((2, *shape), dtype=np.float32)
-        rows[0, ..., :6], rows[1, ..., :6] = (16, 0, 48, 64, 0, 5), (0, 0, 0, 0, 1, 0)
+        rows[0, ..., :6] = (16, 0, 48, 64, 0, 5)
+        rows[1, ..., :6] = (0, 0, 0, 0, 1, 0)
         graph = helper.make_graph(
             [
                 helper.make_node("ReduceMean", ["x"], ["mean"], keepdims=0),

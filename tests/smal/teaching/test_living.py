@@ -34,7 +34,8 @@ def model() -> Model:
 
 def look(pose: NDArray[np.float64], paint: int, new: float) -> Image:
     """Return what a camera sees on a day on which so much of the room's paint is another one."""
-    old, other = Room().look(pose).astype(np.float32), Room(paint).look(pose)
+    old = Room().look(pose).astype(np.float32)
+    other = Room(paint).look(pose)
     return np.asarray(np.rint((1.0 - new) * old + new * other), dtype=np.uint8)
 
 
@@ -89,7 +90,8 @@ def test_the_other_half_of_the_runs_decides() -> None:
 
 def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smal.teaching.living.SETTINGS", replace(SETTINGS, looks=2))
-    taught, once = model().mapped, taken_up(model(), [run(7, 0.6)]).mapped
+    taught = model().mapped
+    once = taken_up(model(), [run(7, 0.6)]).mapped
     twice = taken_up(Model(model().centering, once), [run(8, 0.6)]).mapped
     assert looks_of(twice) == 1
     assert len(twice.looks) >= len(once.looks)
@@ -108,9 +110,11 @@ def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
     taught = model().mapped
     keys = np.arange(0, len(taught.keyframes), 3, dtype=np.int32)
     twice = replace(taught, views=np.concatenate([taught.views, taught.views[keys]]), looks=keys)
-    one, other = Filter(taught, model().centering), Filter(twice, model().centering)
+    one = Filter(taught, model().centering)
+    other = Filter(twice, model().centering)
     for raw in run(0, 0.0).features[:20]:
-        before, after = one.observe(raw), other.observe(raw)
+        before = one.observe(raw)
+        after = other.observe(raw)
         np.testing.assert_allclose(after.weights, before.weights, atol=1e-9)
         assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
 

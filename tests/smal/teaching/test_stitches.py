@@ -32,7 +32,8 @@ def two() -> tuple[VisualMap, Centering]:
 
 def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
     found, _ = two()
-    first, second = found.key_poses[found.stitched[:, 0]], found.key_poses[found.stitched[:, 1]]
+    first = found.key_poses[found.stitched[:, 0]]
+    second = found.key_poses[found.stitched[:, 1]]
     assert set(map(tuple, found.drives[found.keyframes[found.stitched]].tolist())) == {(0, 1), (1, 0)}
     # Odometry is the truth here: pairs are near each other, and stand as their views say.
     assert np.hypot(*(first - second)[:, :2].T).max() < 0.35
@@ -98,7 +99,8 @@ def test_each_goal_is_reached_from_the_start_of_the_other_drive(
     """The filter and the planner drive: from the start of one drive to the end of the other."""
     visual_map, centering = taught_by()
     begin, finish = (RIGHT, LEFT) if goal == "left" else (LEFT, RIGHT)
-    found, planner = Filter(visual_map, centering), Planner(visual_map, goal)
+    found = Filter(visual_map, centering)
+    planner = Planner(visual_map, goal)
     pose = driven(found, planner, Room(), begin.poses[0], 200)
     assert planner.said
     assert math.hypot(*(pose - finish.poses[-1])[:2]) < 0.3
@@ -106,7 +108,8 @@ def test_each_goal_is_reached_from_the_start_of_the_other_drive(
 
 def test_where_it_is_not_at_one_taught_end_the_next_one_is_tried() -> None:
     """Of two drives to one goal, one ends half way along the other."""
-    shorter, longer = drive(START, ((1.8, 0.0),)), drive((START[0], START[1] + 0.12, START[2]), ((3.2, 0.0),))
+    shorter = drive(START, ((1.8, 0.0),))
+    longer = drive((START[0], START[1] + 0.12, START[2]), ((3.2, 0.0),))
     found, _ = taught(Room(), shorter, longer, scene=SCENE)
     visual_map = stitched(replace(found, goals=("victim", "victim")))
     planner = Planner(visual_map)

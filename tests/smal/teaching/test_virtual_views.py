@@ -22,7 +22,8 @@ from tests.smal.synthetic_world import (
     from_beside,
 )
 
-ROWS, COLUMNS = 144, 192
+ROWS = 144
+COLUMNS = 192
 MIDDLE = (6.0, 6.0, 0.3)  # In the middle of a room, whose walls are then all about as far away.
 ROOM = Room(half=8.0)
 PAINTED = Room()  # Painted once.
@@ -45,7 +46,8 @@ def difference(one: Image, other: Image) -> float:
     [(0, 0, 20), (0, 0, -20), (0.2, 0, 0), (-0.1, 0, 0), (0, 0.15, 0), (0, -0.15, 0), (0.15, 0.1, 10)],
 )
 def test_a_warped_view_is_what_a_camera_there_sees(lens: str, ahead: float, left: float, turn_deg: float) -> None:
-    camera, turn = LENSES[lens], math.radians(turn_deg)
+    camera = LENSES[lens]
+    turn = math.radians(turn_deg)
     scene = Scene(camera, CAMERA_HEIGHT, 8.4)
     here = ROOM.look(MIDDLE, ROWS, COLUMNS, camera)
     there = ROOM.look(from_beside(MIDDLE, ahead, left, turn), ROWS, COLUMNS, camera)

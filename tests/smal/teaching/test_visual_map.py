@@ -39,7 +39,8 @@ def at_rate(rate_hz: float) -> VisualMap:
 
 @cache
 def of_two_drives() -> VisualMap:
-    first, second = drive(way=((2.0, 0.0),), rate_hz=5.0), drive((2.5, 4.5, 0.0), ((1.5, 30.0),), rate_hz=5.0)
+    first = drive(way=((2.0, 0.0),), rate_hz=5.0)
+    second = drive((2.5, 4.5, 0.0), ((1.5, 30.0),), rate_hz=5.0)
     return taught(ROOM, first, second, rate_hz=5.0, scene=SCENE)[0]
 
 
@@ -58,7 +59,8 @@ def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequen
 def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
     found = usual_map()[0]
     step = np.abs(np.diff(found.key_poses, axis=0))
-    way, turn = np.hypot(step[:, 0], step[:, 1]), np.degrees(step[:, 2])
+    way = np.hypot(step[:, 0], step[:, 1])
+    turn = np.degrees(step[:, 2])
     # A frame is 5 cm or 4.5 degrees; the last keyframe is the last frame.
     assert (way <= 0.2 * found.correlation_length + 0.051).all()
     assert (turn <= 12.0 + 4.6).all()
@@ -67,7 +69,8 @@ def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart()
 
 @pytest.mark.parametrize("rate_hz", [5.0, 20.0])
 def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
-    usual, other = at_rate(10.0), at_rate(rate_hz)
+    usual = at_rate(10.0)
+    other = at_rate(rate_hz)
     # The measured length is no bound of what was looked at.
     assert usual.correlation_length < 0.7
     assert other.correlation_length == pytest.approx(usual.correlation_length, rel=0.15)
@@ -93,7 +96,8 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
 
 def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> None:
     found, centering = usual_map()
-    count, one = len(found.keyframes), drive()
+    count = len(found.keyframes)
+    one = drive()
     with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
         for frame in range(0, len(one.poses), 7):
             components = found.described(centering.apply(extract(ROOM.look(one.poses[frame]), COLOR)))
@@ -213,7 +217,8 @@ def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
 
 
 def test_a_drive_that_stands_is_refused_beside_one_that_does_not() -> None:
-    one, still = drive(way=((1.5, 0.0),)), [ROOM.look(START)] * 5
+    one = drive(way=((1.5, 0.0),))
+    still = [ROOM.look(START)] * 5
     views = [ROOM.look(pose) for pose in one.poses]
     with pytest.raises(ValueError, match="the robot hardly moves in it"):
         learn([views, still], [one.poses, np.tile(START, (5, 1))], [one.atoms, np.zeros(5, dtype=np.int8)])

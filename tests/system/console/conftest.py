@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="package")
 def site(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Start a stack in the world where a drive takes some seconds."""
-    root, endpoint = tmp_path_factory.mktemp("root"), free_endpoint()
+    root = tmp_path_factory.mktemp("root")
+    endpoint = free_endpoint()
     address = free_endpoint().removeprefix("tcp/")
     (root / "worlds").mkdir()
     world = shutil.copy(near, root / "worlds")

@@ -179,7 +179,8 @@ def was_lost(page: Page, site: Site) -> bool:
 
 def drive_to_the_victim(page: Page, site: Site, name: str) -> None:
     """Drive by keys, as the scripted expert would."""
-    world, here = load_world(site.root / "worlds" / f"{name}.json"), site.poses[-1]
+    world = load_world(site.root / "worlds" / f"{name}.json")
+    here = site.poses[-1]
     driver = RouteDriver(plan_route(world, (here.x_m, here.y_m)), SPEED_M_S, world.scale.found_m)
     held = ""
     while not driver.arrived(here.x_m, here.y_m):

@@ -62,7 +62,8 @@ VIEWS: Final = 6  # Camera images beside an example route.
 
 def write_page(plan: EvaluationPlan, results: Results) -> Path:
     """Write ``index.html``, ``results.json`` and the figures of all units that are done; return the page."""
-    planned, findings = units(plan), results.findings
+    planned = units(plan)
+    findings = results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
     numbers = {
         "plan": plan.name,
@@ -161,7 +162,8 @@ def _recognition(found: WorldResults, put: Put) -> Iterator[str]:
 
 
 def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterator[str]:
-    name, successes = found.world.title, found.successes
+    name = found.world.title
+    successes = found.successes
     yield "<h3>Finding the victim</h3>"
     if any(one.trial.condition == "as taught" for one in successes):
         yield put(
@@ -181,7 +183,8 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
     if found.errands:
         rows = []
         for task, one in found.errands.items():
-            right, runs = one["outcomes"].count("found"), len(one["outcomes"])
+            right = one["outcomes"].count("found")
+            runs = len(one["outcomes"])
             rows.append([
                 task, TASKS[task].meaning, f"{right} of {runs}", _interval(wilson_interval(right, runs), ".0%"),
                 f"{sum(one['driven_m']) / runs:.0f}", ", ".join(f"{way:.0f}" for way in one["taught_m"]),
@@ -284,7 +287,8 @@ def _views(degradations: Iterable[str]) -> dict[str, str]:
 @styled
 def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
     """Draw Eq. 9, darker the longer its sequences, and the peers, dashed; a panel for each degradation."""
-    views, lengths = _views(one.degradation for one in found), {one.recognizer.length for one in found}
+    views = _views(one.degradation for one in found)
+    lengths = {one.recognizer.length for one in found}
     drawn, panels = _panels(len(views), 5.2, 5.4, title)
     least = min((float(one.curve.precision.min(initial=1.0)) for one in found), default=0.0)
     floor = max(0.0, math.floor(10.0 * least - 2.0) / 10.0)
@@ -292,7 +296,8 @@ def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
         for one in (each for each in found if each.degradation == degradation):
             recall = np.concatenate([[0.0], one.curve.recall])  # Steps, as the area counts them.
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
-            label, length = f"{one.recognizer.title}  (area {one.curve.auc:.3f})", one.recognizer.length
+            label = f"{one.recognizer.title}  (area {one.curve.auc:.3f})"
+            length = one.recognizer.length
             shade = mpl.colormaps["viridis_r"](0.12 + 0.83 * sorted(lengths).index(length) / len(lengths))
             colour, dashes = (shade, "-") if one.recognizer.eq9 else (_PEERS[f"nearest-{length}"], "--")
             axes.step(recall[: precision.size], precision, where="pre", label=label, color=colour, ls=dashes, lw=2.2)
@@ -331,12 +336,15 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     every = [one for one in found if one.trial.controller == "paper"]
     most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
     paper = sorted((one for one in every if one.trial.drives == most), key=lambda one: one.trial.length)
-    views, ticks = _views(one.trial.degradation for one in paper), sorted({one.trial.length for one in paper})
+    views = _views(one.trial.degradation for one in paper)
+    ticks = sorted({one.trial.length for one in paper})
     drawn, panels = _panels(len(views), 5.6, 4.2, title, sharey=True)
     for axes, (degradation, said) in zip(panels, views.items(), strict=True):
         each = [one for one in paper if one.trial.degradation == degradation]
-        rates, (low, high) = np.array([one.rate for one in each]), np.array([one.wilson_95 for one in each]).T
-        around, at = np.maximum([rates - low, high - rates], 0.0), [ticks.index(one.trial.length) for one in each]
+        rates = np.array([one.rate for one in each])
+        (low, high) = np.array([one.wilson_95 for one in each]).T
+        around = np.maximum([rates - low, high - rates], 0.0)
+        at = [ticks.index(one.trial.length) for one in each]
         axes.errorbar(at, rates, around, lw=2, capsize=4, elinewidth=1.2, color=_PEERS["paper"], marker="s")
         axes.set_xticks(range(len(ticks)), [str(length) for length in ticks])
         axes.set(ylim=(-0.03, 1.05), title=said, xlabel=f"sequence length l (frames), {most} drives")
@@ -347,12 +355,14 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
 @styled
 def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> Figure:
     """Draw the way of a search, its ``poses``, on the map, and what the camera saw along it, by ticks."""
-    poses, ticks = route["poses"], sorted(int(name) for name in route if name.isdigit())
+    poses = route["poses"]
+    ticks = sorted(int(name) for name in route if name.isdigit())
     chosen = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
     drawn = Figure(figsize=(15.0, 8.1))
     drawn.suptitle(title)
     grid = drawn.add_gridspec(2, len(chosen), height_ratios=[3.2, 1.0])
-    above, there = drawn.add_subplot(grid[0, :]), load_world(world)
+    above = drawn.add_subplot(grid[0, :])
+    there = load_world(world)
     draw_map(there, above)
     above.plot(*poses[:, :2].T, color=COLOURS[2], lw=2.4, zorder=4)
     look_at(above, np.vstack([poses[:, :2], [there.victim.x, there.victim.y]]), there.place.bounds)

@@ -65,10 +65,13 @@ class Success:
     """
 
     def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:
-        self.trial, self.searches = trial, searches
+        self.trial = trial
+        self.searches = searches
         self.outcomes = [str(one["outcome"]) for one in searches]
-        self.found, self.runs = self.outcomes.count("found"), len(searches)
-        self.rate, self.wilson_95 = self.found / self.runs, wilson_interval(self.found, self.runs)
+        self.found = self.outcomes.count("found")
+        self.runs = len(searches)
+        self.rate = self.found / self.runs
+        self.wilson_95 = wilson_interval(self.found, self.runs)
         shortest, driven, ticks = (self._of(name) for name in ("shortest_m", "driven_m", "ticks"))
         found = np.array(self.outcomes) == "found"
         shares = found * shortest / np.maximum(np.maximum(driven, shortest), 1e-9)
@@ -147,5 +150,6 @@ def recognized(world: WorldPlan, recognizer: RecognizerName, degradation: str, p
     answered, right, findable = (each[late].astype(bool) for each in flags)
     judgement = Judgement(score[late].astype(float), answered, right, np.ones_like(right), findable)
     block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
-    curve, intervals = PrecisionRecall.of(judgement), intervals_of(bootstrap(judgement, block))
+    curve = PrecisionRecall.of(judgement)
+    intervals = intervals_of(bootstrap(judgement, block))
     return Recognized(recognizer, degradation, judgement, curve, intervals)

@@ -97,13 +97,15 @@ def client(settings: ServiceSettings) -> Iterator[EpisodeClient]:
 def test_a_robot_that_says_that_it_has_arrived_is_judged(
     truth: Outcome, outcome: Outcome, simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
-    simulator.decisions, simulator.outcome = (("follow", 4), ("goal", 9)), truth
+    simulator.decisions = (("follow", 4), ("goal", 9))
+    simulator.outcome = truth
     record = client.run(REQUEST)
     assert (record.outcome, record.said, simulator.ended) == (outcome, "found", ["e"])
 
 
 def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, client: EpisodeClient) -> None:
-    simulator.decisions, simulator.judge = (("goal", 9),), "operator"
+    simulator.decisions = (("goal", 9),)
+    simulator.judge = "operator"
     record = client.run(REQUEST)
     assert (record.outcome, simulator.ended) == ("found", ["found"])
 
@@ -115,7 +117,9 @@ def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator,
 def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
     cause: str | None, attended: bool, armed: list[int], simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
-    simulator.stop_cause, simulator.attended, simulator.decisions = cause, attended, (("goal", 9),)
+    simulator.stop_cause = cause
+    simulator.attended = attended
+    simulator.decisions = (("goal", 9),)
     for _ in range(2):
         client.run(REQUEST)
     assert simulator.armed == armed, "once: one that was started again meanwhile is armed by a person"

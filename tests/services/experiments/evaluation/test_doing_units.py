@@ -53,8 +53,10 @@ def panorama(number: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def found(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
     """Do all units of the plan, one after another."""
-    folder, patch = tmp_path_factory.mktemp("units"), pytest.MonkeyPatch()
-    simulation, usual = Simulation(load_world(near), PlaceCamera(1.0)), FeatureSettings(("color",))
+    folder = tmp_path_factory.mktemp("units")
+    patch = pytest.MonkeyPatch()
+    simulation = Simulation(load_world(near), PlaceCamera(1.0))
+    usual = FeatureSettings(("color",))
     patch.setattr(work, "simulation_in", lambda *_: simulation)
     patch.setattr(work, "FEATURES", usual)  # the usual ones take ten times as long to make views of
     yield folder, {unit: timed(folder, unit) for unit in units(plan(near))}
@@ -120,7 +122,8 @@ def test_a_belief_is_held_against_the_truth() -> None:
     assert carried["right_after_s"] == pytest.approx(0.3)
     assert said["clearance_p5_m"] == pytest.approx(simulation.clearance_m, abs=1e-4)
     # Half a metre to the cube of the seconds, then carried far away.
-    seconds, carried_m = np.arange(21) / 10, 100.0 * (np.arange(21) >= 10)
+    seconds = np.arange(21) / 10
+    carried_m = 100.0 * (np.arange(21) >= 10)
     way = np.column_stack([0.5 * seconds**3 + carried_m, carried_m, np.zeros(21)])
     atoms = np.array([Atom.LEFT, Atom.LEFT, Atom.RIGHT, Atom.FORWARD, Atom.RIGHT] * 4, dtype=np.int8)
     moved = finding(replace(made, poses=way, atoms=atoms, kidnap_tick=10), taught, Criterion(1.0, 25.0))

@@ -40,7 +40,8 @@ LENGTH = 4
 
 def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> PaperModel:
     """Learn drives through random places; the later ones pass places of the first again."""
-    rng, features = np.random.default_rng(seed), FeatureSettings()
+    rng = np.random.default_rng(seed)
+    features = FeatureSettings()
     places = rng.random((40, features.size), dtype=np.float32)
     drives = []
     for number, count in enumerate(frames):
@@ -54,9 +55,12 @@ def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> PaperModel:
 def test_a_template_is_where_it_was_demonstrated() -> None:
     model = taught()
     assert model.states < sum(map(len, model.state_streams))
-    frame_of, made, start = demonstrated_frames(model), set(), 0
+    frame_of = demonstrated_frames(model)
+    made = set()
+    start = 0
     for atoms, states in zip(model.atoms, model.state_streams, strict=True):
-        begin, last = start + len(atoms) % LENGTH, start + len(atoms) - 1
+        begin = start + len(atoms) % LENGTH
+        last = start + len(atoms) - 1
         for number, state in enumerate(states.tolist()):
             if state not in made:
                 for phase in range(2 * LENGTH - 1):
@@ -73,6 +77,7 @@ def test_the_nearest_window_is_imitated() -> None:
     features = np.stack([extract(image, COLOR) for image in images])
     atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.STOP], dtype=np.int8)
     drives = [Demonstration("d", features[:2], atoms[:2]), Demonstration("e", features[2:], atoms[2:])]
-    one, two = NearestImitation(drives, COLOR), NearestImitation(drives, COLOR, 2)
+    one = NearestImitation(drives, COLOR)
+    two = NearestImitation(drives, COLOR, 2)
     assert [one.step(image) for image in images] == [Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.LEFT]
     assert [two.step(image) for image in images[2:]] == [Atom.FORWARD, Atom.STOP]

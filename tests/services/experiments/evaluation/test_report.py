@@ -52,7 +52,8 @@ def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(
 def test_areas(world: WorldResults) -> None:
     found = {(one.recognizer.title, one.degradation): one for one in world.recognized}
     assert len(found) == 2 * 5
-    ours, single = found["Eq. 9, l = 5", "occluded"], found["single image (l = 1)", "occluded"]
+    ours = found["Eq. 9, l = 5", "occluded"]
+    single = found["single image (l = 1)", "occluded"]
     # All answers are right, and the first frame, which no window precedes, has none.
     assert ours.curve.auc == pytest.approx(1.0)
     # All are judged on the same frames: 56, from the first whole window of the longest sequence (frame 19) on. The

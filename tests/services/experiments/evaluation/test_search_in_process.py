@@ -44,7 +44,9 @@ def by_services(
     """Run an episode with the simulator's own messages; return its end, its poses, and what was answered."""
     runner = simulated(simulation)
     _, waiting = runner.reset(ResetRequest(seed=seed, purpose=purpose, driver="policy", max_ticks=max_ticks))
-    poses, answers, end = [], [], None
+    poses = []
+    answers = []
+    end = None
     while waiting:
         message = waiting.pop(0)
         if isinstance(message, TruePose):
@@ -74,7 +76,9 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
     model = load_model(file)
-    features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
+    features = FeaturesService(FEATURES)
+    recognition = RecognitionService()
+    policy = PolicyService()
     for service in (recognition, policy):
         service.load(LoadedModel.read(file))
 

@@ -103,7 +103,8 @@ def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
     killed = Killed(SITE, (), 2)
     after = After(SITE, (killed,), 0)
     always = Killed(SITE, (after,), 1)
-    results, done = Results(tmp_path, []), list[tuple[int, int]]()
+    results = Results(tmp_path, [])
+    done = list[tuple[int, int]]()
     said = "^killed in yard: workers were killed, perhaps for memory; run again to go on"
     with pytest.raises(JobError, match=said), Engine(2) as engine:
         results.complete([killed, after, always], engine, lambda *one: done.append(one))

@@ -20,7 +20,8 @@ def test_a_file_says_what_was_written(
 ) -> None:
     """Against sets of right references that are kept beside the file."""
     rng = np.random.default_rng(seed)
-    rows, right = [], {}
+    rows = []
+    right = {}
     for query in rng.permutation(queries)[: rng.integers(1, queries + 1)].tolist():
         first, last = sorted(rng.integers(0, references, 2).tolist())
         nothing = rng.random() < 0.3
