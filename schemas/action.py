@@ -15,7 +15,18 @@ class Action(Message):
 
     topic: ClassVar[str] = "action"
 
-    kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "blocked", "stop", "search", "blind"]
+    kind: Literal[
+        "follow",
+        "action",
+        "goal",
+        "dead_end",
+        "look_around",
+        "guess",
+        "blocked",
+        "stop",
+        "search",
+        "blind",
+    ]
     """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
     arrived, and found its goal or that it is not here; search: it has arrived, and turns to see what is sought;
     dead_end: nothing is known to follow, and it stops, as for stop: the state is unknown, of the paper's scheme;

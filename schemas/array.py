@@ -15,7 +15,9 @@ class Float32Array(Strict):
 
     dtype: Literal["float32"] = "float32"
     """Element type, little endian."""
-    shape: Annotated[tuple[Annotated[int, Field(ge=0, le=1_000_000)], ...], Field(min_length=1, max_length=4)]
+    shape: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=1_000_000)], ...], Field(min_length=1, max_length=4)
+    ]
     """Lengths of the axes, outermost first."""
     data: bytes
     """The elements, row by row."""
@@ -31,7 +33,9 @@ class Float32Array(Strict):
     @classmethod
     def from_numpy(cls, array: NDArray[np.float32]) -> Self:
         """Pack an array; its elements are copied."""
-        return cls(shape=tuple(array.shape), data=np.ascontiguousarray(array, dtype="<f4").tobytes())
+        return cls(
+            shape=tuple(array.shape), data=np.ascontiguousarray(array, dtype="<f4").tobytes()
+        )
 
     def to_numpy(self) -> NDArray[np.float32]:
         """Return the elements as a read-only array that shares this message's bytes."""

@@ -7,15 +7,27 @@ from pydantic import BaseModel, ConfigDict, Field
 ROBOT_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,31}$"
 EPISODE_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,63}$"
 MAX_TICK: Final = 10_000_000
-NO_EPISODE: Final = "none"  # In the place of an episode, where there is none; every episode has a longer name.
+NO_EPISODE: Final = (
+    "none"  # In the place of an episode, where there is none; every episode has a longer name.
+)
 
-RobotId = Annotated[str, Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters.")]
-EpisodeId = Annotated[str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")]
+RobotId = Annotated[
+    str,
+    Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters."),
+]
+EpisodeId = Annotated[
+    str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")
+]
 SessionId = Annotated[
     str,
-    Field(pattern=r"^[0-9a-z_-]{0,32}$", description="Which process sends: drawn anew at its start; empty if unsaid."),
+    Field(
+        pattern=r"^[0-9a-z_-]{0,32}$",
+        description="Which process sends: drawn anew at its start; empty if unsaid.",
+    ),
 ]
-Tick = Annotated[int, Field(ge=0, le=MAX_TICK, description="Number of the camera frame in the episode, from 0.")]
+Tick = Annotated[
+    int, Field(ge=0, le=MAX_TICK, description="Number of the camera frame in the episode, from 0.")
+]
 Atom = Literal["forward", "backward", "left", "right", "stop"]
 Source = Literal["emergency_stop", "teleop", "expert", "policy"]
 ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)
@@ -39,7 +51,11 @@ class Velocity(NamedTuple):
         """The keys that it is made of: one goes so far as what any of them may not."""
         # Hardly a bend, in driving: all that sees straight ahead sees it.
         angular = 0.0 if self.linear and abs(self.angular) < STILL else self.angular
-        return [atom for atom, key in KEYS.items() if self.linear * key.linear + angular * key.angular > 0.0]
+        return [
+            atom
+            for atom, key in KEYS.items()
+            if self.linear * key.linear + angular * key.angular > 0.0
+        ]
 
     def atom(self, still: float = STILL, turning: float = TURNING) -> Atom:
         """Return the nearest atom."""
@@ -80,7 +96,9 @@ class Message(Strict):
     #: Version of this message's fields; a receiver rejects all others.
     version: ClassVar[int] = 1
     max_bytes: ClassVar[int] = 64 * 1024  # Most bytes that this message may take on the wire.
-    max_containers: ClassVar[int] = 128  # Most maps and arrays in it; a state has 66 (one a candidate).
+    max_containers: ClassVar[int] = (
+        128  # Most maps and arrays in it; a state has 66 (one a candidate).
+    )
     #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
     topic: ClassVar[str]
 
@@ -103,5 +121,10 @@ class Message(Strict):
     @classmethod
     def after(cls, cause: "Message", **fields: object) -> Self:
         """Make a message that descends from ``cause``: same robot, episode, tick and stamp."""
-        header = {"robot": cause.robot, "episode": cause.episode, "tick": cause.tick, "stamp_ns": cause.stamp_ns}
+        header = {
+            "robot": cause.robot,
+            "episode": cause.episode,
+            "tick": cause.tick,
+            "stamp_ns": cause.stamp_ns,
+        }
         return cls.model_validate(header | fields)

@@ -58,7 +58,9 @@ class DepthImage(Message):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if len(self.data) != 2 * self.width * self.height:
-            raise ValueError(f"{len(self.data)} bytes do not fill a {self.width}x{self.height} image of 16 bits")
+            raise ValueError(
+                f"{len(self.data)} bytes do not fill a {self.width}x{self.height} image of 16 bits"
+            )
         return self
 
     def to_numpy(self) -> NDArray[np.uint16]:
@@ -111,7 +113,9 @@ class CameraInfo(Message):
     """Row of the optical axis, from the top edge of the image."""
     lens: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
     """How the lens bends what it sees, by the names of ROS."""
-    distortion: Annotated[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...], Field(max_length=8)] = ()
+    distortion: Annotated[
+        tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...], Field(max_length=8)
+    ] = ()
     """Coefficients of that model, in the order of ROS; those that are left out are 0."""
 
     @model_validator(mode="after")

@@ -77,7 +77,9 @@ def describe(error: ValidationError) -> str:
     subject, should, allowed = what.partition(" should ")
     if subject in ("Input", "String") and should and isinstance(given, str | int | float):
         what = f"{(given[:40] if isinstance(given, str) else given)!r} must {allowed.partition(', unable to parse')[0]}"
-    what = what.replace("less than or equal to", "at most").replace("greater than or equal to", "at least")
+    what = what.replace("less than or equal to", "at most").replace(
+        "greater than or equal to", "at least"
+    )
     return f"{printable(where)}: {printable(what)}{more}"
 
 

@@ -52,7 +52,9 @@ class Command(_Moving):
         atom = fields["atom"]
         speed = fields.get("speed", 1.0)
         if atom not in ATOMS or not isinstance(speed, int | float):
-            raise ValueError(f"a key is one of {', '.join(ATOMS)} and a number, got {atom!r:.20} and {speed!r:.20}")
+            raise ValueError(
+                f"a key is one of {', '.join(ATOMS)} and a number, got {atom!r:.20} and {speed!r:.20}"
+            )
         key = KEYS[atom]
         rest = {name: value for name, value in fields.items() if name not in ("atom", "speed")}
         return {"linear": key.linear * speed, "angular": key.angular * speed} | rest
@@ -81,7 +83,15 @@ class CommandApplied(_Moving):
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
     reason: Literal[
-        "command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "deaf", "emergency_stop"
+        "command",
+        "obstacle",
+        "no_depth",
+        "insisted",
+        "radius",
+        "silence",
+        "taken_over",
+        "deaf",
+        "emergency_stop",
     ]
     """Why: a fresh command; a command that is carried out slower, or not, because something is in the way or the ground
     is not known to be free, or because the depth camera shows no ground, or shows it too late (`no_depth`); a command

@@ -21,12 +21,16 @@ _GOAL: Final = re.compile(r"\w[\w .-]{0,63}")
 
 def _names_a_place(goal: str) -> str:
     if _GOAL.fullmatch(goal) is None:
-        raise ValueError("a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _")
+        raise ValueError(
+            "a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _"
+        )
     return goal
 
 
 #: Name of a place that drives lead to: letters, digits, and what may stand between them.
-GoalName = Annotated[str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})]
+GoalName = Annotated[
+    str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})
+]
 
 
 _LEAST: Final = 0.05  # Of the picture's width and height: a box of fewer pixels tells nothing.
@@ -35,7 +39,9 @@ _LEAST: Final = 0.05  # Of the picture's width and height: a box of fewer pixels
 def _has_an_area(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     left, top, right, bottom = box
     if right - left < _LEAST or bottom - top < _LEAST:
-        raise ValueError("a box is left, top, right and bottom, and has at least a twentieth of the picture each way")
+        raise ValueError(
+            "a box is left, top, right and bottom, and has at least a twentieth of the picture each way"
+        )
     return box
 
 
@@ -46,7 +52,9 @@ Box = Annotated[tuple[_Share, _Share, _Share, _Share], AfterValidator(_has_an_ar
 
 def in_words(outcome: Outcome | None, right: bool | None) -> str:
     """Return how an episode ended, and whether what was said is so where somebody knows, for people."""
-    return (outcome or "").replace("_", " ") + {True: ", rightly", False: ", wrongly", None: ""}[right]
+    return (outcome or "").replace("_", " ") + {True: ", rightly", False: ", wrongly", None: ""}[
+        right
+    ]
 
 
 class Episode(Message):

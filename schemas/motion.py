@@ -41,7 +41,9 @@ class TrackedPose(Message):
     def _check(self) -> Self:
         measured = (self.x_m, self.y_m, self.heading_rad, self.error_px)
         if any((value is not None) != self.visible for value in measured):
-            raise ValueError("x_m, y_m, heading_rad and error_px are given exactly while the tag is visible")
+            raise ValueError(
+                "x_m, y_m, heading_rad and error_px are given exactly while the tag is visible"
+            )
         return self
 
 

@@ -9,7 +9,9 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-Start = Literal["start", "anywhere"]  # About the world's start, or anywhere beside the way from there to the victim.
+Start = Literal[
+    "start", "anywhere"
+]  # About the world's start, or anywhere beside the way from there to the victim.
 #: Knowing where it is by a filter over the map of views; or by the paper's Eq. 7 to 9, deciding every l frames.
 Scheme = Literal["filter", "paper"]
 #: The sources that can drive; an emergency stop only ever makes the robot stand.
@@ -25,7 +27,9 @@ _MAX_NAME: Final = 1023  # Most characters of it: at 4 bytes each, what Linux ta
 
 def _is_below(name: str) -> str:
     if name and _NAME.fullmatch(name) is None:
-        raise ValueError("must be a path below the root of the service, relative, and no part may begin with a dot")
+        raise ValueError(
+            "must be a path below the root of the service, relative, and no part may begin with a dot"
+        )
     return name
 
 
@@ -34,7 +38,9 @@ FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_belo
 #: A file below the root of a service.
 FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
-EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]  # What a person calls an episode.
+EpisodeName = Annotated[
+    str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")
+]  # What a person calls an episode.
 #: Most bytes of a world's name: of a file's 255 some are for its ending, and for what it is called while it is written.
 _MAX_WORLD_NAME: Final = 200
 
@@ -74,7 +80,9 @@ class Status(Strict):
     silent: tuple[str, ...] = ()  # Lanes without a router, or by which the router does not echo.
     uptime_s: float  # Seconds since it started.
     idle_s: float  # Seconds since it last finished a piece of work.
-    busy_s: float  # Seconds that the piece of work at hand has taken so far; 0 while it waits for some.
+    busy_s: (
+        float  # Seconds that the piece of work at hand has taken so far; 0 while it waits for some.
+    )
     oldest_s: float  # Seconds that the oldest message or request has waited for its turn.
     waiting: dict[str, int]  # Messages and requests that wait for their turn, by topic.
     received: dict[str, int]  # Messages taken, by topic.
@@ -118,7 +126,9 @@ class ResetRequest(Strict):
     until_said: bool = False
     #: How many things stand on and beside the way, which did not when it was taught (simulated robots).
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
-    people: Annotated[int, Field(ge=0, le=50)] = 0  # How many people walk about the way (simulated robots).
+    people: Annotated[int, Field(ge=0, le=50)] = (
+        0  # How many people walk about the way (simulated robots).
+    )
     blocked: bool = False  # Whether something closes the way (simulated robots).
     goal: GoalName = "victim"  # Where the drive leads, for those who learn from it.
     mode: Mode = "lockstep"  # Whether time waits for commands.
@@ -135,11 +145,15 @@ class ResetReply(Strict):
     car: bool = False  # Whether it cannot turn on the spot.
     #: Way points from the start to the victim, metres, for the scripted expert; none where the way is not known.
     route: tuple[tuple[float, float], ...] = ()
-    found_m: Annotated[float, Field(gt=0)] | None = None  # How near the victim counts as found, if it is seen.
+    found_m: Annotated[float, Field(gt=0)] | None = (
+        None  # How near the victim counts as found, if it is seen.
+    )
     #: Where the victim lies, metres; none where that is not known, or nowhere.
     victim: tuple[float, float] | None = None
     #: Outlines of what stands on and beside the way anew, metres, where that is known.
-    things: Annotated[tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)] = ()
+    things: Annotated[
+        tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)
+    ] = ()
 
 
 class LookReply(Strict):
@@ -161,9 +175,15 @@ class EndRequest(Strict):
     episode: EpisodeId  # Which; refused when another one runs.
     #: Whether the operator says that the goal is reached; otherwise the robot's task says whether it is.
     found: bool = False
-    box: Box | None = None  # Where they see it in the last frame; of no account unless they have found it.
-    said: Said | None = None  # What the robot says, whom the task judges; None where it has said nothing.
-    session: SessionId = ""  # Who asks; while an operator is heard, only they say that something was found.
+    box: Box | None = (
+        None  # Where they see it in the last frame; of no account unless they have found it.
+    )
+    said: Said | None = (
+        None  # What the robot says, whom the task judges; None where it has said nothing.
+    )
+    session: SessionId = (
+        ""  # Who asks; while an operator is heard, only they say that something was found.
+    )
 
 
 class ResumeRequest(Strict):
@@ -181,7 +201,9 @@ class LoadRequest(Strict):
     model: FileName  # The model file: its path below the service's root, without a part that begins with a dot.
     #: For which scheme it must have been learned, which is the one that it is used by; any if not given.
     scheme: Scheme | None = None
-    goal: GoalName | None = None  # Where to go; may be left out where all that was learned from leads to one goal.
+    goal: GoalName | None = (
+        None  # Where to go; may be left out where all that was learned from leads to one goal.
+    )
     #: Frames from one decision to the next in the paper's scheme; the model's sequence length if not given.
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
 

@@ -10,7 +10,9 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
-_FAR_M = 1e6  # Farther places are moved to this distance: no robot drives there, but odometry may jump.
+_FAR_M = (
+    1e6  # Farther places are moved to this distance: no robot drives there, but odometry may jump.
+)
 
 
 class Place(Strict):
@@ -96,7 +98,10 @@ class State(Message):
         places = tuple(
             Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
             for keyframe, (ahead, left, turned), weight in zip(
-                keyframes.tolist(), offsets.clip(-_FAR_M, _FAR_M).tolist(), weights.tolist(), strict=True
+                keyframes.tolist(),
+                offsets.clip(-_FAR_M, _FAR_M).tolist(),
+                weights.tolist(),
+                strict=True,
             )
         )
         lost = min(of_all.pop("lost"), 1.0)
@@ -104,14 +109,23 @@ class State(Message):
         told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
         told |= {"strange_m": strange_m} if math.isfinite(strange_m) else {}
         return cls.after(
-            observation, status=status, model=model, places=places, lost=lost, camera=camera, **told, **of_all
+            observation,
+            status=status,
+            model=model,
+            places=places,
+            lost=lost,
+            camera=camera,
+            **told,
+            **of_all,
         )
 
     def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
         """Return what `of_belief` was given: keyframes (p,), offsets (p, 3) and weights (p,)."""
         return (
             np.array([place.keyframe for place in self.places], dtype=np.intp),
-            np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in self.places]).reshape(-1, 3),
+            np.array(
+                [(place.ahead_m, place.left_m, place.turned_rad) for place in self.places]
+            ).reshape(-1, 3),
             np.array([place.weight for place in self.places]),
         )
 
@@ -123,5 +137,7 @@ class State(Message):
             raise ValueError("the model is given exactly when the status is not 'idle'")
         of_paper = self.status == "recognized" and not self.places
         if (self.state is not None) != of_paper:
-            raise ValueError("a state is given exactly when the status is 'recognized' without places")
+            raise ValueError(
+                "a state is given exactly when the status is 'recognized' without places"
+            )
         return self

@@ -22,7 +22,10 @@ class TaughtMap(Message):
     """Poses, shape (k, 3): x, y in metres (of a drive without odometry, in forward atoms) and heading in radians,
     counter-clockwise from the x axis. The axes are those of the first drive, and of each that shares a place with it;
     other drives have axes of their own."""
-    begins: Annotated[tuple[Annotated[int, Field(ge=0, le=_MOST_KEYFRAMES)], ...], Field(min_length=1, max_length=1000)]
+    begins: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=_MOST_KEYFRAMES)], ...],
+        Field(min_length=1, max_length=1000),
+    ]
     """Keyframes at which a drive begins, ascending, the first of them 0; of more drives than fit the rest is one."""
 
     @model_validator(mode="after")

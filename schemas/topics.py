@@ -72,7 +72,8 @@ STATE: Final = Topic("state", State, 10, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
 #: By the service whose instances hand robots on by it; see `services.kit.group`.
 SNAPSHOTS: Final = {
-    service: Topic(f"snapshot/{service}", Snapshot, 1, 1, False) for service in ("recognition", "policy")
+    service: Topic(f"snapshot/{service}", Snapshot, 1, 1, False)
+    for service in ("recognition", "policy")
 }
 ACTION: Final = Topic("action", Action, None, 8, True)
 COMMANDS: Final = {

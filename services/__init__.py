@@ -13,7 +13,9 @@ _LEAST_MB = 150
 try:
     mmap(-1, _LEAST_MB << 20, flags=MAP_PRIVATE | MAP_ANONYMOUS).close()
 except OSError:
-    sys.exit(f"out of memory: less than {_LEAST_MB} MB can be used; allow more (ulimit -d and -v, or the container's)")
+    sys.exit(
+        f"out of memory: less than {_LEAST_MB} MB can be used; allow more (ulimit -d and -v, or the container's)"
+    )
 # OpenCV reads this once, when it is loaded: 100 million pixels are 300 MB; a few bytes of a file can claim any number.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(10**8))
 # So does OpenBLAS, with numpy. Products are small, or threads of our own share them out: others beside these wait in

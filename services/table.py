@@ -46,7 +46,14 @@ SERVICES: Final = {
             takes=(*COMMANDS.values(), topics.HEARTBEAT, topics.PULSE),
             gives=(
                 *(topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
-                *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.PULSE, topics.EPISODE),
+                *(
+                    topics.ODOMETRY,
+                    topics.IMU,
+                    topics.POSE,
+                    topics.APPLIED,
+                    topics.PULSE,
+                    topics.EPISODE,
+                ),
             ),
             serves=("arm", "reset", "cancel", "resume", "end", "look"),
             # Whether there is another robot of its id; so does the pulse tell that it takes.
@@ -54,7 +61,13 @@ SERVICES: Final = {
             image="simulator",
             module="services.simulator",
         ),
-        Service("features", "describes images", (topics.JPEG, topics.DEPTH), (topics.OBSERVATION,), grouped=True),
+        Service(
+            "features",
+            "describes images",
+            (topics.JPEG, topics.DEPTH),
+            (topics.OBSERVATION,),
+            grouped=True,
+        ),
         Service(
             "recognition",
             "knows where the robot is",
@@ -80,12 +93,25 @@ SERVICES: Final = {
             fetches=tuple(topic for topic in TOPICS.values() if topic.recorded),
             serves=("start", "flush", "stop"),
         ),
-        Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,), grouped=True),
+        Service(
+            "tracker",
+            "measures the robot's pose from above",
+            (topics.OVERHEAD,),
+            (topics.TRACKED,),
+            grouped=True,
+        ),
         Service(
             "console",
             "the page in a browser: drive, teach, watch",
             (
-                *(topics.JPEG, topics.DEPTH, topics.ODOMETRY, topics.STATE, topics.ACTION, topics.POSE),
+                *(
+                    topics.JPEG,
+                    topics.DEPTH,
+                    topics.ODOMETRY,
+                    topics.STATE,
+                    topics.ACTION,
+                    topics.POSE,
+                ),
                 *(topics.TRACKED, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
@@ -132,13 +158,18 @@ def takers(topic: Topic) -> tuple[str, ...]:
     return tuple(service.name for service in SERVICES.values() if topic in service.takes)
 
 
-def graph(there: Mapping[str, Sequence[str]] = MappingProxyType(dict.fromkeys(SERVICES, ()))) -> str:
+def graph(
+    there: Mapping[str, Sequence[str]] = MappingProxyType(dict.fromkeys(SERVICES, ())),
+) -> str:
     """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all.
 
     Those that are ``there`` are drawn, each with further lines.
     """
     drawn = [one for one in SERVICES.values() if one.name in there and (one.takes or one.gives)]
-    texts = {one.name: "<br>".join([f"<b>{one.name}</b>", one.meaning, *there[one.name]]) for one in drawn}
+    texts = {
+        one.name: "<br>".join([f"<b>{one.name}</b>", one.meaning, *there[one.name]])
+        for one in drawn
+    }
     lines = ["flowchart LR", *(f'    {name}["{text}"]' for name, text in texts.items())]
     for giver in drawn:
         for taker in drawn:
@@ -180,15 +211,21 @@ def roles() -> dict[str, Role]:
     for one in SERVICES.values():
         if one.image is not None:
             serves = tuple(f"{one.name}/{verb}" for verb in ("status", *one.serves))
-            named[one.name] = Role(one.name, one.takes, one.gives, one.fetches, serves, one.calls, grouped=one.grouped)
+            named[one.name] = Role(
+                one.name, one.takes, one.gives, one.fetches, serves, one.calls, grouped=one.grouped
+            )
     everything = tuple(TOPICS.values())
     own = [service for service in SERVICES.values() if service.role == "operator"]
     served = tuple(key for role in named.values() for key in role.serves)
     given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
     statuses = tuple(f"{service.name}/status" for service in own)
     # Of the episodes that it has run, a person's command must not miss the end.
-    named["operator"] = Role("operator", everything, given, (topics.EPISODE,), statuses, served, person=True)
-    named["console"] = Role("console", everything, given, (), named["console"].serves, served, person=True)
+    named["operator"] = Role(
+        "operator", everything, given, (topics.EPISODE,), statuses, served, person=True
+    )
+    named["console"] = Role(
+        "console", everything, given, (), named["console"].serves, served, person=True
+    )
     asks = tuple(key for key in (*served, *statuses) if key.endswith("/status"))
     named["watcher"] = Role("watcher", everything, (), (), (), asks, person=True)
     return named

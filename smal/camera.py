@@ -29,7 +29,11 @@ Maps = tuple[NDArray[Any], NDArray[Any]]
 
 Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 #: What a rectilinear lens sees is less than a right angle from its axis.
-_MOST_RAD: Final = {"plumb_bob": math.radians(89.0), "rational_polynomial": math.radians(89.0), "equidistant": math.pi}
+_MOST_RAD: Final = {
+    "plumb_bob": math.radians(89.0),
+    "rational_polynomial": math.radians(89.0),
+    "equidistant": math.pi,
+}
 #: Of fields of view from 170 to 5 degrees, over the width of the image.
 _LEAST_FOCAL = 0.04
 _MOST_FOCAL = 12.0
@@ -41,7 +45,9 @@ class Camera:
     """A camera that looks level, and as far to the left as to the right; ValueError says why no camera sees so."""
 
     focal: float  # Focal length over the image's width, 0.04 to 12; the same across and down.
-    lens: Lens = "plumb_bob"  # A model of OpenCV and ROS; without distortion this one is rectilinear.
+    lens: Lens = (
+        "plumb_bob"  # A model of OpenCV and ROS; without distortion this one is rectilinear.
+    )
     #: Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are left
     #: out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
     distortion: tuple[float, ...] = ()
@@ -50,11 +56,19 @@ class Camera:
 
     def __post_init__(self) -> None:
         if not _LEAST_FOCAL <= self.focal <= _MOST_FOCAL:
-            raise ValueError(f"no camera has a focal length of {self.focal:g} times the width of its image")
+            raise ValueError(
+                f"no camera has a focal length of {self.focal:g} times the width of its image"
+            )
         if self.lens not in get_args(Lens):
-            raise ValueError(f"the lens must be one of {', '.join(get_args(Lens))}, got {str(self.lens)[:80]!r}")
-        if len(self.distortion) > 8 or not all(abs(one) <= _MOST_DISTORTION for one in self.distortion):
-            raise ValueError(f"distortion must be at most 8 numbers of -{_MOST_DISTORTION:g} to {_MOST_DISTORTION:g}")
+            raise ValueError(
+                f"the lens must be one of {', '.join(get_args(Lens))}, got {str(self.lens)[:80]!r}"
+            )
+        if len(self.distortion) > 8 or not all(
+            abs(one) <= _MOST_DISTORTION for one in self.distortion
+        ):
+            raise ValueError(
+                f"distortion must be at most 8 numbers of -{_MOST_DISTORTION:g} to {_MOST_DISTORTION:g}"
+            )
         if not all(abs(one) <= 0.5 for one in self.centre):
             raise ValueError("the axis of a camera must meet its image")
 
@@ -89,7 +103,9 @@ class Camera:
         return (columns - 1) / 2.0 + columns * right, (rows - 1) / 2.0 + columns * down
 
     @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit asks for the same rays hundreds of times
-    def rays(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def rays(
+        self, shape: tuple[int, ...]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the direction of each pixel of an image of this shape: right, down, ahead, of length 1."""
         middle_u, middle_v = self.middle(shape)
         focal = self.focal * shape[1]
@@ -128,7 +144,9 @@ class Scene:
     height: float
     distance: float
 
-    def warp(self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0) -> Image:
+    def warp(
+        self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0
+    ) -> Image:
         """Return what is seen from ahead and left of where an image (height, width, 3) was taken, and turned left.
 
         Lengths are in the unit of the scene. What the image does not show repeats its border.
@@ -147,7 +165,9 @@ class Scene:
         deep = math.sin(turn_rad) * x + math.cos(turn_rad) * z
         # How far along the ray the ground or the wall is, whichever comes first.
         # Roots of sums of squares: `np.hypot` takes four times as long.
-        reach = 1.0 / np.maximum(y / self.height, np.sqrt(right * right + deep * deep) / self.distance)
+        reach = 1.0 / np.maximum(
+            y / self.height, np.sqrt(right * right + deep * deep) / self.distance
+        )
         x = reach * right - left
         y = reach * y
         z = reach * deep + ahead
@@ -155,7 +175,9 @@ class Scene:
         # Far outside of the image its border is repeated.
         radius = np.minimum(self.camera.radius(np.arctan2(off, z)), 100.0) * focal / off
         return cv2.convertMaps(
-            (radius * x + middle_u).astype(np.float32), (radius * y + middle_v).astype(np.float32), cv2.CV_16SC2
+            (radius * x + middle_u).astype(np.float32),
+            (radius * y + middle_v).astype(np.float32),
+            cv2.CV_16SC2,
         )
 
 
@@ -164,5 +186,6 @@ def remapped(image: Image, maps: Maps) -> Image:
     import cv2  # noqa: PLC0415 - see above
 
     return np.asarray(
-        cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8
+        cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        dtype=np.uint8,
     )

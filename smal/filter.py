@@ -98,7 +98,10 @@ class Newness:
 
         Its components would not do: of what the map has never seen they hold little but noise, always new.
         """
-        if self._map.likelihood.correlation(float(centred @ self._last)) < self._map.next_correlation:
+        if (
+            self._map.likelihood.correlation(float(centred @ self._last))
+            < self._map.next_correlation
+        ):
             self._used = 0.0  # What has been told was of something else.
         self._last = centred
         looks = self._map.likelihood.correlation(float(centred @ self._counted))
@@ -138,7 +141,9 @@ class Filter:
         self._rng = np.random.default_rng(self._seed)
         keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
         aside = max(self._map.aside, SETTINGS.start_s * self._map.speed)
-        self._tracked = self._beside(keyframes, np.zeros(keyframes.size), aside, SETTINGS.first_turn_deg)
+        self._tracked = self._beside(
+            keyframes, np.zeros(keyframes.size), aside, SETTINGS.first_turn_deg
+        )
         self._jumped: Particles | None = None
         at_start, anywhere, lost = SETTINGS.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
@@ -156,7 +161,9 @@ class Filter:
             which = systematic(belief.weights, SETTINGS.particles, self._rng)
             keyframes = belief.keyframes[which]
             between = self._map.correlation_length / SETTINGS.views_a_length
-            self._tracked = self._beside(keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0)
+            self._tracked = self._beside(
+                keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0
+            )
             here = self._map.key_poses[keyframes]
             self._tracked.poses += placed(belief.offsets[which], here) - here
             self._tracked.tracked += belief.tracked
@@ -164,7 +171,10 @@ class Filter:
             self._started = True
 
     def observe(
-        self, raw_features: NDArray[Any], movement: Movement = STILL, noise: MotionNoise = BY_ODOMETRY
+        self,
+        raw_features: NDArray[Any],
+        movement: Movement = STILL,
+        noise: MotionNoise = BY_ODOMETRY,
     ) -> Belief:
         """Take one frame.
 
@@ -183,9 +193,13 @@ class Filter:
             Features of the wrong length, or features or a movement that are NaN or infinite: the frame does not count.
         """
         if raw_features.ndim != 1:
-            raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")
+            raise ValueError(
+                f"the features of one frame are wanted, got the shape {raw_features.shape}"
+            )
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
-            raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
+            raise ValueError(
+                f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}"
+            )
         centred = self._centering.apply(raw_features)
         step = np.array([movement.ahead, 0.0, movement.turn_rad])
         if self._started:
@@ -199,7 +213,9 @@ class Filter:
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
-        self._odds = self._odds._replace(tracked=max(self._odds.tracked, 1e-12))  # From 0 it never came back.
+        self._odds = self._odds._replace(
+            tracked=max(self._odds.tracked, 1e-12)
+        )  # From 0 it never came back.
         self._started = True
         self._evidence = 0.0
         if seen.newness > 0.0:
@@ -231,7 +247,9 @@ class Filter:
         self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"
         if blank or self._frozen.yes or np.array_equal(components, self._last):
             return ViewEvidence(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
-        return ViewEvidence(components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred))
+        return ViewEvidence(
+            components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred)
+        )
 
     def _jump(self, seen: ViewEvidence, movement: Movement) -> None:
         """Move probability from the followed particles to scouts and to "lost".
@@ -242,13 +260,20 @@ class Filter:
         tracked, jumped, sent, lost = self._odds
         if seen.spread == 0.0:
             kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
-            self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped))
+            self._odds = _Odds(
+                kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped)
+            )
             return
         like_last = float(self._map.likelihood.of(seen.stands_out(seen.components @ self._last)))
         # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
         visible = 1.0 - float(self._tracked.shares[0])
         rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
-        jump = SETTINGS.jump * seen.newness * (1.0 + rise) / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
+        jump = (
+            SETTINGS.jump
+            * seen.newness
+            * (1.0 + rise)
+            / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
+        )
         _, anywhere, nowhere = SETTINGS.first
         out = nowhere / (anywhere + nowhere)
         back = SETTINGS.back * seen.newness
@@ -256,14 +281,21 @@ class Filter:
         found = lost * back
         kept = 1.0 - jump
         self._odds = _Odds(
-            tracked * kept, jumped * kept, sent + (gone * (1.0 - out) + found), lost - found + gone * out
+            tracked * kept,
+            jumped * kept,
+            sent + (gone * (1.0 - out) + found),
+            lost - found + gone * out,
         )
 
     def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
         """Predict; a robot that is nowhere near what was taught any more is lost."""
         tracked, jumped, sent, lost = self._odds
         strayed = tracked * self._tracked.move(movement, noise, newness, self._rng)
-        others = 0.0 if self._jumped is None else jumped * self._jumped.move(movement, noise, newness, self._rng)
+        others = (
+            0.0
+            if self._jumped is None
+            else jumped * self._jumped.move(movement, noise, newness, self._rng)
+        )
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: ViewEvidence) -> None:
@@ -287,7 +319,9 @@ class Filter:
         self._jumped = scouts
         jumped = jumped + sent
         if jumped > tracked:
-            self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped)).resampled(self._rng)
+            self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped)).resampled(
+                self._rng
+            )
             self._jumped = None
             tracked = tracked + jumped
             jumped = 0.0
@@ -314,7 +348,9 @@ class Filter:
         weights = prior[:, None] * says
         drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
         chosen, turns = np.divmod(drawn, TURNS_DEG.size)
-        scouts = self._beside(seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0)
+        scouts = self._beside(
+            seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0
+        )
         # They are drawn by all that the view says, of which a part alone is new.
         rest = (new / says).ravel()[drawn]
         scouts.weights = rest / rest.sum()
@@ -322,11 +358,18 @@ class Filter:
         return scouts, float((prior[:, None] * new).sum())
 
     def _beside(
-        self, keyframes: NDArray[np.intp], turns: NDArray[np.float64], aside: float, turned_deg: float
+        self,
+        keyframes: NDArray[np.intp],
+        turns: NDArray[np.float64],
+        aside: float,
+        turned_deg: float,
     ) -> Particles:
         """Scatter particles about keyframes."""
         spread = np.array([aside, aside, math.radians(turned_deg)])
-        poses = self._map.key_poses[keyframes] + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
+        poses = (
+            self._map.key_poses[keyframes]
+            + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
+        )
         poses[:, 2] += turns
         made = Particles(self._map, keyframes, poses)
         made.pace = self._rng.standard_normal(len(poses))
@@ -339,10 +382,15 @@ class Filter:
         drive = int(drives[tracked.weights.argmax()])
         there = tracked.weights * (drives == drive)
         x, y, _ = there @ tracked.poses / max(float(there.sum()), 1e-12)
-        heading = math.atan2(there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2]))
+        heading = math.atan2(
+            there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2])
+        )
         pose = np.array([x, y, heading])
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
-        if self._odds.tracked * float(there.sum()) > SETTINGS.located and scatter < self._map.correlation_length:
+        if (
+            self._odds.tracked * float(there.sum()) > SETTINGS.located
+            and scatter < self._map.correlation_length
+        ):
             self._sure = (drive, pose, 0.0)
 
     def _note_seen(self, seen: ViewEvidence, way: float) -> None:

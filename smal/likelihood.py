@@ -73,7 +73,9 @@ class Likelihood:
     gamma: float
 
     @classmethod
-    def fit(cls, here: NDArray[Any], elsewhere: NDArray[Any], independent: float, gamma: float) -> "Likelihood":
+    def fit(
+        cls, here: NDArray[Any], elsewhere: NDArray[Any], independent: float, gamma: float
+    ) -> "Likelihood":
         """Measure it on z of neighbouring taught views, and of views of different places.
 
         `independent` says how many of the latter are independent.
@@ -88,15 +90,22 @@ class Likelihood:
         mean = max(float(above.mean()), width) if above.size else 1.0
         count = max((1.0 - SETTINGS.usual) * independent, 1.0)
         usual = np.histogram(elsewhere[elsewhere <= threshold], edges)[0].astype(np.float64)
-        tail = (1.0 + np.maximum(GRID - threshold, 0.0) / (count * mean)) ** (-count - 1.0) * (threshold <= GRID)
-        p0 = SETTINGS.usual * usual / max(usual.sum(), 1.0) + (1.0 - SETTINGS.usual) * tail / tail.sum()
+        tail = (1.0 + np.maximum(GRID - threshold, 0.0) / (count * mean)) ** (-count - 1.0) * (
+            threshold <= GRID
+        )
+        p0 = (
+            SETTINGS.usual * usual / max(usual.sum(), 1.0)
+            + (1.0 - SETTINGS.usual) * tail / tail.sum()
+        )
         p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
         zero = int(np.argmin(np.abs(GRID)))
         rows = np.zeros((SHARES.size, GRID.size))
         for row, least, most in zip(rows[1:], SHARES[:-1], SHARES[1:], strict=True):
             shares = _FINE[(least <= _FINE) & (most >= _FINE)]
             shown = np.clip(np.multiply.outer(shares, np.maximum(here, 0.0)).ravel(), 0.0, GRID[-1])
-            p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[zero : zero + GRID.size]
+            p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[
+                zero : zero + GRID.size
+            ]
             row[:] = log_ratio(p1, p0)
         # Any view may be hidden.
         return cls(np.clip(rows, math.log(SETTINGS.hidden), 50.0), gamma)
@@ -105,7 +114,9 @@ class Likelihood:
         """Return the log ratio of each z, for one of the shares."""
         return np.asarray(np.interp(z, GRID, self.log_ratio[share]))
 
-    def mixed(self, shares: NDArray[np.float64], z: NDArray[Any], newness: float) -> NDArray[np.float64]:
+    def mixed(
+        self, shares: NDArray[np.float64], z: NDArray[Any], newness: float
+    ) -> NDArray[np.float64]:
         """Return the likelihood ratio of each z where shares have these probabilities, of a view that is so new."""
         return np.asarray(np.interp(z, GRID, shares @ np.exp(newness * self.log_ratio)))
 

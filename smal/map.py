@@ -29,7 +29,10 @@ GOAL_NAME = r"\w[\w .-]{0,63}"  # Letters, digits, and what may stand between th
 _LONGEST = 1e6  # What numbers of a map can be.
 _MOST_KEYFRAMES = 400_000  # Keyframes: 300 km of usual views.
 _NUMBERS: dict[str, Callable[[float], bool]] = {
-    **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
+    **dict.fromkeys(
+        ("aside", "correlation_length", "correlation_rad", "tick_s"),
+        lambda one: 1e-6 <= one <= _LONGEST,
+    ),
     "gamma": lambda one: 0.0 < one <= 1e3,
     "next_correlation": lambda one: 0.0 < one < 1.0,
 }
@@ -51,7 +54,9 @@ class VisualMap:
 
     poses: NDArray[np.float64]  # (f, 3) of every taught frame.
     drives: NDArray[np.int32]  # (f,) which demonstration it is of, ascending.
-    keyframes: NDArray[np.int32]  # (k,) frames, ascending; the first and last of every drive are among them.
+    keyframes: NDArray[
+        np.int32
+    ]  # (k,) frames, ascending; the first and last of every drive are among them.
     basis: NDArray[np.float32]  # (m, r) components of centred features.
     #: (k + e, 3, turns, r) components of each keyframe's views, of any length (`packed`): from `aside` to the right,
     #: from there, from the left; each turned by `TURNS_DEG`. After the taught ones come further looks.
@@ -61,15 +66,23 @@ class VisualMap:
     #: Way ahead, and turn, after which the mean cosine of two views is half way down to that of unrelated ones.
     correlation_length: float
     correlation_rad: float
-    log_ratio: NDArray[np.float64]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
+    log_ratio: NDArray[
+        np.float64
+    ]  # With gamma what views say of places, see `smal.likelihood.Likelihood`.
     gamma: float
     next_correlation: float  # How far the views of a keyframe and the next say the same, 0 to 1.
-    movements: NDArray[np.float64]  # (5, 2) what each atom does between frames (`smal.teaching.movements`).
+    movements: NDArray[
+        np.float64
+    ]  # (5, 2) what each atom does between frames (`smal.teaching.movements`).
     tick_s: float  # Time between two taught frames.
     odometry: bool  # Whether poses are of odometry, or the usual movements of atoms added up.
-    scene: NDArray[np.float64]  # Field of view in degrees, height of the camera, distance of what it sees.
+    scene: NDArray[
+        np.float64
+    ]  # Field of view in degrees, height of the camera, distance of what it sees.
     goals: tuple[str, ...]  # Where each drive leads.
-    names: tuple[tuple[str, ...], ...]  # Demonstrations of each drive: several where frames between them were lost.
+    names: tuple[
+        tuple[str, ...], ...
+    ]  # Demonstrations of each drive: several where frames between them were lost.
     size: tuple[int, int]  # Width and height of the first taught image, pixels.
     #: (s, 2) pairs of keyframes of different drives that show one place (`smal.teaching.stitches`), ascending; and of
     #: the first as seen from the second, (s, 3): ahead, left, turned left in radians.
@@ -97,8 +110,14 @@ class VisualMap:
         goals = numbers["goals"]
         names = numbers["names"]
         size = numbers["size"]
-        if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
-            raise TypeError("the goals of the map must be a list, and the names of its drives lists")
+        if not (
+            isinstance(goals, list)
+            and isinstance(names, list)
+            and all(isinstance(each, list) for each in names)
+        ):
+            raise TypeError(
+                "the goals of the map must be a list, and the names of its drives lists"
+            )
         if not isinstance(size, list):
             raise TypeError("the size of the taught images must be a list")
         told = {"goals": tuple(goals), "names": tuple(map(tuple, names)), "size": tuple(size)}
@@ -129,7 +148,9 @@ class VisualMap:
             rank[key] += 1
         return rows
 
-    def best_look(self, keyframes: NDArray[np.intp], say: Callable[..., NDArray[_T]]) -> NDArray[_T]:
+    def best_look(
+        self, keyframes: NDArray[np.intp], say: Callable[..., NDArray[_T]]
+    ) -> NDArray[_T]:
         """Return what is said of keyframes (n,) by their best look, (n, ...).
 
         `say` gives it of some of the n, by a slice or their numbers, with those rows of `views`.
@@ -195,7 +216,9 @@ class VisualMap:
         """Way to drive until each frame, all drives one after the other, (f,): without what led nowhere."""
         on = leads_on(self.poses, self.drives, self.correlation_length)
         steps = np.hypot(*np.diff(self.poses[on, :2], axis=0).T)
-        way = np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives[on]) == 0, steps, 0.0))])
+        way = np.concatenate(
+            [[0.0], np.cumsum(np.where(np.diff(self.drives[on]) == 0, steps, 0.0))]
+        )
         return np.asarray(way[np.cumsum(on) - 1])
 
     @cached_property
@@ -216,7 +239,10 @@ class VisualMap:
     @property
     def turn_rad(self) -> float:
         """Turn in a taught tick, radians; where none of its drives turned, that of usual robots."""
-        return abs(float(self.movements[Atom.LEFT, 1])) or math.radians(SETTINGS.usual_turn_deg_s) * self.tick_s
+        return (
+            abs(float(self.movements[Atom.LEFT, 1]))
+            or math.radians(SETTINGS.usual_turn_deg_s) * self.tick_s
+        )
 
     @property
     def apart_rad(self) -> float:
@@ -225,13 +251,17 @@ class VisualMap:
 
     def lengths(self, movement: Movement) -> float:
         """How much a movement changes the view, in correlation lengths."""
-        return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.apart_rad))
+        return math.hypot(
+            movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.apart_rad)
+        )
 
     def expected(self, step: NDArray[np.float64]) -> float:
         """Return how far two views that are a step (ahead, left, turned) apart should say the same, 0 to 1."""
         way = SETTINGS.views_a_length * math.hypot(step[0], step[1]) / self.correlation_length
         turn = abs(math.remainder(step[2], math.tau)) / self.correlation_rad
-        return math.exp(-math.hypot(way * math.log(self.next_correlation), turn * self.gamma * math.log(2.0)))
+        return math.exp(
+            -math.hypot(way * math.log(self.next_correlation), turn * self.gamma * math.log(2.0))
+        )
 
     def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the components of a frame (m,), of unit length, or zero where it shows nothing, (r,)."""
@@ -248,14 +278,18 @@ class VisualMap:
 
         Rows of `views` that are no keyframes are further looks.
         """
-        views = np.ravel_multi_index(np.broadcast_arrays(keyframes, places, turns), self.views.shape[:3])
+        views = np.ravel_multi_index(
+            np.broadcast_arrays(keyframes, places, turns), self.views.shape[:3]
+        )
         each, where = np.unique(views, return_inverse=True)
         rows = self.views.reshape(-1, components.size)[each].astype(np.float32)
         lengths = np.sqrt(np.einsum("vr,vr->v", rows, rows))
         found: NDArray[np.float32] = rows @ components / np.maximum(lengths, 1.0)
         return found[where].reshape(views.shape)
 
-    def likely(self, components: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def likely(
+        self, components: NDArray[np.float32]
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return the keyframes to look at for a frame (r,), and how many keyframes each stands for, (n,) and (n,).
 
         Of a short way these are all; of a longer one those about where the overview is most alike, and the sample of
@@ -304,8 +338,12 @@ def way_from(
     They are so far `along` (s,) the drive from where it passes the robot; none lies beyond its end.
     """
     key = mapped.keyframes[keyframe]
-    first, end = (np.searchsorted(mapped.drives, mapped.drives[key], side) for side in ("left", "right"))
-    target = np.clip(np.searchsorted(mapped.arc, mapped.arc[key] + offset[0] + along), first, end - 1)
+    first, end = (
+        np.searchsorted(mapped.drives, mapped.drives[key], side) for side in ("left", "right")
+    )
+    target = np.clip(
+        np.searchsorted(mapped.arc, mapped.arc[key] + offset[0] + along), first, end - 1
+    )
     return seen_from(seen_from(mapped.poses[target], mapped.poses[key]), offset)[:, :2]
 
 
@@ -318,7 +356,11 @@ def beside(mapped: VisualMap, keyframe: int) -> NDArray[np.intp]:
 
 def _unsound(one: VisualMap) -> list[str]:
     """Name the parts that are not what they should be, whatever the others are."""
-    wrong = [name for name, axes in _AXES.items() if not _sound(getattr(one, name), axes, "fi"[name in _WHOLE])]
+    wrong = [
+        name
+        for name, axes in _AXES.items()
+        if not _sound(getattr(one, name), axes, "fi"[name in _WHOLE])
+    ]
     for name, fits in _NUMBERS.items():
         number = getattr(one, name)
         if type(number) not in (int, float) or not fits(number):
@@ -336,17 +378,22 @@ def _fit(one: VisualMap) -> dict[str, bool]:
     offsets = one.stitch_offsets
     return {
         "poses": one.poses.shape == (frames, 3) and bool((np.abs(one.poses) <= _LONGEST).all()),
-        "drives": one.drives.shape == (frames,) and bool(np.isin(np.diff(one.drives, prepend=0), (0, 1)).all()),
+        "drives": one.drives.shape == (frames,)
+        and bool(np.isin(np.diff(one.drives, prepend=0), (0, 1)).all()),
         "keyframes": 0 < count <= _MOST_KEYFRAMES
         and _within(keys, frames)
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
         "views": one.views.dtype == np.int8
         and one.views.shape == (count + len(one.looks), 3, TURNS_DEG.size, one.basis.shape[1]),
-        "blank": one.blank.shape == (one.basis.shape[1],) and float(np.linalg.norm(one.blank)) < 1.01,
-        "components": 0 < one.basis.shape[1] <= len(one.basis) and bool((np.abs(one.basis) <= _LONGEST).all()),
-        "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size) and bool((np.abs(one.log_ratio) < 100.0).all()),
-        "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
+        "blank": one.blank.shape == (one.basis.shape[1],)
+        and float(np.linalg.norm(one.blank)) < 1.01,
+        "components": 0 < one.basis.shape[1] <= len(one.basis)
+        and bool((np.abs(one.basis) <= _LONGEST).all()),
+        "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size)
+        and bool((np.abs(one.log_ratio) < 100.0).all()),
+        "movements": one.movements.shape == (len(Atom), 2)
+        and bool((np.abs(one.movements) <= _LONGEST).all()),
         "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
         "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1
         and {*map(type, one.goals)} <= {str}
@@ -357,8 +404,10 @@ def _fit(one: VisualMap) -> dict[str, bool]:
         and _within(one.stitched, count)
         and len(np.unique(one.stitched, axis=0)) == joined,
         "size": _is_size(one.size),
-        "looks": _within(one.looks, count) and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
-        "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
+        "looks": _within(one.looks, count)
+        and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
+        "stitch_offsets": offsets.shape == (joined, 3)
+        and bool((np.abs(offsets) <= _LONGEST).all()),
     }
 
 

@@ -42,7 +42,10 @@ class Movement:
         (x0, y0, heading) = before
         (x1, y1, new) = after
         ahead = (x1 - x0) * math.cos(heading) + (y1 - y0) * math.sin(heading)
-        return cls(math.copysign(math.hypot(x1 - x0, y1 - y0), ahead), math.remainder(new - heading, math.tau))
+        return cls(
+            math.copysign(math.hypot(x1 - x0, y1 - y0), ahead),
+            math.remainder(new - heading, math.tau),
+        )
 
 
 STILL = Movement(0.0, 0.0)
@@ -84,17 +87,23 @@ def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray
     x, y, heading = np.moveaxis(frames, -1, 0)
     cos = np.cos(heading)
     sin = np.sin(heading)
-    return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1)
+    return np.stack(
+        [x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1
+    )
 
 
-def shows_same(poses: NDArray[np.float64], pose: NDArray[np.float64], length: float) -> NDArray[np.bool_]:
+def shows_same(
+    poses: NDArray[np.float64], pose: NDArray[np.float64], length: float
+) -> NDArray[np.bool_]:
     """Tell where a view is hardly another one than at a pose (3,): poses (f, 3), length that of correlation."""
     moved = poses - pose
     near = np.hypot(*moved[:, :2].T) < length / SETTINGS.views_a_length
     return np.asarray(near & (np.abs(wrapped(moved[:, 2])) < math.radians(SETTINGS.spacing_deg)))
 
 
-def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.bool_]:
+def leads_on(
+    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+) -> NDArray[np.bool_]:
     """Tell which frames a robot is to pass, (f,).
 
     Frames between two that show the same led nowhere: a wrong turn and its correction, or a way there and back. They
@@ -115,7 +124,9 @@ def leads_on(poses: NDArray[np.float64], drives: NDArray[np.int32], length: floa
         since = way[frame + 1 : end] - way[frame]
         apart = np.hypot(*(later - poses[frame])[:, :2].T)
         # Who turns on the spot creeps ahead a little.
-        back = shows_same(later, poses[frame], length) & (apart < np.maximum(since, 0.1 * length) / 2.0)
+        back = shows_same(later, poses[frame], length) & (
+            apart < np.maximum(since, 0.1 * length) / 2.0
+        )
         last = int(np.flatnonzero(back).max(initial=-1))
         frame += 1 if back[: last + 1].all() else last + 1
     return np.asarray(on[np.cumsum(moved) - 1])
@@ -127,7 +138,9 @@ def turns_ahead(movements: NDArray[np.float64]) -> bool:
     return bool(ahead[[Atom.LEFT, Atom.RIGHT]].min() > 0.5 * ahead[Atom.FORWARD])
 
 
-def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]) -> NDArray[np.float64]:
+def dead_reckoning(
+    atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Add up what atoms (f,) usually do (`atom_movements`, (5, 2)): x, y and heading of every frame, (f, 3).
 
     From (0, 0, 0); a turn is made half before the way ahead and half after.

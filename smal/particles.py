@@ -32,24 +32,32 @@ class ViewEvidence(NamedTuple):
 class Particles:
     """Poses in the axes of the drive of their keyframe, and weights that sum to 1."""
 
-    def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
+    def __init__(
+        self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]
+    ) -> None:
         self._map = visual_map
         self.keyframes = keyframes
         self.poses = poses
         self.tracked = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
-        self.pace = np.zeros(len(poses))  # By how many standard deviations the robot is faster than it is said to be.
+        self.pace = np.zeros(
+            len(poses)
+        )  # By how many standard deviations the robot is faster than it is said to be.
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
         self.shares = FIRST_SHARES
         #: How much likelier the last view was here than elsewhere, if all of it was new and nothing hid it.
         self.speaks = 1.0
 
-    def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> float:
+    def move(
+        self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator
+    ) -> float:
         """Predict: move all by a movement with noise, and find their keyframes; return the part that has strayed.
 
         Those that are nowhere near what was taught any more are let go, but for a trace.
         """
-        ahead_noise, turn_noise, heading_noise, pace_noise = rng.standard_normal((4, len(self.poses)))
+        ahead_noise, turn_noise, heading_noise, pace_noise = rng.standard_normal(
+            (4, len(self.poses))
+        )
         length = self._map.correlation_length
         lengths = abs(movement.ahead) / length
         # Errors of each moment are a diffusion: they grow with the square root of the way, whatever the rate of frames
@@ -58,20 +66,29 @@ class Particles:
         self.pace = kept * self.pace + math.sqrt(1.0 - kept**2) * pace_noise
         ahead = movement.ahead * np.exp(noise.pace * self.pace)
         ahead += noise.ahead * math.sqrt(lengths) * length * ahead_noise
-        heading = math.hypot(SETTINGS.drift_deg * math.sqrt(lengths), SETTINGS.jitter_deg * math.sqrt(newness))
+        heading = math.hypot(
+            SETTINGS.drift_deg * math.sqrt(lengths), SETTINGS.jitter_deg * math.sqrt(newness)
+        )
         turn = movement.turn_rad + math.radians(heading) * heading_noise
         turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
         middle = self.poses[:, 2] + turn / 2.0
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
         self.tracked += abs(movement.ahead)
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
-        near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
+        near = np.clip(
+            self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1),
+            first,
+            last,
+        )
         apart = self.poses[:, None] - self._map.key_poses[near]
         far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / length**2
         # A turn is covered by the virtual views: it counts for less than the place.
         far += (wrapped(apart[..., 2]) / (3.0 * self._map.apart_rad)) ** 2
         self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
-        away = np.hypot(*(self.poses - self._map.key_poses[self.keyframes])[:, :2].T) > SETTINGS.elsewhere * length
+        away = (
+            np.hypot(*(self.poses - self._map.key_poses[self.keyframes])[:, :2].T)
+            > SETTINGS.elsewhere * length
+        )
         strayed = min(float(self.weights[away].sum()), 1.0 - 1e-6)
         self.weights[away] *= 1e-6
         self.weights /= self.weights.sum()
@@ -87,7 +104,9 @@ class Particles:
         z = seen.stands_out(found)
         log_ratio = np.stack([self._map.likelihood.of(z, share) for share in range(SHARES.size)])
         # Far aside is like nowhere; where it looks away from all that was taught, the view says nothing.
-        log_ratio[1:] = np.maximum(log_ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.log_ratio[1:, :1])
+        log_ratio[1:] = np.maximum(
+            log_ratio[1:] - 2.0 * np.square(beyond), self._map.likelihood.log_ratio[1:, :1]
+        )
         log_ratio *= self.looks()
         shown = self.shares[1:] / self.shares[1:].sum()
         self.speaks = float(shown @ np.exp(log_ratio[1:]) @ self.weights)
@@ -104,14 +123,20 @@ class Particles:
     def looks(self) -> NDArray[np.float64]:
         """Return how far each looks at what was taught, 0 to 1: less, where it is turned beyond all views (p,)."""
         turned = np.abs(np.degrees(self.offsets()[:, 2])) / STEP_DEG
-        beyond = np.maximum(turned - TURNS_DEG.size / 2.0, 0.0) * math.radians(STEP_DEG) / self._map.apart_rad
+        beyond = (
+            np.maximum(turned - TURNS_DEG.size / 2.0, 0.0)
+            * math.radians(STEP_DEG)
+            / self._map.apart_rad
+        )
         return np.asarray(np.exp(-2.0 * np.square(beyond)))
 
     def cosine(self, seen: ViewEvidence) -> float:
         """Return the mean cosine of a view with those of these places."""
         return float(self.weights @ self.interpolated(seen.components)[0])
 
-    def interpolated(self, components: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def interpolated(
+        self, components: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the cosines with the view at each particle's offset, and how far that lies beyond views.
 
         Between two views the one between them is their sum, scaled to unit length; what lies beyond the outermost ones
@@ -133,9 +158,15 @@ class Particles:
             turn = t[some]
             off = f[some]
             places = np.stack([first, first + 1])
-            less, more = self._map.cosines(components, rows, places, np.stack([turn, turn + 1])[:, None])
-            here, beside = ((1.0 - off) * less + off * more) / _norm(off, by_turn[rows, places, turn])
-            places_alike = (1.0 - off) * by_place[rows, first, turn] + off * by_place[rows, first, turn + 1]
+            less, more = self._map.cosines(
+                components, rows, places, np.stack([turn, turn + 1])[:, None]
+            )
+            here, beside = ((1.0 - off) * less + off * more) / _norm(
+                off, by_turn[rows, places, turn]
+            )
+            places_alike = (1.0 - off) * by_place[rows, first, turn] + off * by_place[
+                rows, first, turn + 1
+            ]
             return np.asarray(((1.0 - left) * here + left * beside) / _norm(left, places_alike))
 
         found = self._map.best_look(self.keyframes, between)
@@ -151,7 +182,9 @@ class Particles:
         """Put sets together, each of which has a share."""
         total = max(sum(share for _, share in sets), 1e-300)
         names = ("keyframes", "poses", "tracked", "pace")
-        keyframes, poses, tracked, pace = (np.concatenate([getattr(one, name) for one, _ in sets]) for name in names)
+        keyframes, poses, tracked, pace = (
+            np.concatenate([getattr(one, name) for one, _ in sets]) for name in names
+        )
         made = cls(sets[0][0]._map, keyframes, poses)
         made.tracked = tracked
         made.pace = pace

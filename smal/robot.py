@@ -51,7 +51,9 @@ class Localizer:
     that `watches` looks for strange ground: ValueError where the model does not know the ground.
     """
 
-    def __init__(self, model: Model, seed: int = 0, goal: str | None = None, watches: bool = False) -> None:
+    def __init__(
+        self, model: Model, seed: int = 0, goal: str | None = None, watches: bool = False
+    ) -> None:
         if watches and model.ground is None:
             raise ValueError(NO_GROUND)
         self._watches = watches
@@ -64,7 +66,9 @@ class Localizer:
         word = model.words.get(goal or "")
         self._witness = Witness(sight, word) if sight or word else None
         to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
-        self._near = (mapped.key_goals == goal) & (np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed)
+        self._near = (mapped.key_goals == goal) & (
+            np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed
+        )
         self.reset()
 
     def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
@@ -90,7 +94,12 @@ class Localizer:
         whole = self.observe(percept.features, odometry, made, elapsed_s)
         seen = self.seen(percept.picture, whole, percept.detected)
         belief = whole.summary()
-        return Located(whole, belief, seen, self.strange(percept.picture, belief) if self._watches else math.inf)
+        return Located(
+            whole,
+            belief,
+            seen,
+            self.strange(percept.picture, belief) if self._watches else math.inf,
+        )
 
     def seen(
         self, picture: NDArray[np.uint8] | None, belief: Belief, detected: Iterable[Detection] = ()
@@ -107,7 +116,11 @@ class Localizer:
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
-        return Glimpse(0.0, 0.0) if picture is None else self._witness.look(picture, self._time_s, detected)
+        return (
+            Glimpse(0.0, 0.0)
+            if picture is None
+            else self._witness.look(picture, self._time_s, detected)
+        )
 
     def strange(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float:
         """Return how far ahead the ground looks like none of the taught ground, in the map's unit (`PlannerConfig`).
@@ -144,7 +157,9 @@ class Localizer:
         is not finite, a negative time, or as `Filter.observe`.
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
-            raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
+            raise ValueError(
+                f"the time since the frame before must be finite and not negative, got {elapsed_s}"
+            )
         movement = STILL
         noise = BY_ATOMS
         odometry = odometry if self._map.odometry else None
@@ -157,7 +172,9 @@ class Localizer:
             ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
             table = self._map.movements
             full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
-            made = [np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms]
+            made = [
+                np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms
+            ]
             ahead, turn = np.mean(made, axis=0) * ticks
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, noise)
@@ -182,7 +199,9 @@ class Robot:
     belief: Belief  # After the last image.
     decision: Decision
 
-    def __init__(self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False) -> None:
+    def __init__(
+        self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False
+    ) -> None:
         self._map = model.mapped
         goal = chosen_goal(model.mapped.goals, goal)
         self._localizer = Localizer(model, seed, goal, watches)
@@ -212,7 +231,9 @@ class Robot:
         not given. `depth` is what a depth camera measures (height, width), metres, 0 where nothing, and how it sits:
         with it, and odometry, the robot goes round what stands in its way.
         """
-        located = self._localizer.locate(perceive(image, self._localizer.features), odometry, [self.made], elapsed_s)
+        located = self._localizer.locate(
+            perceive(image, self._localizer.features), odometry, [self.made], elapsed_s
+        )
         self.belief = located.whole
         if odometry is None:
             self._around = None
@@ -222,7 +243,11 @@ class Robot:
         elif self._around is not None:
             self._around.move(odometry)
         self.decision = self._planner.decide(
-            located.belief, elapsed_s, seen=located.seen, around=self._around, strange=located.strange
+            located.belief,
+            elapsed_s,
+            seen=located.seen,
+            around=self._around,
+            strange=located.strange,
         )
         self.made = self.decision.motion
         return self.decision.motion

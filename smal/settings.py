@@ -18,11 +18,15 @@ class Settings:
     spacing_deg: float = 12.0
     #: Over this way wheels tell whether a person came back to where they were, and mended what they did.
     mended: float = 4.0
-    aside: float = 0.4  # Virtual views are taken as far aside as two steps from keyframe to keyframe.
+    aside: float = (
+        0.4  # Virtual views are taken as far aside as two steps from keyframe to keyframe.
+    )
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
     #: alike; beyond 40 hardly anything of the taught image is left.
     turns_deg: tuple[float, ...] = tuple(5.0 * k for k in range(-8, 9))
-    most_components: int = 400  # Principal components, at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
+    most_components: int = (
+        400  # Principal components, at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
+    )
     #: Components of variance v are divided by v to this power: half way to where all count alike. The largest ones are
     #: what many places share (sky, light), the smallest are noise.
     whitened: float = 0.25
@@ -36,7 +40,9 @@ class Settings:
     compared_at_once: int = 32
     #: Looks of a keyframe at most, the taught one among them: more cost memory and time, and each can be mistaken.
     looks: int = 4
-    look_from: float = 0.5  # A further look is warped from a frame that is nearer to its keyframe than this.
+    look_from: float = (
+        0.5  # A further look is warped from a frame that is nearer to its keyframe than this.
+    )
     #: By so much, natural logarithms, a new map may make a view less likely: a hundredth of what views tell.
     may_lose: float = 0.05
     #: Keyframes at which a view is looked for anywhere, and leading components by which they are chosen on longer ways.
@@ -70,7 +76,9 @@ class Settings:
     tells_camera_deg: float = 9.0
     tells_scene_deg: float = 25.0
     tells_turn_deg: float = 15.0
-    usual_turn_deg_s: float = 45.0  # How fast robots turn, where no drive turns and nothing else tells.
+    usual_turn_deg_s: float = (
+        45.0  # How fast robots turn, where no drive turns and nothing else tells.
+    )
 
     # -- the wheels (`smal.movement.MotionNoise`)
     #: Of the way, of a turn, and of the pace. Wheels slip a little, and those of two robots disagree by a twentieth. Of
@@ -122,7 +130,9 @@ class Settings:
     #: Shares of the cells of the way that are nearer to the rest of it: what is less near stands out; is not alike.
     stands_out: float = 0.98
     far: float = 0.999
-    like: float = 0.7  # Share of how far a cell is from the way within which it is like what is followed.
+    like: float = (
+        0.7  # Share of how far a cell is from the way within which it is like what is followed.
+    )
     sizes: int = 4  # Windows of different sizes.
     plain: float = 4.0  # Contrast of a picture, of 255, with less of which it shows nothing.
     #: Mean score where it is not in view, as a share of the best one of the approach, at least: round the end there are
@@ -134,7 +144,9 @@ class Settings:
     in_view: float = 0.2
     false_seen: float = 40.0
     low: float = 0.1  # How low in the view it is tells how near it is, where that is so much at the end of the way.
-    as_near: float = 1.3  # What is seen is found nearer than this many times how near the taught ways ended.
+    as_near: float = (
+        1.3  # What is seen is found nearer than this many times how near the taught ways ended.
+    )
 
     # -- what stands in the way (`smal.obstacles`), in radii of the robot
     depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
@@ -142,9 +154,13 @@ class Settings:
     #: noise and of a floor that is not quite even. A wheel climbs less.
     ground_m: float = 0.05
     ground_slope: float = 0.02
-    tilt_deg: float = 5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
+    tilt_deg: float = (
+        5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
+    )
     least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
-    gap_rows: int = 5  # Rows of a column that may show no ground before it ends: specks without texture.
+    gap_rows: int = (
+        5  # Rows of a column that may show no ground before it ends: specks without texture.
+    )
     least_shown: float = 0.5  # Share of columns that must show the ground, or a thing before it.
     #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
     #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
@@ -158,14 +174,20 @@ class Settings:
     edge: int = 3
     lasts: float = 4.0
     stays: float = 30.0
-    walks_m: float = 0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
-    sways_m: float = 0.1  # Who has come, and stands, is kept off so much further than things, metres.
+    walks_m: float = (
+        0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
+    )
+    sways_m: float = (
+        0.1  # Who has come, and stands, is kept off so much further than things, metres.
+    )
     deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
     cells_radius: int = 4  # Cells a radius.
     grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
     margin: float = 0.25  # What stays between the robot and what it stops before.
     slowest: float = 0.05  # Slower than this share of its speed a robot stands.
-    may_go_aside: float = 6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
+    may_go_aside: float = (
+        6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
+    )
     #: Distance from things beyond which more is of no use, and what a metre costs more right beside them.
     room: float = 2.0
     tight_cost: float = 2.0
@@ -181,7 +203,9 @@ class Settings:
     swept: float = 0.7
     strange_s: float = 0.2  # For so long, at least, it must be seen.
     strange_keyframes: int = 3  # To either side whose ground is known here.
-    strange_views: float = 1e4  # One of so many views would be called strange: a kilometre of keyframes indoors.
+    strange_views: float = (
+        1e4  # One of so many views would be called strange: a kilometre of keyframes indoors.
+    )
     #: Colours that are less apart are alike: a twelfth of the brightness, by light, exposure and compression.
     least_strange: float = 0.03
     patch_known: int = 6  # Of the nine cells of a patch that must lie on the swept ground.

@@ -47,7 +47,11 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what lasts longest, so that no process is left alone with it."""
-    items.sort(key=lambda item: next((k for k, one in enumerate(FIRST) if item.nodeid.startswith(one)), len(FIRST)))
+    items.sort(
+        key=lambda item: next(
+            (k for k, one in enumerate(FIRST) if item.nodeid.startswith(one)), len(FIRST)
+        )
+    )
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -62,7 +66,9 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make a world where a drive takes some seconds: the yard's way with both corners, without the long stretches."""
 
     def make(folder: Path) -> None:
-        _, text = import_map(WORLDS_FOLDER / "yard.osm", folder / "near.json", Wishes(Pose(-8.0, 1.0, 0.0)))
+        _, text = import_map(
+            WORLDS_FOLDER / "yard.osm", folder / "near.json", Wishes(Pose(-8.0, 1.0, 0.0))
+        )
         (folder / "near.json").write_text(text)
 
     return made_once(tmp_path_factory, "near", make) / "near.json"
@@ -74,8 +80,25 @@ def taught(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         for arguments in (
-            ("demonstrate", "--world", near, "--seed", 1, "--camera", "160x120", "--out", folder / "drives"),
-            ("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json"),
+            (
+                "demonstrate",
+                "--world",
+                near,
+                "--seed",
+                1,
+                "--camera",
+                "160x120",
+                "--out",
+                folder / "drives",
+            ),
+            (
+                "learn",
+                folder / "drives",
+                "--out",
+                folder / "model.smal",
+                "--json",
+                folder / "learned.json",
+            ),
         ):
             done = run_smal(*arguments)
             assert done.returncode == 0, done.stderr

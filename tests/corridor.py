@@ -31,12 +31,16 @@ _PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(
 Pose = tuple[float, float, float]
 
 
-def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1) -> NDArray[np.uint8]:
+def view(
+    x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1
+) -> NDArray[np.uint8]:
     """Return what a camera half a metre above the floor sees, 2 m from both walls; x is along the corridor."""
     height = scale * HEIGHT
     width = scale * WIDTH
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
-    left, up = ((size / 2 - 0.5 - at) / (0.7 * width) for size, at in ((width, columns), (height, rows)))
+    left, up = (
+        (size / 2 - 0.5 - at) / (0.7 * width) for size, at in ((width, columns), (height, rows))
+    )
     ray = np.array([math.cos(heading_rad) - math.sin(heading_rad) * left,
                     math.sin(heading_rad) + math.cos(heading_rad) * left, up])  # fmt: skip
     with np.errstate(divide="ignore"):
@@ -55,7 +59,9 @@ def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1)
     j = b.astype(int)
     f = (a - i)[..., None]
     g = (b - j)[..., None]
-    near, far = ((1 - g) * _PAINT[surface, i + k, j] + g * _PAINT[surface, i + k, j + 1] for k in (0, 1))
+    near, far = (
+        (1 - g) * _PAINT[surface, i + k, j] + g * _PAINT[surface, i + k, j + 1] for k in (0, 1)
+    )
     fog = np.exp(-reach / 6)[..., None]
     return np.asarray(fog * ((1 - f) * near + f * far) + (1 - fog) * 128, dtype=np.uint8)
 
@@ -82,7 +88,9 @@ def model(odometry: bool = True) -> Model:
 @cache
 def paper_model() -> PaperModel:
     """Learn the same drive by the paper's scheme."""
-    return learning.learn(demonstrations_of([drive()], FEATURES), learning.LearningSettings(FEATURES, LENGTH))
+    return learning.learn(
+        demonstrations_of([drive()], FEATURES), learning.LearningSettings(FEATURES, LENGTH)
+    )
 
 
 def drive() -> tuple[list[NDArray[np.uint8]], list[Atom], NDArray[np.float64]]:
@@ -101,5 +109,7 @@ def save_renewed(path: Path) -> Path:
     """Write `model` with a further look of a keyframe, as runs teach it: the keyframes are the same."""
     taught = model().mapped
     views = np.concatenate([taught.views, taught.views[5:6]])
-    replace(model(), mapped=replace(taught, views=views, looks=np.array([5], dtype=np.int32))).save(path)
+    replace(model(), mapped=replace(taught, views=views, looks=np.array([5], dtype=np.int32))).save(
+        path
+    )
     return path

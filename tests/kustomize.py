@@ -27,10 +27,19 @@ def built(folder: Path) -> list[Object]:
     for name in kustomization["resources"]:
         path = folder / name
         objects += built(path) if path.is_dir() else yaml.safe_load_all(path.read_text())
-    assert kustomization.get("generatorOptions", {"disableNameSuffixHash": True}) == {"disableNameSuffixHash": True}
+    assert kustomization.get("generatorOptions", {"disableNameSuffixHash": True}) == {
+        "disableNameSuffixHash": True
+    }
     for one in kustomization.get("configMapGenerator", []):
         data = dict(literal.split("=", 1) for literal in one["literals"])
-        objects.append({"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": one["name"]}, "data": data})
+        objects.append(
+            {
+                "apiVersion": "v1",
+                "kind": "ConfigMap",
+                "metadata": {"name": one["name"]},
+                "data": data,
+            }
+        )
     for patch in kustomization.get("patches", []):
         told = yaml.safe_load((folder / patch["path"]).read_text())
         target = patch["target"]
@@ -43,7 +52,9 @@ def built(folder: Path) -> list[Object]:
         for image in kustomization.get("images", []):
             name, _, tag = re.fullmatch(r"(.+?)(:([^:/]+))?", container["image"]).groups(default="")  # type: ignore[union-attr]
             if name.split("/")[-1] == image["name"]:
-                container["image"] = ":".join(filter(None, (image.get("newName", name), image.get("newTag", tag))))
+                container["image"] = ":".join(
+                    filter(None, (image.get("newName", name), image.get("newTag", tag)))
+                )
     for one in objects:
         if one["kind"] not in _CLUSTER_WIDE:
             one["metadata"]["namespace"] = kustomization["namespace"]
@@ -69,7 +80,9 @@ def _is(one: Object, target: dict[str, str]) -> bool:
 
 def _merged(one: Any, patch: Any, key: str | None = None) -> Any:
     if isinstance(one, dict) and isinstance(patch, dict):
-        return one | {name: _merged(one.get(name), value, _KEYS.get(name)) for name, value in patch.items()}
+        return one | {
+            name: _merged(one.get(name), value, _KEYS.get(name)) for name, value in patch.items()
+        }
     if isinstance(one, list) and key is not None:
         patched = {entry[key]: entry for entry in patch}
         known = [_merged(entry, patched.pop(entry[key], {})) for entry in one]

@@ -23,8 +23,15 @@ README = (ROOT / "README.md").read_text()
 def test_topic_table_is_the_generated_one() -> None:
     result = CliRunner().invoke(app, ["topic", "list", "--markdown"])
     assert result.exit_code == 0
-    shown = (ROOT / "schemas" / "README.md").read_text().split("<!-- topics -->")[1].split("<!-- /topics -->")[0]
-    assert shown.strip() == result.stdout.strip(), "put what `smal topic list --markdown` prints between the marks"
+    shown = (
+        (ROOT / "schemas" / "README.md")
+        .read_text()
+        .split("<!-- topics -->")[1]
+        .split("<!-- /topics -->")[0]
+    )
+    assert shown.strip() == result.stdout.strip(), (
+        "put what `smal topic list --markdown` prints between the marks"
+    )
 
 
 def test_the_picture_of_services_and_topics_is_the_generated_one() -> None:
@@ -34,7 +41,9 @@ def test_the_picture_of_services_and_topics_is_the_generated_one() -> None:
     assert shown == result.stdout, "put what `smal topic graph` prints between the marks"
 
 
-PAGES = sorted(path for path in ROOT.glob("**/*.md") if not {".venv", ".git", "out"} & set(path.parts))
+PAGES = sorted(
+    path for path in ROOT.glob("**/*.md") if not {".venv", ".git", "out"} & set(path.parts)
+)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -52,12 +61,28 @@ def test_every_path_that_a_page_names_exists(page: Path) -> None:
     ("page", "some"),
     [
         ("README.md", {"doctor", "demonstrate", "learn", "run", "up", "teleop", "topic"}),
-        ("SECURITY.md", {"doctor", "run", "up", "teleop", "topic", "init", "check", "renew", "rotate", "retire"}),
+        (
+            "SECURITY.md",
+            {
+                "doctor",
+                "run",
+                "up",
+                "teleop",
+                "topic",
+                "init",
+                "check",
+                "renew",
+                "rotate",
+                "retire",
+            },
+        ),
     ],
 )
 def test_every_command_that_a_page_names_exists_with_its_options(page: str, some: set[str]) -> None:
     lines = re.findall(
-        r"(?:^ {4}|`|; )(?:SMAL_\S+ )?smal (.*?)(?:`|;| {3,}|$)", (ROOT / page).read_text(), re.MULTILINE
+        r"(?:^ {4}|`|; )(?:SMAL_\S+ )?smal (.*?)(?:`|;| {3,}|$)",
+        (ROOT / page).read_text(),
+        re.MULTILINE,
     )
     named: set[str] = set()
     for line in lines:
@@ -73,7 +98,9 @@ def test_every_command_that_a_page_names_exists_with_its_options(page: str, some
     assert named >= some
 
 
-def test_the_example_of_the_library_finds_its_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_of_the_library_finds_its_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Drive along a corridor once; then the program of the README drives there from beside the way."""
     monkeypatch.chdir(tmp_path)
     here: list[corridor.Pose] = [(0.1, 0.3, 0.1)]

@@ -25,12 +25,20 @@ NAMES: Policy = {
 
 def policies() -> list[Policy]:
     """Return the network policies."""
-    on_the_bus = sorted(role.name for role in roles().values() if role.takes or role.gives or role.serves or role.calls)
+    on_the_bus = sorted(
+        role.name
+        for role in roles().values()
+        if role.takes or role.gives or role.serves or role.calls
+    )
     whoever = {"matchExpressions": [{"key": "role", "operator": "In", "values": on_the_bus}]}
     return [
         _policy("nobody", {}, ingress=[], egress=[]),
         _policy("bus", whoever, egress=[{"to": [ROUTER], "ports": BUS}, NAMES]),
-        _policy("router", ROUTER["podSelector"], ingress=[{"from": [{"podSelector": whoever}], "ports": BUS}]),
+        _policy(
+            "router",
+            ROUTER["podSelector"],
+            ingress=[{"from": [{"podSelector": whoever}], "ports": BUS}],
+        ),
     ]
 
 
@@ -46,7 +54,10 @@ def _policy(name: str, pods: Policy, **rules: list[Policy]) -> Policy:
 
 def as_yaml() -> str:
     """Return them as they stand in the file."""
-    told = (yaml.safe_dump(one, sort_keys=False, default_flow_style=None, width=120) for one in policies())
+    told = (
+        yaml.safe_dump(one, sort_keys=False, default_flow_style=None, width=120)
+        for one in policies()
+    )
     return "# Made by policies.py.\n" + "---\n".join(told)
 
 

@@ -16,12 +16,18 @@ from smal.files.container import ModelError
 from smal.model import Model
 from smal.teaching.living import Verdict, lived, whole_runs
 
-_KEPT: Final = 10  # Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
+_KEPT: Final = (
+    10  # Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
+)
 
 
 def versions(path: Path) -> list[Path]:
     """Return the earlier versions of a model, the oldest first."""
-    found = [one for one in path.parent.glob(f"{path.name}.*") if one.name[len(path.name) + 1 :].isdecimal()]
+    found = [
+        one
+        for one in path.parent.glob(f"{path.name}.*")
+        if one.name[len(path.name) + 1 :].isdecimal()
+    ]
     return sorted(found, key=lambda one: int(one.name.rpartition(".")[2]))
 
 
@@ -44,7 +50,9 @@ def back(path: Path) -> Path:
         raise UsageError(f"{path}: no earlier version lies beside it")
     # A version that is truncated, or a link to somewhere else, must not replace a model that works.
     if before[-1].is_symlink():
-        raise UsageError(f"{before[-1]}: invalid version: a symbolic link; delete it to go back further")
+        raise UsageError(
+            f"{before[-1]}: invalid version: a symbolic link; delete it to go back further"
+        )
     options.loaded(before[-1], hint="; delete it to go back further")
     before[-1].replace(path)
     return before[-1]
@@ -60,7 +68,11 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     remark(teaching.remarks)
     every = whole_runs(teaching.demonstrations)
     goals = model.mapped.goals
-    remark(f"{run.name} is left out: the model has no goal {run.goal}" for run in every if run.goal not in goals)
+    remark(
+        f"{run.name} is left out: the model has no goal {run.goal}"
+        for run in every
+        if run.goal not in goals
+    )
     runs = [run for run in every if run.goal in goals]
     try:
         new, verdict = lived(model, runs, partial(bar, "following"))
@@ -94,5 +106,7 @@ def _words(verdict: Verdict) -> str:
     told = f"{verdict.gain:+.2f} of evidence a frame, at least {verdict.least:+.2f}, over {verdict.stretches} stretches"
     if verdict.better:
         return f"the map has more looks now: {told}"
-    wrong = f", and it would say {verdict.false_goals} times too early that it has arrived" * (verdict.false_goals > 0)
+    wrong = f", and it would say {verdict.false_goals} times too early that it has arrived" * (
+        verdict.false_goals > 0
+    )
     return f"the map stays as it was, since the other runs do not show that more looks do no harm: {told}{wrong}"

@@ -27,7 +27,12 @@ CA_DAYS: Final = 3650.0  # An authority must outlive what it signs; a robot is n
 DAYS: Final = 365.0  # A certificate that was stolen unnoticed is of no use after a year.
 SKEW: Final = timedelta(minutes=5)  # Clocks of two machines may differ.
 SOON: Final = timedelta(days=30)  # So long before its end a certificate is named by `check`.
-HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")  # By these the router's own machine goes to it, and compose.
+HOSTS: Final = (
+    "localhost",
+    "127.0.0.1",
+    "::1",
+    "router",
+)  # By these the router's own machine goes to it, and compose.
 ROUTER: Final = "router"
 #: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
 _LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
@@ -54,7 +59,9 @@ def begin(folder: Path, robot: str) -> None:
     """Make an authority beside those that are there, which stay known; OSError when the folder cannot be written to."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = f"smal {robot} {secrets.token_hex(4)}"  # Named apart: of two only the one that has signed is tried.
-    certificate = _signed(name, _name(name), key.public_key(), key, CA_DAYS, x509.BasicConstraints(True, 0), _CA_USAGE)
+    certificate = _signed(
+        name, _name(name), key.public_key(), key, CA_DAYS, x509.BasicConstraints(True, 0), _CA_USAGE
+    )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
     # Known before it signs: whoever interrupts this is left with an authority that has its key.
@@ -71,18 +78,31 @@ def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
             nobodys = x509.BasicConstraints(False, None)
             certificate = _signed(role, _name(role), key.public_key(), key, days, nobodys)
         else:
-            certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
+            certificate = certificate_of(
+                authority, role, key.public_key(), hosts if role == ROUTER else (), days
+            )
         _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
         _write(folder / f"{role}{CERTIFICATE_SUFFIX}", certificate.public_bytes(_PEM), mode=0o644)
 
 
 def certificate_of(
-    authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
+    authority: Authority,
+    role: str,
+    key: ec.EllipticCurvePublicKey,
+    hosts: Iterable[str],
+    days: float,
 ) -> x509.Certificate:
     """Return a certificate of a role; with hosts it is a router's as well."""
     names = dict.fromkeys([x509.DNSName(role), *map(_general_name, hosts)])
-    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if len(names) > 1 else [])]
-    extensions = x509.BasicConstraints(False, None), x509.ExtendedKeyUsage(uses), x509.SubjectAlternativeName(names)
+    uses = [
+        ExtendedKeyUsageOID.CLIENT_AUTH,
+        *([ExtendedKeyUsageOID.SERVER_AUTH] if len(names) > 1 else []),
+    ]
+    extensions = (
+        x509.BasicConstraints(False, None),
+        x509.ExtendedKeyUsage(uses),
+        x509.SubjectAlternativeName(names),
+    )
     return _signed(role, authority.certificate.subject, key, authority.key, days, *extensions)
 
 
@@ -92,7 +112,9 @@ def check_host(host: str) -> str:
         ipaddress.ip_address(host)
     except ValueError:
         if re.fullmatch(_HOST_PATTERN, host) is None:
-            raise UsageError(f"--host {printable(host)!r}: neither a name, in ASCII, nor an address") from None
+            raise UsageError(
+                f"--host {printable(host)!r}: neither a name, in ASCII, nor an address"
+            ) from None
     return host
 
 
@@ -105,7 +127,9 @@ def names_of_router(folder: Path) -> list[str]:
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
     except (OSError, ValueError, x509.ExtensionNotFound):
-        raise UsageError(f"{path}: no certificate to take names from; delete it and give them with --host") from None
+        raise UsageError(
+            f"{path}: no certificate to take names from; delete it and give them with --host"
+        ) from None
     return [str(name.value) for name in found.value]
 
 
@@ -138,7 +162,10 @@ def read_authority(folder: Path) -> Authority:
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}, which signs: {_why(error)}") from None
     for authority in authorities:
-        if isinstance(key, ec.EllipticCurvePrivateKey) and key.public_key() == authority.public_key():
+        if (
+            isinstance(key, ec.EllipticCurvePrivateKey)
+            and key.public_key() == authority.public_key()
+        ):
             return Authority(authority, key)
     raise UsageError(f"{path} is the key of no authority in {folder / CA_FILE}")
 
@@ -177,13 +204,21 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         key = _read_key(key_path)
     except (OSError, ValueError) as error:
         return False, f"it or its key cannot be read: {_why(error)}"
-    names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    names = [
+        str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    ]
     open_to = _open_to_others(key_path)
     is_router = _is_router(certificate)
     signers = [certificate] if role == ENGINE else authorities
     faults = (
-        (names != [role], f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"),
-        (not any(_has_signed(one, certificate) for one in signers), f"no authority in {CA_FILE} has signed it"),
+        (
+            names != [role],
+            f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}",
+        ),
+        (
+            not any(_has_signed(one, certificate) for one in signers),
+            f"no authority in {CA_FILE} has signed it",
+        ),
         (key.public_key() != certificate.public_key(), "its key is another certificate's"),
         (bool(open_to), f"its key {open_to}"),
         (is_router and role != ROUTER, "it lets its holder be a router"),
@@ -200,7 +235,9 @@ def _is_router(certificate: x509.Certificate) -> bool:
 
 
 def _open_to_others(secret: Path) -> str:
-    return f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
+    return (
+        f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
+    )
 
 
 def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[bool, str]:
@@ -209,8 +246,13 @@ def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[boo
     if now > end:
         return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:
-        return False, f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?"
-    return True, f"valid until {end:%Y-%m-%d}" + (f": soon; run: smal secure {remedy}" if end - now < SOON else "")
+        return (
+            False,
+            f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?",
+        )
+    return True, f"valid until {end:%Y-%m-%d}" + (
+        f": soon; run: smal secure {remedy}" if end - now < SOON else ""
+    )
 
 
 def _has_signed(authority: x509.Certificate, certificate: x509.Certificate) -> bool:
@@ -236,11 +278,15 @@ def _signed(
     *extensions: x509.ExtensionType,
 ) -> x509.Certificate:
     now = datetime.now(UTC)
-    builder = x509.CertificateBuilder().subject_name(_name(name)).issuer_name(issuer).public_key(key)
+    builder = (
+        x509.CertificateBuilder().subject_name(_name(name)).issuer_name(issuer).public_key(key)
+    )
     builder = builder.serial_number(x509.random_serial_number())
     builder = builder.not_valid_before(now - SKEW).not_valid_after(now + timedelta(days=days))
     for one in extensions:
-        builder = builder.add_extension(one, critical=not isinstance(one, x509.SubjectAlternativeName))
+        builder = builder.add_extension(
+            one, critical=not isinstance(one, x509.SubjectAlternativeName)
+        )
     return builder.sign(by, hashes.SHA256())
 
 

@@ -9,7 +9,9 @@ import os
 import signal
 import sys
 
-PR_SET_PDEATHSIG = 1  # From <linux/prctl.h>; it outlives exec, and is about the thread that started the process.
+PR_SET_PDEATHSIG = (
+    1  # From <linux/prctl.h>; it outlives exec, and is about the thread that started the process.
+)
 
 
 def tied(*command: str) -> list[str]:

@@ -26,10 +26,14 @@ def demonstrate(
     *,
     world: options.World = None,
     episodes: Annotated[int, Option(min=0, help="Full drives from the start to the victim.")] = 1,
-    recoveries: Annotated[int, Option(min=0, help="Paper: short drives from beside the route back to it.")] = 0,
+    recoveries: Annotated[
+        int, Option(min=0, help="Paper: short drives from beside the route back to it.")
+    ] = 0,
     seed: options.Seed = 1,
     goal: options.GoalOfDrives = "victim",
-    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path(
+        "recordings"
+    ),
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     stack: options.RunOptions,
@@ -43,7 +47,10 @@ def demonstrate(
     """
     chosen, name = stack.world(world)
     stack.refuse(simulator, modalities)
-    kinds: dict[Purpose, tuple[int, int]] = {"drive": (episodes, DRIVE_TICKS), "recovery": (recoveries, RECOVERY_TICKS)}
+    kinds: dict[Purpose, tuple[int, int]] = {
+        "drive": (episodes, DRIVE_TICKS),
+        "recovery": (recoveries, RECOVERY_TICKS),
+    }
     requests = [
         ResetRequest(seed=seed + k, purpose=purpose, goal=goal, driver="expert", max_ticks=ticks)
         for purpose, (count, ticks) in kinds.items()
@@ -60,10 +67,14 @@ def demonstrate(
     }
     with stack_for(stack.settings, services, stack.robot, own) as access:
         recorded = _record(requests, access, out, None if name is None else chosen, name)
-    typer.echo(f"recorded {counted(recorded, 'drive')} in {out}; next: smal learn {out} --out MODEL")
+    typer.echo(
+        f"recorded {counted(recorded, 'drive')} in {out}; next: smal learn {out} --out MODEL"
+    )
 
 
-def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
+def _record(
+    requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None
+) -> int:
     expert = ExpertService()
     records: list[EpisodeRecord] = []
     with closing(EpisodeClient("expert", access.settings)) as client:
@@ -72,7 +83,12 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str 
         client.node.bus.wait_connected(5.0)
         with recording(client.node.bus, out, "--out") as recorded:
             driven = client.run_all(
-                requests, access, "demonstrating", world=name, on_begin=expert.begin, done=lambda: expert.arrived
+                requests,
+                access,
+                "demonstrating",
+                world=name,
+                on_begin=expert.begin,
+                done=lambda: expert.arrived,
             )
             for record in driven:
                 _complain(record)
@@ -93,4 +109,6 @@ def _complain(record: EpisodeRecord) -> None:
     purpose = record.request.purpose
     outcome = record.outcome
     if outcome == "collision" or (purpose == "drive" and outcome != "found"):
-        tqdm.write(f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal learn leaves it out")
+        tqdm.write(
+            f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal learn leaves it out"
+        )

@@ -52,7 +52,9 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
         except JobError as problem:
             results.append({"name": name, "ok": False, "text": str(problem)})
         if not as_json:
-            typer.echo(f"{'ok' if results[-1]['ok'] else 'problem':8} {name:10} {results[-1]['text']}")
+            typer.echo(
+                f"{'ok' if results[-1]['ok'] else 'problem':8} {name:10} {results[-1]['text']}"
+            )
     if as_json:
         typer.echo(json.dumps(results, indent=2))
     if not all(result["ok"] for result in results):
@@ -74,15 +76,23 @@ def check_python() -> str:
     return found
 
 
-def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe")) -> str:
+def check_rendering(
+    command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe"),
+) -> str:
     """Render a tiny frame in a process of its own, which a broken driver may crash."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_TIMEOUT_S, check=False)  # noqa: S603
+        done = subprocess.run(  # noqa: S603
+            command, capture_output=True, text=True, timeout=RENDER_TIMEOUT_S, check=False
+        )
     except subprocess.TimeoutExpired:
-        raise JobError(f"no frame within {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver") from None
+        raise JobError(
+            f"no frame within {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver"
+        ) from None
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
-        raise JobError(f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer")
+        raise JobError(
+            f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer"
+        )
     try:
         answer = _ProbeAnswer.model_validate_json((done.stdout.strip().splitlines() or [""])[-1])
     except ValidationError:
@@ -98,7 +108,15 @@ def check_zenoh() -> str:
     """Send a message from one client to another, through a router of this check's own."""
     endpoint = free_endpoint()
     arrived = threading.Event()
-    message = Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop", linear=0.0, angular=0.0)
+    message = Command(
+        robot="doctor",
+        episode="doctor",
+        tick=0,
+        stamp_ns=0,
+        source="teleop",
+        linear=0.0,
+        angular=0.0,
+    )
     with ExitStack() as stack:
         stack.enter_context(closing(Router(endpoint)))
         sender, receiver = (stack.enter_context(closing(Bus("doctor", endpoint))) for _ in range(2))
@@ -107,7 +125,9 @@ def check_zenoh() -> str:
         # Until the subscription is known.
         while not arrived.wait(0.05):
             if time.monotonic() > deadline_s:
-                raise JobError(f"no message within {MESSAGE_TIMEOUT_S:.0f} s; does a firewall block 127.0.0.1?")
+                raise JobError(
+                    f"no message within {MESSAGE_TIMEOUT_S:.0f} s; does a firewall block 127.0.0.1?"
+                )
             sender.publish(message)
     return "a message goes through a router"
 
@@ -125,7 +145,9 @@ def check_port(settings: ServiceSettings) -> str:
         except ConnectionRefusedError:
             free.append(address)
         except OSError as error:
-            raise JobError(f"{address}: {error}; give another with --router or SMAL_ROUTER") from None
+            raise JobError(
+                f"{address}: {error}; give another with --router or SMAL_ROUTER"
+            ) from None
     if ",".join(free) == endpoint:
         return f"{endpoint} is free, {how_secure(credentials, *(host_and_port(address)[0] for address in free))}"
     if free:
@@ -140,7 +162,9 @@ def check_port(settings: ServiceSettings) -> str:
     except BusError as error:
         raise JobError(f"{error}; {elsewhere}") from None
     if not running:
-        raise JobError(f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
+        raise JobError(
+            f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}"
+        )
     if router is not None:
         robots = fleet(robot, int(router.detail.get("robots") or 1))
         check_served(robots, {service: shared.get(service, {}) for service in GROUPED})
@@ -148,7 +172,8 @@ def check_port(settings: ServiceSettings) -> str:
     if all(served == [robot] for by in shared.values() for served in by.values()):
         return told
     return told + "".join(
-        f"; {service}: " + ", ".join(f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
+        f"; {service}: "
+        + ", ".join(f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
         for service, by in shared.items()
     )
 
@@ -165,7 +190,9 @@ def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequen
         if by and all(robot not in served for served in by.values())
     ]
     if unserved:
-        raise JobError(f"not served: {', '.join(unserved)}; start one, or see /healthz of those that run (--http)")
+        raise JobError(
+            f"not served: {', '.join(unserved)}; start one, or see /healthz of those that run (--http)"
+        )
 
 
 def check_disk() -> str:
@@ -173,5 +200,7 @@ def check_disk() -> str:
     folder = Path.cwd()
     free_gb = shutil.disk_usage(folder).free / 1e9
     if free_gb < DISK_GB:
-        raise JobError(f"{free_gb:.1f} GB free in {folder}; make room for {DISK_GB:.0f} GB of recordings")
+        raise JobError(
+            f"{free_gb:.1f} GB free in {folder}; make room for {DISK_GB:.0f} GB of recordings"
+        )
     return f"{free_gb:.0f} GB free in {folder}"

@@ -20,15 +20,27 @@ from services.kit.errors import UsageError
 
 def evaluate(
     *,
-    out: Annotated[Path, Option(help="Folder for the results; where it has some already, it goes on.")],
-    quick: Annotated[bool, Option(help="Fewer drives, lengths and runs: 5 to 10 minutes on two idle cores.")] = False,
-    world: Annotated[str | None, Option(help="In this one instead: SMAL and teach and repeat, one drive.")] = None,
-    runs: Annotated[int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")] = None,
+    out: Annotated[
+        Path, Option(help="Folder for the results; where it has some already, it goes on.")
+    ],
+    quick: Annotated[
+        bool, Option(help="Fewer drives, lengths and runs: 5 to 10 minutes on two idle cores.")
+    ] = False,
+    world: Annotated[
+        str | None, Option(help="In this one instead: SMAL and teach and repeat, one drive.")
+    ] = None,
+    runs: Annotated[
+        int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")
+    ] = None,
     changes: options.Changes,
     base: options.Base = None,
-    laps: Annotated[Path | None, Option(metavar="SOURCE", help="Of a real robot: laps in a tub or recordings.")] = None,
+    laps: Annotated[
+        Path | None, Option(metavar="SOURCE", help="Of a real robot: laps in a tub or recordings.")
+    ] = None,
     at_work: options.AtWork,
-    report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
+    report_only: Annotated[
+        bool, Option("--report-only", help="Only write the page of what is done.")
+    ] = False,
 ) -> None:
     """Run the paper's experiments in simulation, and write a page with their figures.
 
@@ -46,11 +58,19 @@ def evaluate(
     Example: smal evaluate --out laps --laps tub
     """
     if laps is not None:
-        given = {"quick": quick, "world": world, "runs": runs, "base": base, "report-only": report_only}
+        given = {
+            "quick": quick,
+            "world": world,
+            "runs": runs,
+            "base": base,
+            "report-only": report_only,
+        }
         given |= asdict(changes)
         for option, value in given.items():
             if value not in (None, 0, "there"):
-                raise UsageError(f"--{option}: laps of a real robot (--laps) have one size, and no world")
+                raise UsageError(
+                    f"--{option}: laps of a real robot (--laps) have one size, and no world"
+                )
         typer.echo(f"results: {_evaluate_laps(laps, out)}")
         return
     if report_only and not out.is_dir():
@@ -61,7 +81,10 @@ def evaluate(
     plan = PLANS["quick" if quick else "full"]
     if world is not None:
         path = Path(world)
-        plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
+        plan = in_world(
+            str(path.resolve()) if path.is_file() else world,
+            options.read_world(world).scale.aside_m,
+        )
     if runs is not None:
         plan = with_each(plan, lambda trial: replace(trial, runs=runs) if trial.sets > 1 else trial)
     changed = {name: value for name, value in asdict(changes).items() if value not in (0, "there")}

@@ -20,8 +20,12 @@ def export_recordings(
     format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
     recordings: Annotated[list[Path], Argument(help="Recordings, or folders of them.")],
     out: Annotated[Path, Option(help="Folder to be made.")],
-    speed: Annotated[float | None, Option(min=0, max=50, metavar="M_S", help="Forward. [default: odometry]")] = None,
-    turn_rate: Annotated[float | None, Option(min=0, max=100, metavar="RAD_S", help="Left. [default: same]")] = None,
+    speed: Annotated[
+        float | None, Option(min=0, max=50, metavar="M_S", help="Forward. [default: odometry]")
+    ] = None,
+    turn_rate: Annotated[
+        float | None, Option(min=0, max=100, metavar="RAD_S", help="Left. [default: same]")
+    ] = None,
 ) -> None:
     """Write recordings as other software reads them.
 
@@ -59,5 +63,8 @@ def _lines(form: Format, drives: list[ExportedDrive], out: Path) -> Iterator[str
         turn_rate = nominal.turn_rate
         yield f"velocities    of {robot}: forward {speed.value:.3g} m/s ({speed.origin})"
         yield f"              left {turn_rate.value:.3g} rad/s ({turn_rate.origin})"
-    example = {"rosbag2": f"ros2 bag play {out / drives[0].name}", "lerobot": f"LeRobotDataset('smal', root='{out}')"}
+    example = {
+        "rosbag2": f"ros2 bag play {out / drives[0].name}",
+        "lerobot": f"LeRobotDataset('smal', root='{out}')",
+    }
     yield f"{form} in {out}; next: {example.get(form, f'smal import folder {out}')}"

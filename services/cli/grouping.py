@@ -19,18 +19,24 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command for Typer, which takes one option a parameter, the options of each dataclass that it takes."""
     signature = inspect.signature(command, eval_str=True)
     taken = signature.parameters.items()
-    groups: dict[str, Any] = {name: one.annotation for name, one in taken if is_dataclass(one.annotation)}
+    groups: dict[str, Any] = {
+        name: one.annotation for name, one in taken if is_dataclass(one.annotation)
+    }
 
     @wraps(command)
     def run(**given: Any) -> None:  # noqa: ANN401
         for name, group in groups.items():
-            given[name] = group(**{option: given.pop(option) for option in inspect.signature(group).parameters})
+            given[name] = group(
+                **{option: given.pop(option) for option in inspect.signature(group).parameters}
+            )
         command(**given)
 
     options: list[inspect.Parameter] = []
     for name, one in taken:
         group = groups.get(name)
-        options.extend([one] if group is None else inspect.signature(group, eval_str=True).parameters.values())
+        options.extend(
+            [one] if group is None else inspect.signature(group, eval_str=True).parameters.values()
+        )
     keywords = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in options]
     run.__signature__ = signature.replace(parameters=keywords)  # type: ignore[attr-defined]
     return run

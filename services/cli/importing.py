@@ -26,25 +26,56 @@ _WORK: Final = "services.importers.run:work"
 
 def import_recordings(
     format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    path: Annotated[Path, Argument(metavar="PATH", help="The source: a folder, or of a bag the file.")],
-    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
+    path: Annotated[
+        Path, Argument(metavar="PATH", help="The source: a folder, or of a bag the file.")
+    ],
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path(
+        "recordings"
+    ),
     goal: options.GoalOfDrives = "victim",
-    failed: Annotated[bool | None, Option("--failed/--succeeded", help="Whether the drives reached the goal.")] = None,
-    camera: Annotated[str | None, Option(help="Which camera: a bag's topic, a LeRobot feature.")] = None,
-    velocity: Annotated[str | None, Option(help="Which velocities; see above.")] = None,
-    episode: Annotated[list[str] | None, Option(help="Only this drive, by the source's name; may be repeated.")] = None,
-    from_s: Annotated[float, Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")] = 0.0,
-    to_s: Annotated[float | None, Option("--to", min=0, metavar="S", help="Leave out what comes later.")] = None,
-    rate: Annotated[float | None, Option(min=0.1, max=1000, metavar="HZ", help="Frames a second; see above.")] = None,
-    speed: Annotated[float | None, Option(metavar="M_S", help="What a speed of 1 stands for.")] = None,
-    turn_rate: Annotated[float | None, Option(metavar="RAD_S", help="What a turn rate of 1 stands for.")] = None,
-    quantile: Annotated[float, Option(help="Share of moving samples that nominal speed exceeds.")] = QUANTILE,
-    still: Annotated[float, Option(help="Below this fraction of nominal the robot stands.")] = STILL,
-    turning: Annotated[float, Option(help="From this fraction of the nominal turn rate on it turns.")] = TURNING,
-    field_of_view: Annotated[
-        float | None, Option(min=5, max=170, metavar="DEG", help="Of the camera, across. [default: the source's]")
+    failed: Annotated[
+        bool | None, Option("--failed/--succeeded", help="Whether the drives reached the goal.")
     ] = None,
-    no_odometry: Annotated[bool, Option("--no-odometry", help="Reckon no way from velocities.")] = False,
+    camera: Annotated[
+        str | None, Option(help="Which camera: a bag's topic, a LeRobot feature.")
+    ] = None,
+    velocity: Annotated[str | None, Option(help="Which velocities; see above.")] = None,
+    episode: Annotated[
+        list[str] | None, Option(help="Only this drive, by the source's name; may be repeated.")
+    ] = None,
+    from_s: Annotated[
+        float, Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")
+    ] = 0.0,
+    to_s: Annotated[
+        float | None, Option("--to", min=0, metavar="S", help="Leave out what comes later.")
+    ] = None,
+    rate: Annotated[
+        float | None, Option(min=0.1, max=1000, metavar="HZ", help="Frames a second; see above.")
+    ] = None,
+    speed: Annotated[
+        float | None, Option(metavar="M_S", help="What a speed of 1 stands for.")
+    ] = None,
+    turn_rate: Annotated[
+        float | None, Option(metavar="RAD_S", help="What a turn rate of 1 stands for.")
+    ] = None,
+    quantile: Annotated[
+        float, Option(help="Share of moving samples that nominal speed exceeds.")
+    ] = QUANTILE,
+    still: Annotated[
+        float, Option(help="Below this fraction of nominal the robot stands.")
+    ] = STILL,
+    turning: Annotated[
+        float, Option(help="From this fraction of the nominal turn rate on it turns.")
+    ] = TURNING,
+    field_of_view: Annotated[
+        float | None,
+        Option(
+            min=5, max=170, metavar="DEG", help="Of the camera, across. [default: the source's]"
+        ),
+    ] = None,
+    no_odometry: Annotated[
+        bool, Option("--no-odometry", help="Reckon no way from velocities.")
+    ] = False,
     robot: options.Robot = options.DEFAULT_ROBOT,
     json_file: options.JsonFile = None,
 ) -> None:
@@ -85,7 +116,10 @@ def import_recordings(
             publish(made, files[-1])
     remark(remarks)
     if json_file is not None:
-        content = report.model_dump(mode="json") | {"files": [str(file) for file in files], "remarks": remarks}
+        content = report.model_dump(mode="json") | {
+            "files": [str(file) for file in files],
+            "remarks": remarks,
+        }
         outputs.write_json(json_file, "--json", content)
     typer.echo("\n".join(_lines(report, job, files, out)))
 
@@ -107,7 +141,9 @@ def _run(job: ImportJob) -> tuple[list[str], ImportReport]:
 
 def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -> Iterator[str]:
     units = ("m/s", "rad/s") if report.metric else ("of full speed", "of full lock at full speed")
-    made = ", ".join(f"{name} {count / report.ticks:.0%}" for name, count in report.atoms.items() if count)
+    made = ", ".join(
+        f"{name} {count / report.ticks:.0%}" for name, count in report.atoms.items() if count
+    )
     yield f"drives        {len(files)} ({report.successes} reached {job.goal})"
     yield f"frames        {report.ticks} ({report.ticks / 10:.0f} s)"
     yield f"nominal       {report.speed:.3g} {units[0]}, {report.turn_rate:.3g} {units[1]}"

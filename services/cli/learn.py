@@ -24,11 +24,17 @@ def learn(
     recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")],
     out: Annotated[Path, Option(help="Where to write the model.")],
     modalities: options.Modalities = None,
-    include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
-    add: Annotated[bool, Option("--add", help="Have the model at --out learn more from runs of its own.")] = False,
+    include_runs: Annotated[
+        bool, Option(help="Learn also from runs in which the robot found the victim.")
+    ] = False,
+    add: Annotated[
+        bool, Option("--add", help="Have the model at --out learn more from runs of its own.")
+    ] = False,
     at_work: options.AtWork = options.HERE,
     json_file: options.JsonFile = None,
-    progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,
+    progress: Annotated[
+        bool, Option("--progress", help="Print progress as lines of JSON, for a program.")
+    ] = False,
 ) -> None:
     """Learn the taught ways from recorded drives: a map of views.
 
@@ -53,7 +59,9 @@ def learn(
     check_out(out, json_file)
     if add:
         if modalities is not None:
-            raise UsageError("--add: the model at --out says by which features it learns; leave them out")
+            raise UsageError(
+                "--add: the model at --out says by which features it learns; leave them out"
+            )
         with closing(Bars(as_json=progress)) as bars:
             found = add_runs(find_recordings(recordings), out, bars)
         tell(found, out, began_s, json_file)

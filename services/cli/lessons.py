@@ -17,11 +17,15 @@ from smal.features import FeatureSettings
 def check_out(out: Path, json_file: Path | None) -> None:
     """Check the paths of the model and of the report, before any recording is read."""
     if out.is_dir():
-        raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
+        raise UsageError(
+            f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}"
+        )
     outputs.check_file(json_file, "--json")
 
 
-def taught_by(files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars) -> Teaching:
+def taught_by(
+    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars
+) -> Teaching:
     """Read recordings; JobError if they teach nothing."""
     teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bars)
     bars.close()
@@ -29,17 +33,27 @@ def taught_by(files: list[Path], features: FeatureSettings, shortest: int, inclu
         raise JobError(teaching.remarks[0])
     remark(teaching.remarks)
     if not teaching.demonstrations:
-        raise JobError(f"nothing to learn from in {counted(len(files), 'recording')}, for the reasons above")
+        raise JobError(
+            f"nothing to learn from in {counted(len(files), 'recording')}, for the reasons above"
+        )
     return teaching
 
 
 def tell(
-    rows: dict[str, Any], out: Path, began_s: float, json_file: Path | None, content: dict[str, Any] | None = None
+    rows: dict[str, Any],
+    out: Path,
+    began_s: float,
+    json_file: Path | None,
+    content: dict[str, Any] | None = None,
 ) -> None:
     """Print the rows of a report, and write its content as JSON if asked to; without a content that is the rows."""
     if json_file is not None:
-        outputs.write_json(json_file, "--json", {"model": str(out)} | (rows if content is None else content))
-    for name, value in (rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}).items():
+        outputs.write_json(
+            json_file, "--json", {"model": str(out)} | (rows if content is None else content)
+        )
+    for name, value in (
+        rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}
+    ).items():
         typer.echo(f"{name.replace('_', ' '):16}{value}")
 
 
@@ -52,7 +66,11 @@ def tell_learned(
     json_file: Path | None,
 ) -> None:
     """Report the recordings that taught a new model, and the model."""
-    used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
+    used = {
+        "recordings": teaching.recordings,
+        "episodes": teaching.episodes,
+        "remarks": teaching.remarks,
+    }
     recorded = f"{teaching.recordings} ({counted(teaching.episodes, 'episode')} used)"
     rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found
     tell(rows, out, began_s, json_file, used | {"modalities": features.modalities} | found)

@@ -31,9 +31,12 @@ FIGURES: Final = {
     "kB/s": ("bytes_per_s", 1e-3), "mean kB": ("mean_bytes", 1e-3), "max kB": ("max_bytes", 1e-3),
 }  # fmt: skip
 Keys = Annotated[
-    str | None, Argument(metavar="[KEYEXPR]", help="Key expression, or a topic. [default: all of the robot]")
+    str | None,
+    Argument(metavar="[KEYEXPR]", help="Key expression, or a topic. [default: all of the robot]"),
 ]
-Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
+Seconds = Annotated[
+    float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")
+]
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,9 @@ class Sample:
             fields = self.decoded().model_dump(exclude={"robot"})
         except DecodeError as error:
             return f"{printable(self.key)}  not decodable ({len(self.payload)} bytes): {error}"
-        return f"{printable(self.key)}  " + " ".join(f"{name}={_text(value)}" for name, value in fields.items())
+        return f"{printable(self.key)}  " + " ".join(
+            f"{name}={_text(value)}" for name, value in fields.items()
+        )
 
 
 def figures(arrivals: Sequence[tuple[float, int]], elapsed_s: float) -> dict[str, Any]:
@@ -76,7 +81,11 @@ def figures(arrivals: Sequence[tuple[float, int]], elapsed_s: float) -> dict[str
     gaps_s = np.diff(times_s)
     spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
     if gaps_s.size:
-        spread = {"min_s": float(gaps_s.min()), "max_s": float(gaps_s.max()), "std_s": float(gaps_s.std())}
+        spread = {
+            "min_s": float(gaps_s.min()),
+            "max_s": float(gaps_s.max()),
+            "std_s": float(gaps_s.std()),
+        }
     return {
         "messages": len(sizes),
         "rate_hz": 1.0 / float(gaps_s.mean()) if gaps_s.any() else None,
@@ -105,7 +114,9 @@ def echo(
     with _listening(reach) as bus:
         bus.listen(
             key_expression(keys, reach.robot),
-            lambda key, payload, encoding: inbox.put("samples", Sample(key, payload, encoding), len(payload)),
+            lambda key, payload, encoding: inbox.put(
+                "samples", Sample(key, payload, encoding), len(payload)
+            ),
         )
         printed = 0
         while printed != count:
@@ -115,10 +126,19 @@ def echo(
                 say(json.dumps(sample.record()) if as_json else sample.line())
                 printed += 1
     if inbox.dropped["samples"]:
-        typer.echo(f"smal: {inbox.dropped['samples']} messages came faster than they were printed", err=True)
+        typer.echo(
+            f"smal: {inbox.dropped['samples']} messages came faster than they were printed",
+            err=True,
+        )
 
 
-def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = False, reach: options.Reach) -> None:
+def hz(
+    *,
+    keys: Keys = None,
+    seconds: Seconds = 5.0,
+    as_json: options.Json = False,
+    reach: options.Reach,
+) -> None:
     """Measure how often, how regularly and how large the messages of each key are.
 
     The rate is that between the first message and the last, also where a robot drove only for a part of the time; the
@@ -131,7 +151,9 @@ def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = Fal
     began_s = time.monotonic()
     with _listening(reach) as bus:
         # Noted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
-        bus.listen(expression, lambda key, payload, _: heard[key].append((time.monotonic(), len(payload))))
+        bus.listen(
+            expression, lambda key, payload, _: heard[key].append((time.monotonic(), len(payload)))
+        )
         began_s = time.monotonic()
         wait(expression, seconds)
     elapsed_s = time.monotonic() - began_s

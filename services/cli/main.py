@@ -20,12 +20,27 @@ _EXIT_INTERRUPTED = 130
 COMMANDS: Final = {
     "doctor": ("services.cli.doctor:doctor", "Check that this machine has what it takes."),
     "up": ("services.cli.up:up", "Start the whole stack and keep it running."),
-    "demonstrate": ("services.cli.demonstrate:demonstrate", "Let the scripted expert show the search."),
+    "demonstrate": (
+        "services.cli.demonstrate:demonstrate",
+        "Let the scripted expert show the search.",
+    ),
     "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
-    "import": ("services.cli.importing:import_recordings", "Make recordings of what other software recorded."),
-    "export": ("services.cli.exporting:export_recordings", "Write recordings as other software reads them."),
-    "recording": ("services.cli.recording:app", "Tell what is in recordings; check and repair them."),
-    "replay": ("services.cli.replay:replay", "Put a recording on the topics, in place of its robot."),
+    "import": (
+        "services.cli.importing:import_recordings",
+        "Make recordings of what other software recorded.",
+    ),
+    "export": (
+        "services.cli.exporting:export_recordings",
+        "Write recordings as other software reads them.",
+    ),
+    "recording": (
+        "services.cli.recording:app",
+        "Tell what is in recordings; check and repair them.",
+    ),
+    "replay": (
+        "services.cli.replay:replay",
+        "Put a recording on the topics, in place of its robot.",
+    ),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
     "paper": ("services.cli.paper:app", "Learn by the paper's scheme."),
     "model": ("services.cli.model:app", "Look at what was learned."),
@@ -77,7 +92,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def smal(
-    version: Annotated[bool, Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     """Teach a robot to find a victim by driving it there; match places.
 
@@ -102,7 +119,9 @@ def main() -> None:
 def _told(error: BaseException) -> tuple[str, int]:
     """Return what is told of an error in one line, and the exit status; raise one again that no user can cause."""
     match error:
-        case typer.BadParameter(__cause__=Exception() as why):  # Typer asks pydantic, and repeats what that says.
+        case typer.BadParameter(
+            __cause__=Exception() as why
+        ):  # Typer asks pydantic, and repeats what that says.
             error.message = _told(why)[0].removeprefix("message: ")
             error.__cause__ = None
             return _told(error)
@@ -113,7 +132,10 @@ def _told(error: BaseException) -> tuple[str, int]:
         case JobError():
             return str(error), _EXIT_FAILED
         case Exception() if out_of_memory(error):
-            return "out of memory; free some, or allow more (ulimit -v), and run the command again", _EXIT_FAILED
+            return (
+                "out of memory; free some, or allow more (ulimit -v), and run the command again",
+                _EXIT_FAILED,
+            )
         case OSError():
             return describe_os_error(error), _EXIT_FAILED
         case KeyboardInterrupt() | typer.Abort():

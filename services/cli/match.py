@@ -13,7 +13,15 @@ from typer import Argument, Option
 from services.cli import options, outputs
 from services.experiments.matching import truth_file
 from services.experiments.matching.page import judging_page
-from services.experiments.matching.report import MatchQuality, Result, as_g2o, as_json, as_text, in_sources, title_of
+from services.experiments.matching.report import (
+    MatchQuality,
+    Result,
+    as_g2o,
+    as_json,
+    as_text,
+    in_sources,
+    title_of,
+)
 from services.experiments.matching.sources import TraverseSource, open_source
 from services.experiments.matching.traverse import Traverse, describe_frames
 from services.experiments.progress import Bars
@@ -25,7 +33,9 @@ from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
-_LOOP_PRECISION: Final = 0.99  # Loops are kept that are right so often: a wrong one bends a whole map.
+_LOOP_PRECISION: Final = (
+    0.99  # Loops are kept that are right so often: a wrong one bends a whole map.
+)
 _METHODS: Final = "; ".join(
     f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()
@@ -33,25 +43,55 @@ _METHODS: Final = "; ".join(
 
 
 def match(
-    reference: Annotated[Path, Argument(metavar="REFERENCES", help="The traverse that is known; see above.")],
-    query: Annotated[Path | None, Argument(metavar="QUERIES", help="The traverse to be recognized.")] = None,
-    name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
-    length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
+    reference: Annotated[
+        Path, Argument(metavar="REFERENCES", help="The traverse that is known; see above.")
+    ],
+    query: Annotated[
+        Path | None, Argument(metavar="QUERIES", help="The traverse to be recognized.")
+    ] = None,
+    name: Annotated[
+        str, Option("--method", help=f"How places are recognized. {_METHODS}.")
+    ] = "smal",
+    length: Annotated[
+        int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")
+    ] = None,
     modalities: options.Modalities = None,
-    tolerance: Annotated[int | None, Option(min=0, max=10**6, help="Frames off that are right as well.")] = None,
-    online: Annotated[int | None, Option(min=0, metavar="LAG", help="Answer each query so many frames later.")] = None,
-    tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
-    precision: Annotated[float | None, Option(min=0.0, max=1.0, help="Keep as many as are right so often.")] = None,
-    reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
+    tolerance: Annotated[
+        int | None, Option(min=0, max=10**6, help="Frames off that are right as well.")
+    ] = None,
+    online: Annotated[
+        int | None, Option(min=0, metavar="LAG", help="Answer each query so many frames later.")
+    ] = None,
+    tau: Annotated[
+        float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")
+    ] = None,
+    precision: Annotated[
+        float | None, Option(min=0.0, max=1.0, help="Keep as many as are right so often.")
+    ] = None,
+    reference_depth: Annotated[
+        Path | None, Option(metavar="DIR", help="For the modality depth; see above.")
+    ] = None,
     query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERIES.")] = None,
-    truth: Annotated[str | None, Option(metavar="CSV|names|gps", help="What is right; see above.")] = None,
-    poses: Annotated[tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files.")] = None,
-    radius: Annotated[float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")] = None,
-    loops: Annotated[Path | None, Option(metavar="FILE", help="Match REFERENCES with itself, as edges of g2o.")] = None,
+    truth: Annotated[
+        str | None, Option(metavar="CSV|names|gps", help="What is right; see above.")
+    ] = None,
+    poses: Annotated[
+        tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files.")
+    ] = None,
+    radius: Annotated[
+        float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")
+    ] = None,
+    loops: Annotated[
+        Path | None, Option(metavar="FILE", help="Match REFERENCES with itself, as edges of g2o.")
+    ] = None,
     at_work: options.AtWork = options.HERE,
     json_file: options.JsonFile = None,
-    plot: Annotated[Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")] = None,
-    page: Annotated[Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")] = None,
+    plot: Annotated[
+        Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")
+    ] = None,
+    page: Annotated[
+        Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")
+    ] = None,
 ) -> None:
     """Find for every image of one traverse the image of another that was taken at the same place.
 
@@ -92,9 +132,16 @@ def match(
     smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps --radius 5;
     smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops loops.g2o
     """
-    probable = {"--tolerance": tolerance, "--online": online, "--precision": precision, "--loops": loops}
+    probable = {
+        "--tolerance": tolerance,
+        "--online": online,
+        "--precision": precision,
+        "--loops": loops,
+    }
     method = _method_of(name, length, modalities, probable)
-    settings = MatchSettings(modalities or method.features, length or method.length, tolerance, online)
+    settings = MatchSettings(
+        modalities or method.features, length or method.length, tolerance, online
+    )
     settings = replace(settings, loops=loops is not None)
     precision = _LOOP_PRECISION if loops is not None and precision is None else precision
     if (query is None) != settings.loops:
@@ -114,9 +161,13 @@ def match(
         settings = replace(settings, tolerance=expected.tolerance)
     began_s = time.perf_counter()
     with at_work.engine() as engine:
-        references = queries = describe_frames(known, settings.features, depths[0], "reading references", engine)
+        references = queries = describe_frames(
+            known, settings.features, depths[0], "reading references", engine
+        )
         if query is not None:
-            queries = describe_frames(asked, settings.features, depths[1], "reading queries", engine)
+            queries = describe_frames(
+                asked, settings.features, depths[1], "reading queries", engine
+            )
         read_s = time.perf_counter()
         for one in (references, queries)[: 1 if settings.loops else 2]:
             one.say_skipped()
@@ -128,11 +179,25 @@ def match(
     matches = found if tau is None else found.above(tau)
     matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
-    quality = MatchQuality.of(matches, expected, settings.length, probable=method.probable) if expected else None
+    quality = (
+        MatchQuality.of(matches, expected, settings.length, probable=method.probable)
+        if expected
+        else None
+    )
     unsure = int(found.matched.sum() - matches.matched.sum())
-    chosen: dict[str, object] = {"method": name, "length": settings.length if method.any_length else None}
-    chosen |= {"tolerance": settings.tolerance, "online": online, "tau": tau, "precision": precision}
-    result = Result(chosen, settings, references, queries, matches, unsure, quality, seconds, method.probable)
+    chosen: dict[str, object] = {
+        "method": name,
+        "length": settings.length if method.any_length else None,
+    }
+    chosen |= {
+        "tolerance": settings.tolerance,
+        "online": online,
+        "tau": tau,
+        "precision": precision,
+    }
+    result = Result(
+        chosen, settings, references, queries, matches, unsure, quality, seconds, method.probable
+    )
     written: list[Path] = []
     try:
         for option, path in files.items():
@@ -154,7 +219,11 @@ def _truth(
     asked: TraverseSource,
 ) -> IntervalTruth | None:
     if (by_radius := truth == "gps" or poses is not None) != (radius is not None):
-        raise UsageError("--radius: is missing" if by_radius else "--radius: belongs to --truth gps and to --poses")
+        raise UsageError(
+            "--radius: is missing"
+            if by_radius
+            else "--radius: belongs to --truth gps and to --poses"
+        )
     if truth is not None and poses is not None:
         raise UsageError("--poses: --truth says already what is right; give one of them")
     if known is asked and (by_radius or truth == "names"):
@@ -169,11 +238,18 @@ def _truth(
         )
     if truth == "names":
         return truth_file.truth_by_names(known.frames, asked.frames, tolerance)
-    return None if truth is None else truth_file.read_truth(Path(truth), len(asked.frames), len(known.frames))
+    return (
+        None
+        if truth is None
+        else truth_file.read_truth(Path(truth), len(asked.frames), len(known.frames))
+    )
 
 
 def _method_of(
-    name: str, length: int | None, modalities: FeatureSettings | None, probable: dict[str, float | Path | None]
+    name: str,
+    length: int | None,
+    modalities: FeatureSettings | None,
+    probable: dict[str, float | Path | None],
 ) -> Method:
     """Take a method of the table; options that only those with probabilities know are given by their names."""
     if name not in METHODS:
@@ -181,12 +257,16 @@ def _method_of(
     method = METHODS[name]
     if not method.any_features and modalities:
         own = ", ".join(method.features.modalities)
-        raise UsageError(f"--modalities {modalities.text}: the method {name} has its own features, {own}")
+        raise UsageError(
+            f"--modalities {modalities.text}: the method {name} has its own features, {own}"
+        )
     if length not in (None, method.length) and not method.any_length:
         raise UsageError(f"--length {length}: the method {name} has no windows")
     for option, value in probable.items():
         if value is not None and not method.probable:
-            raise UsageError(f"{option} {value}: the scores of the method {name} are no probabilities")
+            raise UsageError(
+                f"{option} {value}: the scores of the method {name} are no probabilities"
+            )
     return method
 
 
@@ -194,7 +274,11 @@ def _check_outputs(files: dict[str, Path | None], read: list[Path], folders: lis
     given = {option: path for option, path in files.items() if path is not None}
     for option, path in given.items():
         outputs.check_file(path, option, read, folders)
-        same = [other for other, one in given.items() if other < option and one.resolve() == path.resolve()]
+        same = [
+            other
+            for other, one in given.items()
+            if other < option and one.resolve() == path.resolve()
+        ]
         if same:
             raise UsageError(f"{option} {path}: is also the file of {same[0]}; give another name")
     if (plot := files["--plot"]) is not None and plot.suffix.lower() not in _PLOT_FORMATS:
@@ -206,15 +290,21 @@ def _depth_folder(
 ) -> TraverseSource | None:
     if path is None or "depth" not in features.needs:
         if path is not None or "depth" in features.needs:
-            raise UsageError(f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it")
+            raise UsageError(
+                f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it"
+            )
         return None
     folder = open_source(path, option)
     if (count := len(folder.frames)) != len(colour.frames):
-        raise UsageError(f"{option} {path}: has {count} images, and {colour.path} has {len(colour.frames)}")
+        raise UsageError(
+            f"{option} {path}: has {count} images, and {colour.path} has {len(colour.frames)}"
+        )
     return folder
 
 
-def _match(method: Method, references: Traverse, queries: Traverse, settings: MatchSettings) -> Matches:
+def _match(
+    method: Method, references: Traverse, queries: Traverse, settings: MatchSettings
+) -> Matches:
     sizes = len(queries.features), len(references.features)
     with closing(Bars("frame")) as bars:
         try:
@@ -223,7 +313,9 @@ def _match(method: Method, references: Traverse, queries: Traverse, settings: Ma
         except ValueError as error:
             raise JobError(f"cannot match these traverses: {error}") from None
         except MemoryError:
-            raise JobError("matching {} and {} frames takes more memory than there is".format(*sizes)) from None
+            raise JobError(
+                "matching {} and {} frames takes more memory than there is".format(*sizes)
+            ) from None
 
 
 def _write(option: str, path: Path, result: Result, truth: IntervalTruth | None) -> None:

@@ -17,26 +17,33 @@ from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
 
 app = typer.Typer(
-    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown", **STYLE
+    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
+    **STYLE,
 )
 
 
 @app.command("back")
 def go_back(
-    file: Annotated[Path, Argument(metavar="MODEL", help="Model file that `smal learn --add` changed.")],
+    file: Annotated[
+        Path, Argument(metavar="MODEL", help="Model file that `smal learn --add` changed.")
+    ],
 ) -> None:
     """Put the version of a model in its place that it had before it last learned from runs.
 
     Example: smal model back campus.smal
     """
-    typer.echo(f"{file}: is again what it was as {back(file)}; {len(versions(file))} earlier versions are left")
+    typer.echo(
+        f"{file}: is again what it was as {back(file)}; {len(versions(file))} earlier versions are left"
+    )
 
 
 @app.command("show")
 def show(
     file: Annotated[Path, Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
     out: Annotated[Path | None, Option(help="Write a page with pictures to this folder.")] = None,
-    recordings: Annotated[list[Path] | None, Option(help="What it was learned from; may be given again.")] = None,
+    recordings: Annotated[
+        list[Path] | None, Option(help="What it was learned from; may be given again.")
+    ] = None,
 ) -> None:
     """Say what a model is; with --out show it on a page.
 

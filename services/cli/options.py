@@ -69,23 +69,39 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
         try:
             return check(text)
         except ValueError as error:
-            raise typer.BadParameter(describe(error) if isinstance(error, ValidationError) else str(error)) from None
+            raise typer.BadParameter(
+                describe(error) if isinstance(error, ValidationError) else str(error)
+            ) from None
 
     return parse
 
 
 _goal = checked(TypeAdapter(GoalName).validate_python)
 _variation = checked(lambda name: variation_named(name).name)
-Robot = Annotated[str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")]
-Robots = Annotated[
-    int, Option(envvar="SMAL_ROBOTS", min=1, max=MAX_ROBOTS, help="How many robots; the others are ROBOT-2 and so on.")
+Robot = Annotated[
+    str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id.")
 ]
-Secure = Annotated[Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")]
+Robots = Annotated[
+    int,
+    Option(
+        envvar="SMAL_ROBOTS",
+        min=1,
+        max=MAX_ROBOTS,
+        help="How many robots; the others are ROBOT-2 and so on.",
+    ),
+]
+Secure = Annotated[
+    Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")
+]
 Json = Annotated[bool, Option("--json", help="Print JSON.")]
-JsonFile = Annotated[Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")]
+JsonFile = Annotated[
+    Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")
+]
 World = Annotated[
     str | None,
-    Option(help="A name, such as indoor, or a map's or world's file. [default: campus; with --connect the robot's]"),
+    Option(
+        help="A name, such as indoor, or a map's or world's file. [default: campus; with --connect the robot's]"
+    ),
 ]
 Seed = Annotated[int, Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[
@@ -98,10 +114,16 @@ CameraSize = Annotated[
     ),
 ]
 Base = Annotated[
-    BaseKind | None, Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]")
+    BaseKind | None,
+    Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]"),
 ]
-Goal = Annotated[str | None, Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")]
-GoalOfDrives = Annotated[str, Option(parser=_goal, metavar="NAME", help="Where drives lead; see `smal run --goal`.")]
+Goal = Annotated[
+    str | None,
+    Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals."),
+]
+GoalOfDrives = Annotated[
+    str, Option(parser=_goal, metavar="NAME", help="Where drives lead; see `smal run --goal`.")
+]
 Modalities = Annotated[
     FeatureSettings | None,
     Option(
@@ -119,7 +141,9 @@ class Reach:
     """How a running stack is reached."""
 
     robot: Robot = DEFAULT_ROBOT
-    router: Annotated[str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router. [default: {_ROUTERS}]")] = None
+    router: Annotated[
+        str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router. [default: {_ROUTERS}]")
+    ] = None
     secure: Secure = None
 
     @property
@@ -134,14 +158,22 @@ class Simulator:
     """How a simulator is started; None leaves a setting at its default."""
 
     camera: CameraSize = None
-    shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")] = None
+    shake: Annotated[
+        float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")
+    ] = None
     base: Base = None
     variation: Annotated[
         str | None,
-        Option(parser=_variation, metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
+        Option(
+            parser=_variation,
+            metavar="NAME",
+            help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]",
+        ),
     ] = None
 
-    depth: Annotated[bool | None, Option(help="With a depth camera, to go round things. [default: depth]")] = None
+    depth: Annotated[
+        bool | None, Option(help="With a depth camera, to go round things. [default: depth]")
+    ] = None
 
     def flags(self, world: str, usual: CameraOptions = USUAL_CAMERA) -> tuple[str, ...]:
         """Return the flags of the service."""
@@ -155,10 +187,17 @@ class Changes:
     """What is other than it was when the way was taught."""
 
     victim: Annotated[
-        Victim, Option(help="How the victim lies; moved: a little elsewhere; decoy: something else in its place.")
+        Victim,
+        Option(
+            help="How the victim lies; moved: a little elsewhere; decoy: something else in its place."
+        ),
     ] = "there"
-    obstacles: Annotated[int, Option(min=0, max=50, help="Things on and beside the way that were not there.")] = 0
-    people: Annotated[int, Option(min=0, max=50, help="People who walk about the way, to and fro.")] = 0
+    obstacles: Annotated[
+        int, Option(min=0, max=50, help="Things on and beside the way that were not there.")
+    ] = 0
+    people: Annotated[
+        int, Option(min=0, max=50, help="People who walk about the way, to and fro.")
+    ] = 0
     blocked: Annotated[bool, Option("--blocked", help="Close the way.")] = False
 
 
@@ -166,7 +205,9 @@ class Changes:
 class RunOptions:
     """Which stack a command works with: one that runs, or one of its own."""
 
-    connect: Annotated[str | None, Option(help=f"Use the stack at this router (`smal up`: {_ROUTERS}).")] = None
+    connect: Annotated[
+        str | None, Option(help=f"Use the stack at this router (`smal up`: {_ROUTERS}).")
+    ] = None
     secure: Secure = None
     robot: Robot = DEFAULT_ROBOT
 
@@ -181,12 +222,16 @@ class RunOptions:
         """Refuse with `connect` what the running stack has already; raises UsageError when there is something of it."""
         for name, value in (asdict(simulator) | {"modalities": modalities}).items():
             if value is not None and self.connect is not None:
-                raise UsageError(f"--{name}: with --connect the running stack has its own; give it to `smal up`")
+                raise UsageError(
+                    f"--{name}: with --connect the running stack has its own; give it to `smal up`"
+                )
 
     def world(self, world: str | None) -> tuple[str, str | None]:
         """Return the world to start a stack in, and the name that the robot's must have, if any; or UsageError."""
         chosen = world or DEFAULT_WORLD
-        return chosen, None if world is None and self.connect is not None else read_world(chosen).name
+        return chosen, None if world is None and self.connect is not None else read_world(
+            chosen
+        ).name
 
 
 @dataclass(frozen=True)
@@ -195,9 +240,15 @@ class AtWork:
 
     workers: Annotated[
         int | None,
-        Option(min=1, max=1024, help="Processes at work here. [default: one a core for `evaluate`; else threads]"),
+        Option(
+            min=1,
+            max=1024,
+            help="Processes at work here. [default: one a core for `evaluate`; else threads]",
+        ),
     ] = None
-    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")] = None
+    scheduler: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")
+    ] = None
     secure: Secure = None
 
     def engine(self) -> Engine:
@@ -214,8 +265,12 @@ HERE: Final = AtWork()
 class Use:
     """How a model is used."""
 
-    scheme: Annotated[Scheme | None, Option(help="Refuse a model that was learned for another scheme.")] = None
-    stride: Annotated[int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")] = None
+    scheme: Annotated[
+        Scheme | None, Option(help="Refuse a model that was learned for another scheme.")
+    ] = None
+    stride: Annotated[
+        int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")
+    ] = None
     goal: Goal = None
 
 
@@ -243,14 +298,20 @@ def read_model(path: Path, use: Use) -> AnyModel:
     return model
 
 
-def feature_flags(modalities: FeatureSettings | None, model: FeatureSettings | None = None) -> tuple[str, ...]:
+def feature_flags(
+    modalities: FeatureSettings | None, model: FeatureSettings | None = None
+) -> tuple[str, ...]:
     """Return the flags of a features service; UsageError: the model was learned on others, or on a file not given."""
     features = modalities or model or FeatureSettings()
     if model is not None and model.fingerprint != features.fingerprint:
         learned_on = ",".join(model.modalities)
-        raise UsageError(f"--modalities {','.join(features.modalities)}: the model was learned on {learned_on}")
+        raise UsageError(
+            f"--modalities {','.join(features.modalities)}: the model was learned on {learned_on}"
+        )
     try:
         # Of a network it has the file, which only the user gives: what a model says makes nothing run.
         return "--modalities", features.text
     except ValueError as error:
-        raise UsageError(f"the model was learned on {','.join(features.modalities)}: {error} (--modalities)") from None
+        raise UsageError(
+            f"the model was learned on {','.join(features.modalities)}: {error} (--modalities)"
+        ) from None

@@ -24,14 +24,18 @@ def make_folder(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written to")
 
 
-def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:
+def check_file(
+    path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()
+) -> None:
     """Check before the work that a file of results can be written, apart from all that is read; else UsageError."""
     if path is None:
         return
     if path.is_dir():
         raise UsageError(f"{option} {path}: is a folder; give the name of a file")
     if path.exists() and not path.is_file():
-        raise UsageError(f"{option} {path}: is no regular file, and would be replaced by one; give another name")
+        raise UsageError(
+            f"{option} {path}: is no regular file, and would be replaced by one; give another name"
+        )
     if not path.parent.is_dir():
         raise UsageError(f"{option} {path}: no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
@@ -39,7 +43,9 @@ def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), 
     if path.exists() and any(path.samefile(one) for one in read if Path(one).exists()):
         raise UsageError(f"{option} {path}: is a file that this command reads; give another name")
     if any(path.resolve().parent == folder.resolve() for folder in folders):
-        raise UsageError(f"{option} {path}: would lie among the files that this command reads; choose another folder")
+        raise UsageError(
+            f"{option} {path}: would lie among the files that this command reads; choose another folder"
+        )
 
 
 @contextmanager
@@ -63,7 +69,9 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
 def new_folder(path: Path, option: str) -> Iterator[Path]:
     """Fill a new or empty folder, which gets its name when it is whole; UsageError when there is something else."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise UsageError(f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name")
+        raise UsageError(
+            f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name"
+        )
     place = path.resolve()
     with workshop(place.parent, option) as shop:
         (shop / place.name).mkdir()

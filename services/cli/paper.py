@@ -23,7 +23,9 @@ from smal.paper.model import PaperModel
 from smal.paper.reward import RewardError
 from smal.paper.state_space import MemoryBoundError
 
-app = typer.Typer(help="The paper's scheme.\n\nExample: smal paper learn drives --out paper.smal", **STYLE)
+app = typer.Typer(
+    help="The paper's scheme.\n\nExample: smal paper learn drives --out paper.smal", **STYLE
+)
 
 
 @app.callback()
@@ -35,16 +37,26 @@ def paper() -> None:
 def learn(
     recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")],
     out: Annotated[Path, Option(help="Where to write the model.")],
-    length: Annotated[int | None, Option(min=1, help="Frames of a sequence, l. [default: 5]")] = None,
+    length: Annotated[
+        int | None, Option(min=1, help="Frames of a sequence, l. [default: 5]")
+    ] = None,
     lambda1: Annotated[float | None, Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
     lambda2: Annotated[float | None, Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
-    tau: Annotated[float | None, Option(min=0, max=1e6, help="Of Eq. 8, a query frame. [default: 0.5]")] = None,
+    tau: Annotated[
+        float | None, Option(min=0, max=1e6, help="Of Eq. 8, a query frame. [default: 0.5]")
+    ] = None,
     gamma: Annotated[float | None, Option(help="Discount factor. [default: 0.95]")] = None,
-    memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Stop rather than take more memory.")] = None,
+    memory: Annotated[
+        int | None, Option(min=1, metavar="MIB", help="Stop rather than take more memory.")
+    ] = None,
     modalities: options.Modalities = None,
-    include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
+    include_runs: Annotated[
+        bool, Option(help="Learn also from runs in which the robot found the victim.")
+    ] = False,
     json_file: options.JsonFile = None,
-    progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,
+    progress: Annotated[
+        bool, Option("--progress", help="Print progress as lines of JSON, for a program.")
+    ] = False,
 ) -> None:
     """Learn the paper's states, actions, reward and policy from recorded drives; `smal run` runs it as any model.
 

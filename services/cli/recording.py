@@ -15,13 +15,20 @@ from services.cli.options import Json
 from services.experiments.words import counted, number, remark, table
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
-from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
+from services.recordings.contents import (
+    Contents,
+    EpisodeContents,
+    contents_of,
+    named_topics,
+    verify,
+)
 from services.recordings.dataset import find_recordings
 from services.recordings.repair import repair, usual_name
 from services.recordings.stream import RecordingError
 
 app = typer.Typer(
-    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives", **STYLE
+    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
+    **STYLE,
 )
 Paths = Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")]
 
@@ -54,7 +61,11 @@ def check(recordings: Paths, as_json: Json = False) -> None:
     """
     done, bad = _each(recordings, verify)
     if as_json:
-        typer.echo(json.dumps([{"path": str(one.path), "findings": one.findings} for one in done], indent=2))
+        typer.echo(
+            json.dumps(
+                [{"path": str(one.path), "findings": one.findings} for one in done], indent=2
+            )
+        )
     else:
         for one in done:
             for finding in one.findings or ["whole"]:
@@ -65,9 +76,15 @@ def check(recordings: Paths, as_json: Json = False) -> None:
 
 @app.command("repair")
 def mend(
-    recordings: Annotated[list[Path], Argument(help="Recording (MCAP); several of one drive become one.")],
-    out: Annotated[Path | None, Option(help="The repaired one. [default: NAME.mcap, or NAME-repaired.mcap]")] = None,
-    replace: Annotated[bool, Option("--replace", help="Put it in the place of the damaged one, or of --out.")] = False,
+    recordings: Annotated[
+        list[Path], Argument(help="Recording (MCAP); several of one drive become one.")
+    ],
+    out: Annotated[
+        Path | None, Option(help="The repaired one. [default: NAME.mcap, or NAME-repaired.mcap]")
+    ] = None,
+    replace: Annotated[
+        bool, Option("--replace", help="Put it in the place of the damaged one, or of --out.")
+    ] = False,
 ) -> None:
     """Make a sealed recording of all that is whole in one that is damaged, was left behind, or is in several files.
 
@@ -118,22 +135,35 @@ def _record(contents: Contents) -> dict[str, Any]:
 
 
 def _episode_record(episode: EpisodeContents) -> dict[str, Any]:
-    own = {one.name: getattr(episode, one.name) for one in fields(episode) if one.name not in ("said", "topics")}
+    own = {
+        one.name: getattr(episode, one.name)
+        for one in fields(episode)
+        if one.name not in ("said", "topics")
+    }
     topics = {
         name: {"messages": one.messages, "rate_hz": one.rate_hz, "bytes": one.size}
         for name, one in named_topics(episode)
     }
-    return own | episode.said | {"frames": episode.frames, "seconds": episode.seconds, "topics": topics}
+    return (
+        own
+        | episode.said
+        | {"frames": episode.frames, "seconds": episode.seconds, "topics": topics}
+    )
 
 
 def _lines(contents: Contents) -> Iterator[str]:
-    written = " ".join(f"{contents.about.get(name, '')}" for name in ("recorded_utc", "software")).strip()
+    written = " ".join(
+        f"{contents.about.get(name, '')}" for name in ("recorded_utc", "software")
+    ).strip()
     yield f"{contents.path}: {contents.size / 1e6:.1f} MB, {contents.state}{written and f', of {written}'}"
     for episode in contents.episodes:
         for name, value in _said(episode):
             yield f"  {name:9}  {value}"
         topics = named_topics(episode)
-        rows = [[name, str(one.messages), number(one.rate_hz), number(one.size, 1e-6)] for name, one in topics]
+        rows = [
+            [name, str(one.messages), number(one.rate_hz), number(one.size, 1e-6)]
+            for name, one in topics
+        ]
         for line in table([["topic", "messages", "Hz", "MB"], *rows]):
             yield f"  {line}"
     if contents.views:
@@ -149,14 +179,23 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
     yield "episode", f"{episode.episode} of {episode.robot}"
     if said:
         judge = f" (says the {episode.judge})" if episode.judge else ""
-        ticks = ", ".join(f"{name} {count}" for name, count in sorted(episode.drove.items()) if count)
-        yield "purpose", f"{said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}"
+        ticks = ", ".join(
+            f"{name} {count}" for name, count in sorted(episode.drove.items()) if count
+        )
+        yield (
+            "purpose",
+            f"{said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}",
+        )
         yield "outcome", f"{episode.outcome or 'its end was not recorded'}{judge}"
         yield "driver", f"{said['driver']}{ticks and f' (ticks: {ticks})'}"
     way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
     yield "length", f"{episode.seconds:.1f} s, {episode.frames} frames{way}"
     if episode.width is not None:
-        view = "" if episode.field_of_view_deg is None else f", {episode.field_of_view_deg:.0f} degrees across"
+        view = (
+            ""
+            if episode.field_of_view_deg is None
+            else f", {episode.field_of_view_deg:.0f} degrees across"
+        )
         yield "camera", f"{episode.width}x{episode.height}{view}"
     if episode.modalities:
         yield "features", " ".join(episode.modalities)

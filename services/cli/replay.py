@@ -19,17 +19,21 @@ from services.kit.node import Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
 from services.robot.service import ROBOT, check_alone
 
-LISTENERS_S: Final = 2.0  # How long to wait for somebody who takes the images; what is told before would be lost.
+LISTENERS_S: Final = (
+    2.0  # How long to wait for somebody who takes the images; what is told before would be lost.
+)
 
 
 def replay(
     *,
     recording: Annotated[Path, Argument(help="Recording (MCAP).")],
-    rate: Annotated[float, Option(min=0.01, max=100.0, help="How many times as fast as it was.")] = 1.0,
+    rate: Annotated[
+        float, Option(min=0.01, max=100.0, help="How many times as fast as it was.")
+    ] = 1.0,
     step: Annotated[bool, Option("--step", help="Go on by one frame at each Enter.")] = False,
-    names: Annotated[str, Option("--topics", help="Only these, with commas between.", metavar="NAMES")] = ",".join(
-        REPLAYABLE
-    ),
+    names: Annotated[
+        str, Option("--topics", help="Only these, with commas between.", metavar="NAMES")
+    ] = ",".join(REPLAYABLE),
     reach: options.Reach,
 ) -> None:
     """Put a recording on the topics, with its timing, so that what follows the robot runs without one.
@@ -43,11 +47,15 @@ def replay(
     chosen = [name.strip() for name in names.split(",")]
     for name in chosen:
         if name not in REPLAYABLE:
-            raise UsageError(f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}")
+            raise UsageError(
+                f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}"
+            )
     wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
     tracks = tracks_of(recording)
     # Until this is over no robot of this id starts either: they ask as we do.
-    check_alone(reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`")
+    check_alone(
+        reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`"
+    )
     with Node(ROBOT, reach.settings) as node:
         node.spin(timeout_s=0.0)  # From now on it answers as ready.
         if JPEG.name in wanted:
@@ -55,7 +63,9 @@ def replay(
         session = secrets.token_hex(6)
         for number, track in enumerate(tracks, 1):
             player = Player(node, track, f"replay-{session}-{number}", wanted)
-            sys.stderr.write(f"smal: episode {track.episode} of {track.robot} as {player.episode}\n")
+            sys.stderr.write(
+                f"smal: episode {track.episode} of {track.robot} as {player.episode}\n"
+            )
             player.run(_by_hand if step else _by_clock(rate))
             if track.bad:
                 sys.stderr.write(f"smal: {track.bad} messages do not decode and were left out\n")
@@ -88,7 +98,11 @@ class Player:
         self._wanted = wanted
         self._started: Episode | None = None
         self._last: Message | None = None
-        node.detail = lambda: {"replayed": track.episode, "episode": episode, "tick": getattr(self._last, "tick", None)}
+        node.detail = lambda: {
+            "replayed": track.episode,
+            "episode": episode,
+            "tick": getattr(self._last, "tick", None),
+        }
 
     def run(self, wait: Callable[[Tick], bool]) -> None:
         """Tell each tick when `wait` has returned, or up to where it says that this is the end."""
@@ -116,6 +130,8 @@ def _await_listeners(node: Node) -> None:
     while not node.bus.has_listeners(JPEG):
         if time.monotonic() > deadline_s:
             stack = f"smal up --robot-body none --robot {node.robot}"
-            sys.stderr.write(f"smal: nobody takes {JPEG.name} of {node.robot}; is its stack up? ({stack})\n")
+            sys.stderr.write(
+                f"smal: nobody takes {JPEG.name} of {node.robot}; is its stack up? ({stack})\n"
+            )
             return
         time.sleep(0.02)

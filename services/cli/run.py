@@ -35,13 +35,23 @@ def run(
     episodes: Annotated[int, Option(min=1, help="Runs.")] = 20,
     seed: options.Seed = 1,
     use: options.Use,
-    start: Annotated[Start, Option(help="Begin about the world's start, or anywhere beside the way.")] = "start",
-    kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
+    start: Annotated[
+        Start, Option(help="Begin about the world's start, or anywhere beside the way.")
+    ] = "start",
+    kidnap: Annotated[
+        int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")
+    ] = None,
     changes: options.Changes,
-    realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
-    max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
+    realtime: Annotated[
+        bool, Option(help="Let the clock run, instead of waiting for every command.")
+    ] = False,
+    max_ticks: Annotated[
+        int | None, Option(min=1, help="Frames after which a run times out.")
+    ] = None,
     json_file: options.JsonFile = None,
-    report: Annotated[Path | None, Option(help="Write a page of results, with pictures, to this folder.")] = None,
+    report: Annotated[
+        Path | None, Option(help="Write a page of results, with pictures, to this folder.")
+    ] = None,
     record: Annotated[Path | None, Option(help="Record the runs into this folder.")] = None,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
@@ -122,8 +132,12 @@ def run(
         typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found = round(summary["success_rate"] * len(records))
     (low, high) = summary["wilson_95"]
-    typer.echo(f"found the victim in {found} of {counted(len(records), 'run')} (95 % interval {low:.2f} to {high:.2f})")
-    others = Counter(in_words(record.outcome, record.right) for record in records if record.outcome != "found")
+    typer.echo(
+        f"found the victim in {found} of {counted(len(records), 'run')} (95 % interval {low:.2f} to {high:.2f})"
+    )
+    others = Counter(
+        in_words(record.outcome, record.right) for record in records if record.outcome != "found"
+    )
     if others:
         typer.echo("; ".join(f"{outcome}: {count}" for outcome, count in others.most_common()))
 
@@ -131,7 +145,12 @@ def run(
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:
     """Return the results as ``--json`` writes them; the robot says where it is unless a world was asked for."""
     found = sum(record.outcome == "found" for record in records)
-    latencies = [ms for record in records for tick, ms in record.latencies_ms.items() if tick in record.decisions]
+    latencies = [
+        ms
+        for record in records
+        for tick, ms in record.latencies_ms.items()
+        if tick in record.decisions
+    ]
     p50, p95 = np.percentile(latencies, [50, 95]).round(3).tolist() if latencies else (None, None)
     return {
         "world": world or records[0].world,
@@ -154,7 +173,9 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
 
 def _load(bus: Bus, model: Path, use: options.Use) -> None:
     for service in CHAIN:
-        request = LoadRequest(model=name_for(bus, service, model, "--model"), stride=use.stride, goal=use.goal)
+        request = LoadRequest(
+            model=name_for(bus, service, model, "--model"), stride=use.stride, goal=use.goal
+        )
         bus.call(service, "load", request, LoadReply, timeout_s=60.0)
 
 
@@ -174,7 +195,10 @@ def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
     """Refuse results of another model: services that were started again have that of their stack."""
     for service in CHAIN:
         detail = bus.call(service, "status", Nothing(), Status).detail
-        for name, found, wanted in (("model", detail.get("checksum"), identity), ("goal", detail.get("goal"), goal)):
+        for name, found, wanted in (
+            ("model", detail.get("checksum"), identity),
+            ("goal", detail.get("goal"), goal),
+        ):
             if found != wanted:
                 raise JobError(
                     f"{service} has {name} {found or 'none'}, not {wanted or 'none'} as --{name}; "

@@ -18,10 +18,14 @@ from services.kit.process import EXIT_FAILED
 from services.table import roles
 
 #: What deploy/secure.yml shows Eclipse's router.
-ZENOHD_SEES: Final = Certificate(*(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem")))
+ZENOHD_SEES: Final = Certificate(
+    *(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem"))
+)
 ZENOHD_FILE: Final = "zenohd.json5"
 Folder = Annotated[Path, Argument(help="Folder of the certificates.", metavar="DIR")]
-Hosts = Annotated[list[str] | None, Option("--host", help="Name or address of the router; may be repeated.")]
+Hosts = Annotated[
+    list[str] | None, Option("--host", help="Name or address of the router; may be repeated.")
+]
 Days = Annotated[float, Option(min=0, max=3650, help="How long the certificates are valid.")]
 
 app = typer.Typer(
@@ -98,7 +102,9 @@ def rotate(folder: Folder) -> None:
     Example: smal secure rotate keys
     """
     certificates.begin(folder, certificates.robot_of(certificates.read_authority(folder)))
-    typer.echo(f"{folder} knows the old authority and a new one; start the router again, then: smal secure renew")
+    typer.echo(
+        f"{folder} knows the old authority and a new one; start the router again, then: smal secure renew"
+    )
 
 
 @app.command("retire")

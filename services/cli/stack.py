@@ -26,7 +26,9 @@ STOP_TIMEOUT_S: Final = 5.0
 FIRST_S = 1.0
 LONGEST_S = 30.0
 STEADY_S: Final = 60.0  # A service that has lived this long is taken for healthy again.
-PATIENCE_S: Final = 600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
+PATIENCE_S: Final = (
+    600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
+)
 _TELL_S: Final = 10.0
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
@@ -43,12 +45,17 @@ def free_endpoint() -> str:
 def flags(**values: object) -> tuple[str, ...]:
     """Turn keyword arguments into flags of a service; None leaves one out."""
     given = {name: str(value) for name, value in values.items() if value is not None}
-    return tuple(part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value))
+    return tuple(
+        part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value)
+    )
 
 
 def routers_at(endpoint: str) -> dict[str, str]:
     """Return the addresses of a stack's routers, which commas separate, by the names of their children."""
-    return {f"router-{k}" if k > 1 else "router": address for k, address in enumerate(addresses(endpoint), 1)}
+    return {
+        f"router-{k}" if k > 1 else "router": address
+        for k, address in enumerate(addresses(endpoint), 1)
+    }
 
 
 @dataclass(frozen=True)
@@ -57,12 +64,22 @@ class StackPlan:
 
     services: tuple[str, ...]  # Names out of `services.table`, the router first.
     robot: str
-    endpoint: str  # Address of the stack's own router; commas separate several, of which each is started.
-    flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # Command line flags of single services.
-    secure: Path | None = None  # Folder of certificates; without one whoever reaches the router gets in.
-    logs: Path | None = None  # Folder for one log file a service; None lets them write to this terminal.
+    endpoint: (
+        str  # Address of the stack's own router; commas separate several, of which each is started.
+    )
+    flags: Mapping[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # Command line flags of single services.
+    secure: Path | None = (
+        None  # Folder of certificates; without one whoever reaches the router gets in.
+    )
+    logs: Path | None = (
+        None  # Folder for one log file a service; None lets them write to this terminal.
+    )
     robots: int = 1  # Of the fleet, each with its robot, recorder and page; whatever is grouped serves all of them.
-    scale: Mapping[str, int] = field(default_factory=dict)  # Instances of grouped services; one if not given.
+    scale: Mapping[str, int] = field(
+        default_factory=dict
+    )  # Instances of grouped services; one if not given.
     #: What ``python -m`` runs in place of a process's own module, for example the first robot with another body.
     modules: Mapping[str, str] = field(default_factory=dict)
 
@@ -75,7 +92,11 @@ class StackPlan:
         """Return by name which service each process runs, and for which robot; from the second on they are numbered."""
         found = {}
         for service in self.services:
-            many = len(routers_at(self.endpoint)) if service == "router" else self.scale.get(service, 1)
+            many = (
+                len(routers_at(self.endpoint))
+                if service == "router"
+                else self.scale.get(service, 1)
+            )
             of_each = service != "router" and not SERVICES[service].grouped
             whose = self.fleet if of_each else (self.robot,) * many
             for number, robot in enumerate(whose, 1):
@@ -125,12 +146,19 @@ class Stack:
                 self._start(router)
             # The others would each give up on a router that takes longer than their patience.
             with closing(self._reach_routers()) as bus, ExitStack() as opened:
-                buses = {robot: opened.enter_context(closing(bus.of_robot(robot))) for robot in self.plan.fleet}
+                buses = {
+                    robot: opened.enter_context(closing(bus.of_robot(robot)))
+                    for robot in self.plan.fleet
+                }
 
                 def is_ready(process: str) -> bool:
                     service, robot = self._processes[process]
-                    if SERVICES[service].grouped:  # Whichever instance answers, each robot is served.
-                        told = [answers(one, service) for one in buses.values() if process == service]
+                    if SERVICES[
+                        service
+                    ].grouped:  # Whichever instance answers, each robot is served.
+                        told = [
+                            answers(one, service) for one in buses.values() if process == service
+                        ]
                     else:
                         told = [answers(buses[robot], service)]
                     return all(one is not None and one.state == "ready" for one in told)
@@ -190,7 +218,11 @@ class Stack:
         plan = self.plan
         (service, robot) = self._processes[process]
         environment = {name: value for name, value in os.environ.items() if name not in _KEYS}
-        environment |= {"SMAL_ROBOT": robot, "SMAL_ROBOTS": str(plan.robots), "SMAL_ROUTER": plan.endpoint}
+        environment |= {
+            "SMAL_ROBOT": robot,
+            "SMAL_ROBOTS": str(plan.robots),
+            "SMAL_ROUTER": plan.endpoint,
+        }
         if plan.secure is not None:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
         if process in self._routers:
@@ -200,12 +232,18 @@ class Stack:
             environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": peers}
         module = plan.modules.get(process)
         program = SERVICES[service].command if module is None else ("-m", module)
-        command = tied(sys.executable, *program, *plan.flags.get(process, plan.flags.get(service, ())))
+        command = tied(
+            sys.executable, *program, *plan.flags.get(process, plan.flags.get(service, ()))
+        )
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
         # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
-        with nullcontext() if plan.logs is None else (plan.logs / f"{process}.log").open("ab") as log:
-            child = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)  # noqa: S603
+        with (
+            nullcontext() if plan.logs is None else (plan.logs / f"{process}.log").open("ab") as log
+        ):
+            child = subprocess.Popen(  # noqa: S603
+                command, env=environment, stdout=log, stderr=log, start_new_session=True
+            )
         self._children[process] = _Child(child, time.monotonic(), spacing_s)
 
     def _reach_routers(self) -> Bus:
@@ -241,7 +279,9 @@ class Stack:
             time.sleep(max(0.05, (now_s - began_s) / 50.0))
 
     def _dead(self) -> list[str]:
-        return [service for service, child in self._children.items() if child.process.poll() is not None]
+        return [
+            service for service, child in self._children.items() if child.process.poll() is not None
+        ]
 
     def _epitaph(self, service: str) -> str:
         status = self._children[service].process.returncode
@@ -274,7 +314,9 @@ def instances(bus: Bus) -> dict[str, dict[str, list[str]]]:
         with closing(bus.of_robot(robot)) as one:
             for service in (service.name for service in SERVICES.values() if service.grouped):
                 if (told := answers(one, service)) is not None:
-                    found.setdefault(service, {}).setdefault(str(told.detail.get("instance")), []).append(robot)
+                    found.setdefault(service, {}).setdefault(
+                        str(told.detail.get("instance")), []
+                    ).append(robot)
     return found
 
 

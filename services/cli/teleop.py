@@ -12,7 +12,9 @@ from services.teleop.terminal import require_terminal
 def teleop(
     *,
     reach: options.Reach,
-    seed: Annotated[int | None, Option(min=0, help="Seed of the first episode; random if not given.")] = None,
+    seed: Annotated[
+        int | None, Option(min=0, help="Seed of the first episode; random if not given.")
+    ] = None,
     goal: options.GoalOfDrives = "victim",
 ) -> None:
     """Drive with the keyboard: arrows or w a s d, held; n begins an episode.

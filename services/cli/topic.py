@@ -18,7 +18,9 @@ from services.experiments.words import table
 from services.kit.errors import UsageError
 from services.table import SERVICES, givers, graph, takers
 
-app = typer.Typer(help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE)
+app = typer.Typer(
+    help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE
+)
 
 
 @app.command("list")
@@ -77,7 +79,9 @@ def info(
 
 def draw_graph(
     *,
-    live: Annotated[bool, Option("--live", help="Only who runs, with instances and whom they serve.")] = False,
+    live: Annotated[
+        bool, Option("--live", help="Only who runs, with instances and whom they serve.")
+    ] = False,
     reach: options.Reach,
 ) -> None:
     """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show who runs.
@@ -90,7 +94,10 @@ def draw_graph(
     with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
         there = {name: list[str]() for name in SERVICES if answers(bus, name) is not None}
         found = instances(bus)
-    lines = {name: [f"{one}: {' '.join(robots)}" for one, robots in by.items()] for name, by in found.items()}
+    lines = {
+        name: [f"{one}: {' '.join(robots)}" for one, robots in by.items()]
+        for name, by in found.items()
+    }
     say(graph(there | lines))
 
 

@@ -33,28 +33,46 @@ RobotBody = Literal["simulator", "ros2", "none"]
 def up(
     *,
     world: options.World = None,
-    model: Annotated[Path | None, Option(help="Model that recognition and policy load at the start.")] = None,
+    model: Annotated[
+        Path | None, Option(help="Model that recognition and policy load at the start.")
+    ] = None,
     use: options.Use,
     root: Annotated[
-        Path, Option(envvar="SMAL_ROOT", exists=True, file_okay=False, help="Where clients may read and write files.")
+        Path,
+        Option(
+            envvar="SMAL_ROOT",
+            exists=True,
+            file_okay=False,
+            help="Where clients may read and write files.",
+        ),
     ] = Path(),
-    recordings: Annotated[Path | None, Option(help="Record every episode into this folder.")] = None,
+    recordings: Annotated[
+        Path | None, Option(help="Record every episode into this folder.")
+    ] = None,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     metrics_port: Annotated[
         int | None, Option(min=1, max=LAST_PORT, help="First of the ports for health and metrics.")
     ] = None,
-    console: Annotated[str, Option(envvar="SMAL_CONSOLE", help="Where the page is, HOST:PORT.")] = "127.0.0.1:8080",
+    console: Annotated[
+        str, Option(envvar="SMAL_CONSOLE", help="Where the page is, HOST:PORT.")
+    ] = "127.0.0.1:8080",
     no_console: Annotated[bool, Option("--no-console", help="Without that page.")] = False,
-    robot_body: Annotated[RobotBody, Option(help="What the robot drives; none is for smal replay.")] = "simulator",
-    ros2_config: Annotated[Path | None, Option(help="Which ROS 2 base; the file may begin with a preset.")] = None,
+    robot_body: Annotated[
+        RobotBody, Option(help="What the robot drives; none is for smal replay.")
+    ] = "simulator",
+    ros2_config: Annotated[
+        Path | None, Option(help="Which ROS 2 base; the file may begin with a preset.")
+    ] = None,
     reach: options.Reach,
     robots: options.Robots = 1,
     scale: Annotated[
         list[str] | None,
         Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; 0: elsewhere."),
     ] = None,
-    insecure: Annotated[bool, Option("--insecure", help="Let everybody in, from other machines too.")] = False,
+    insecure: Annotated[
+        bool, Option("--insecure", help="Let everybody in, from other machines too.")
+    ] = False,
 ) -> None:
     """Start the services, from the router to the recorder, and keep them running.
 
@@ -82,7 +100,9 @@ def up(
     instances = _scale(scale)
     chain, learned_on = _chain_flags(model, use)
     features = options.feature_flags(modalities, learned_on)
-    left_out = {name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out}
+    left_out = {
+        name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out
+    }
     services = tuple(name for name in stack_services() if name not in left_out)
     who = _check_addresses(reach, services, robots, insecure=insecure)
     plan = StackPlan(
@@ -98,7 +118,9 @@ def up(
     pages = dict(zip(plan.fleet, _ports_from(console, robots), strict=True))
     for page in () if no_console else pages.values():
         listen(ConsoleSettings(console=page, root=root)).socket.close()
-    folders = {robot: recordings and recordings / robot for robot in plan.fleet} | {reach.robot: recordings}
+    folders = {robot: recordings and recordings / robot for robot in plan.fleet} | {
+        reach.robot: recordings
+    }
     for folder in folders.values():
         if folder is not None:
             outputs.make_folder(folder, "--recordings")
@@ -107,15 +129,21 @@ def up(
     below = flags(root=root.resolve())
     own = {
         "router": flags(insecure=insecure or None),
-        "robot": (*simulator.flags(world, CAMERA), *below) if base is None else flags(ros2_config=ros2_config),
+        "robot": (*simulator.flags(world, CAMERA), *below)
+        if base is None
+        else flags(ros2_config=ros2_config),
         "features": features,
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
     }
     # For this machine only.
-    ports = {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(processes)}
+    ports = (
+        {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(processes)}
+    )
     if max(ports.values(), default=0) > LAST_PORT:
-        raise UsageError(f"--metrics-port {metrics_port}: {len(processes)} processes need as many ports")
+        raise UsageError(
+            f"--metrics-port {metrics_port}: {len(processes)} processes need as many ports"
+        )
     given = {}
     for name, (service, robot) in processes.items():
         of_robot = {
@@ -148,7 +176,9 @@ def _base(body: RobotBody, config: Path | None) -> str | None:
     try:
         from services.ros2.config import read_config  # noqa: PLC0415 - only this needs its packages
     except ModuleNotFoundError as error:
-        raise UsageError(f"--robot-body ros2 needs the package {error.name}: pip install -e '.[ros2]'") from None
+        raise UsageError(
+            f"--robot-body ros2 needs the package {error.name}: pip install -e '.[ros2]'"
+        ) from None
     return read_config(config).name
 
 
@@ -158,20 +188,28 @@ def _scale(given: list[str] | None) -> dict[str, int]:
     for text in given or ():
         name, _, many = text.partition("=")
         if name not in GROUPED or not re.fullmatch(r"0|[1-9]\d?", many):
-            raise UsageError(f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}")
+            raise UsageError(
+                f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}"
+            )
         found[name] = int(many)
     if sum(found.values()) - len(found) > MOST_FURTHER:
-        raise UsageError(f"--scale: the router has room for {MOST_FURTHER} further instances in all")
+        raise UsageError(
+            f"--scale: the router has room for {MOST_FURTHER} further instances in all"
+        )
     return found
 
 
 def _ports_from(address: str, many: int) -> list[str]:
     """Return an address, and as many as are wanted in all, at the ports that follow."""
     host, _, port = address.rpartition(":")
-    return [address] + [f"{host}:{int(port) + k}" for k in range(1, many if port.isdecimal() else 1)]
+    return [address] + [
+        f"{host}:{int(port) + k}" for k in range(1, many if port.isdecimal() else 1)
+    ]
 
 
-def _check_addresses(reach: options.Reach, services: tuple[str, ...], robots: int, *, insecure: bool) -> str:
+def _check_addresses(
+    reach: options.Reach, services: tuple[str, ...], robots: int, *, insecure: bool
+) -> str:
     """Check in one line, before a process starts and fails, that the router can start and all get in; say who does."""
     settings = reach.settings
     roles = (*map(role_of, services), "watcher")
@@ -182,14 +220,20 @@ def _check_addresses(reach: options.Reach, services: tuple[str, ...], robots: in
     credentials = settings.credentials("router")
     for address in addresses(settings.router):
         Router(address, credentials, *fleet(reach.robot, robots), insecure=insecure).close()
-    return how_secure(credentials, *(host_and_port(address)[0] for address in addresses(settings.router)))
+    return how_secure(
+        credentials, *(host_and_port(address)[0] for address in addresses(settings.router))
+    )
 
 
-def _chain_flags(model: Path | None, use: options.Use) -> tuple[tuple[str, ...], FeatureSettings | None]:
+def _chain_flags(
+    model: Path | None, use: options.Use
+) -> tuple[tuple[str, ...], FeatureSettings | None]:
     """Return the flags by which recognition and policy have their model from the start, and its features."""
     if model is None:
         for name, value in asdict(use).items():
             if value is not None:
                 raise UsageError(f"--{name} {value}: needs --model")
         return (), None
-    return flags(model=model.resolve(), **asdict(use)), options.read_model(model, use).feature_settings
+    return flags(model=model.resolve(), **asdict(use)), options.read_model(
+        model, use
+    ).feature_settings

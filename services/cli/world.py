@@ -36,23 +36,37 @@ if TYPE_CHECKING:
 
     from services.simulator.scene.rendering import SceneCamera
 
-app = typer.Typer(help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE)
+app = typer.Typer(
+    help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE
+)
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
 _AHEAD_M: Final = 1.0  # A view looks to where the route is this much later: around a corner as the robot would turn.
-_BEFORE_VICTIM: Final = 0.9  # The last view is so far before the victim, in distances of finding it.
+_BEFORE_VICTIM: Final = (
+    0.9  # The last view is so far before the victim, in distances of finding it.
+)
 _MOST_VIEWS: Final = 200
 
 
 @app.command("import")
 def import_world(
-    osm_map: Annotated[Path, Argument(metavar="MAP.osm", help="OpenStreetMap XML, as exported by its site.")],
+    osm_map: Annotated[
+        Path, Argument(metavar="MAP.osm", help="OpenStreetMap XML, as exported by its site.")
+    ],
     out: Annotated[Path, Option(help="Where to write the world; its name ends in .json.")],
-    start: Annotated[str | None, Option(metavar="X,Y,HEADING_DEG", help="Where the robot starts.")] = None,
-    victim: Annotated[str | None, Option(metavar="X,Y[,HEADING_DEG]", help="Where the victim lies.")] = None,
+    start: Annotated[
+        str | None, Option(metavar="X,Y,HEADING_DEG", help="Where the robot starts.")
+    ] = None,
+    victim: Annotated[
+        str | None, Option(metavar="X,Y[,HEADING_DEG]", help="Where the victim lies.")
+    ] = None,
     seed: Annotated[int, Option(min=0, help="Another seed gives another task by rule.")] = 0,
-    around: Annotated[str | None, Option(metavar="LAT,LON", help="Middle of the part of the map to take.")] = None,
-    radius: Annotated[float | None, Option(min=50, max=5000, metavar="M", help="So much of it on each side.")] = None,
+    around: Annotated[
+        str | None, Option(metavar="LAT,LON", help="Middle of the part of the map to take.")
+    ] = None,
+    radius: Annotated[
+        float | None, Option(min=50, max=5000, metavar="M", help="So much of it on each side.")
+    ] = None,
 ) -> None:
     """Turn an OpenStreetMap extract into a world to drive in.
 
@@ -76,9 +90,16 @@ def import_world(
     )
     if not osm_map.is_file():
         raise UsageError(f"{osm_map}: no such file")
-    inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(osm_map))  # The map of a page, which has no name.
+    inherited = re.fullmatch(
+        r"/proc/self/fd/(\d+)", str(osm_map)
+    )  # The map of a page, which has no name.
     with outputs.writing(out, "--out") as file:
-        request = {"map": str(osm_map), "out": str(out), "file": file.name, "wishes": asdict(wishes)}
+        request = {
+            "map": str(osm_map),
+            "out": str(out),
+            "file": file.name,
+            "wishes": asdict(wishes),
+        }
         descriptors = (int(inherited[1]),) if inherited else ()
         rows = bounded("services.cli.world:make", request, osm_map, descriptors)
     rows.append(("time", f"{time.perf_counter() - began_s:.1f} s"))
@@ -99,7 +120,11 @@ def make(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
 
 
 def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:
-    numbers = [float(part) for part in text.split(",")] if re.fullmatch(rf"{_NUMBER}(,{_NUMBER})*", text) else []
+    numbers = (
+        [float(part) for part in text.split(",")]
+        if re.fullmatch(rf"{_NUMBER}(,{_NUMBER})*", text)
+        else []
+    )
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         raise UsageError(f"{option} {text!r}: expected {wanted}")
     return numbers
@@ -108,7 +133,9 @@ def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> li
 def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -> Pose | None:
     if text is None:
         return None
-    x, y, heading_deg = (*_numbers(option, text, f"{wanted}, for example 12.5,-3,90", counts), 0.0)[:3]
+    x, y, heading_deg = (*_numbers(option, text, f"{wanted}, for example 12.5,-3,90", counts), 0.0)[
+        :3
+    ]
     return Pose(x, y, math.remainder(math.radians(heading_deg), math.tau))
 
 
@@ -117,9 +144,13 @@ def _surroundings(around: str | None, radius: float | None) -> MapSurroundings |
         return None
     if around is None or radius is None:
         raise UsageError("--around LAT,LON and --radius METRES go together")
-    latitude, longitude = _numbers("--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,))
+    latitude, longitude = _numbers(
+        "--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,)
+    )
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
-        raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
+        raise UsageError(
+            f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180"
+        )
     return MapSurroundings(latitude, longitude, radius)
 
 
@@ -152,7 +183,9 @@ def _summary(world: World) -> Iterable[tuple[str, str]]:
 @app.command("render")
 @grouped
 def render(
-    name: Annotated[str, Argument(metavar="WORLD", help="Name of a world, or the path of a map or world file.")],
+    name: Annotated[
+        str, Argument(metavar="WORLD", help="Name of a world, or the path of a map or world file.")
+    ],
     out: Annotated[Path, Option(help="Folder for the pictures.")] = Path("views"),
     views: Annotated[int, Option(min=2, max=_MOST_VIEWS, help="Pictures along the route.")] = 6,
     camera: options.CameraSize = None,
@@ -176,7 +209,9 @@ def render(
     poses = [pose for _, pose in places]
     with at_work.engine() as engine:
         pictures = map(seen, poses) if at_work == options.HERE else engine.map(seen, poses)
-        bar = bar_of(zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture")
+        bar = bar_of(
+            zip(places, pictures, strict=True), desc="rendering", total=views, unit="picture"
+        )
         for number, ((metres, _), picture) in enumerate(bar):
             content = BytesIO()
             imsave(content, picture, format="png")
@@ -189,7 +224,9 @@ def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     before = min(_BEFORE_VICTIM * world.scale.found_m, route.length / 2)
     along = np.linspace(0.0, route.length - before, views)
-    here, there = (shapely.get_coordinates(route.interpolate(along + ahead)) for ahead in (0.0, _AHEAD_M))
+    here, there = (
+        shapely.get_coordinates(route.interpolate(along + ahead)) for ahead in (0.0, _AHEAD_M)
+    )
     there[-1] = world.victim.x, world.victim.y
     headings = np.arctan2(*(there - here).T[::-1])
     poses = [world.start, *(Pose(*one) for one in np.column_stack([here, headings])[1:].tolist())]
@@ -220,7 +257,9 @@ def world_map(world: World, places: list[tuple[float, Pose]]) -> "Figure":
     axes = figure.add_subplot()
     draw_map(world, axes)
     route = plan_route(world, (world.start.x, world.start.y))
-    axes.plot(*route.T, color="#d6602d", lw=1.8, zorder=3, label=f"route, {route_length_m(route):.0f} m")
+    axes.plot(
+        *route.T, color="#d6602d", lw=1.8, zorder=3, label=f"route, {route_length_m(route):.0f} m"
+    )
     for number, (_, pose) in enumerate(places):
         axes.annotate(str(number), (pose.x, pose.y), fontsize=8, zorder=5, ha="center", va="center",
                       bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "#d6602d", "lw": 0.8})  # fmt: skip

@@ -14,7 +14,9 @@ def serve(node: Node, settings: ConsoleSettings) -> None:
     service = ConsoleService(node, board, settings.root)
     server = WebServer(service, board, settings)
     # Where it listens on every address, this one leads there from this machine.
-    node.log.info("the page of %s is at %s", node.robot, server.address.replace("//0.0.0.0:", "//127.0.0.1:"))
+    node.log.info(
+        "the page of %s is at %s", node.robot, server.address.replace("//0.0.0.0:", "//127.0.0.1:")
+    )
     try:
         node.spin()
     finally:

@@ -55,10 +55,16 @@ def listen(settings: ConsoleSettings) -> ListenAddress:
         secret(settings.console_key)
     token = None if settings.console_token is None else secret(settings.console_token)
     if token is not None and len(token) < _TOKEN_LETTERS:
-        raise ServiceError(f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}")
+        raise ServiceError(
+            f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}"
+        )
     try:
         place = socket.create_server((host, int(port)))
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no such port"
-        raise ServiceError(f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT") from None
-    return ListenAddress(place, f"{'http' if token is None else 'https'}://{host}:{place.getsockname()[1]}", token)
+        raise ServiceError(
+            f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT"
+        ) from None
+    return ListenAddress(
+        place, f"{'http' if token is None else 'https'}://{host}:{place.getsockname()[1]}", token
+    )

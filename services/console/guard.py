@@ -46,7 +46,9 @@ class AccessGuard:
         if refusal is None:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: status 403
+            await send(
+                {"type": "websocket.close", "code": 1008}
+            )  # before it is accepted: status 403
         else:
             await refusal(scope, receive, _with_headers(send))
 
@@ -71,14 +73,19 @@ class AccessGuard:
     def _unknown(scope: Scope, headers: Headers, token: str) -> Response | None:
         """Ask for the token; whoever knows it is remembered by a cookie that no script reads."""
         # Not by http.cookies, whose time grows with the square of what a stranger sends (CVE-2024-7592).
-        if any(_same(one.strip(), f"{COOKIE}={quote(token)}") for one in headers.get("cookie", "").split(";")):
+        if any(
+            _same(one.strip(), f"{COOKIE}={quote(token)}")
+            for one in headers.get("cookie", "").split(";")
+        ):
             return None
         told = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         if scope["type"] == "http" and _same(told, token):
             answer = RedirectResponse("/", 303)
             answer.set_cookie(COOKIE, quote(token), httponly=True, secure=True, samesite="strict")
             return answer
-        return PlainTextResponse("open this page with its token: https://HOST:PORT/?token=WORD\n", 401)
+        return PlainTextResponse(
+            "open this page with its token: https://HOST:PORT/?token=WORD\n", 401
+        )
 
 
 def _same(told: str, known: str) -> bool:

@@ -99,7 +99,9 @@ class Jobs:
         )
         os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
         self._work = _Work(process)
-        threading.Thread(target=self._follow, args=(job, self._work), name="job", daemon=True).start()
+        threading.Thread(
+            target=self._follow, args=(job, self._work), name="job", daemon=True
+        ).start()
 
     def cancel(self) -> None:
         """End the job that is at work, without what it makes."""
@@ -107,7 +109,12 @@ class Jobs:
             work.end("cancelled")
 
     def _follow(self, job: BackgroundJob, work: _Work) -> None:
-        shown: dict[str, object] = {"kind": job.kind, "name": job.name, "doing": job.doing, "done": job.done}
+        shown: dict[str, object] = {
+            "kind": job.kind,
+            "name": job.name,
+            "doing": job.doing,
+            "done": job.done,
+        }
         said: deque[str] = deque(maxlen=_LINES)
         try:
             self._show({**shown, "stage": "", "share": None})

@@ -30,8 +30,12 @@ class Learned:
     drives: NDArray[np.int32]
     along_m: NDArray[np.float64]  # The way from the drive's start.
     cost_s: NDArray[np.float64]  # The time to the goal; infinite where no way leads there.
-    poses: NDArray[np.float64]  # x, y and heading: in the world, where its recording tells; else by the wheels.
-    images: tuple[memoryview | None, ...]  # The taught image as it was recorded; None where its recording is gone.
+    poses: NDArray[
+        np.float64
+    ]  # x, y and heading: in the world, where its recording tells; else by the wheels.
+    images: tuple[
+        memoryview | None, ...
+    ]  # The taught image as it was recorded; None where its recording is gone.
     world: str = ""  # Where all of it was taught; empty where the recordings are gone, or several worlds are in them.
 
     def image(self, keyframe: int) -> bytes | None:
@@ -57,7 +61,9 @@ class Learned:
         if state.model != self.identity or not state.places or not known:
             return {}
         first = state.places[0]
-        x, y, heading = placed(np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe])
+        x, y, heading = placed(
+            np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe]
+        )
         beside = np.abs(self.along_m - self.along_m[first.keyframe]) <= _NEAR_M
         near = beside & (self.drives == self.drives[first.keyframe])
         cost_s = float(self.cost_s[first.keyframe])
@@ -65,7 +71,10 @@ class Learned:
             "keyframe": first.keyframe,
             "pose": [round(float(x), 2), round(float(y), 2), round(float(heading), 3)],
             "cost": round(cost_s, 1) if math.isfinite(cost_s) else None,
-            "sure": round((1.0 - state.lost) * sum(one.weight for one in state.places if near[one.keyframe]), 3),
+            "sure": round(
+                (1.0 - state.lost) * sum(one.weight for one in state.places if near[one.keyframe]),
+                3,
+            ),
         }
 
 
@@ -85,7 +94,9 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
         if recorded is None:
             continue
         # Where the names do not tell the ticks, these are the last ones.
-        ticks = ticks_of(names, frames) or range(max(recorded.images) - frames + 1, max(recorded.images) + 1)
+        ticks = ticks_of(names, frames) or range(
+            max(recorded.images) - frames + 1, max(recorded.images) + 1
+        )
         for key in np.flatnonzero(drives == drive).tolist():
             tick = ticks[int(mapped.keyframes[key] - first[drive])]
             images[key] = recorded.images.get(tick)

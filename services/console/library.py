@@ -74,17 +74,23 @@ class Library:
 
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
         """Look at what is there, for the page; ``show`` is given what is known so far while recordings are read."""
-        files = set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
+        files = (
+            set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
+        )
         models = self._files([*self.root.glob("*.smal"), *(self.root / MODELS).glob("*.smal")])
         with self._lock:
-            self._recordings = {file: known for file, known in self._recordings.items() if file in files}
+            self._recordings = {
+                file: known for file, known in self._recordings.items() if file in files
+            }
             self._models = {file: self._models.get(file) or self._model(file) for file in models}
         shown_s = time.monotonic()
         with closing(self._reader):
             for file in sorted(files - self._recordings.keys(), key=lambda file: -file.changed_ns):
                 if self._closed.is_set():
                     break
-                recording = self._reader.read(self.root / file.name, ListedRecording(file.name, file.when_s, file.size))
+                recording = self._reader.read(
+                    self.root / file.name, ListedRecording(file.name, file.when_s, file.size)
+                )
                 with self._lock:
                     self._recordings[file] = recording
                 if time.monotonic() - shown_s > _SHOW_S:
@@ -133,7 +139,9 @@ class Library:
         return [one for one in self.recordings() if one.episode in model.episodes]
 
     def _shown(self) -> dict[str, object]:
-        recordings = [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in self.recordings()]
+        recordings = [
+            asdict(one) | {"thumbnails": len(one.thumbnails)} for one in self.recordings()
+        ]
         models = [
             {
                 "name": one.name,
@@ -163,13 +171,24 @@ class Library:
         try:
             with open_below(self.root, file.name) as opened:
                 meta = container.read_meta(opened, file.name, FORMAT_VERSION)
-            mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": [meta["names"]]}
-            if max(len(mapped["goals"]), len(mapped["names"])) > _MOST_DRIVES or not 0 < meta["longest"] <= MAX_TICK:
+            mapped = (
+                meta["map"]
+                if meta["scheme"] == "filter"
+                else {"goals": (), "names": [meta["names"]]}
+            )
+            if (
+                max(len(mapped["goals"]), len(mapped["names"])) > _MOST_DRIVES
+                or not 0 < meta["longest"] <= MAX_TICK
+            ):
                 raise ValueError(f"more than {_MOST_DRIVES} drives, or none of its length")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
-            episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
+            episodes = frozenset(
+                episode_of(str(name)) for names in mapped["names"] for name in names
+            )
             fingerprint = printable(str(meta["feature_fingerprint"]))
             longest = int(meta["longest"])
-            return replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
+            return replace(
+                listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest
+            )
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return replace(listed, useless=printable(str(error)).removeprefix(f"{file.name}: "))

@@ -29,8 +29,17 @@ _WIDTH = 160
 #: else the machine does.
 READ_S: Final = 120
 _NICENESS: Final = 10  # How much reading gives way to the services of the stack; see nice(1).
-_ENDED_FIRST: Final = "1000"  # Where memory runs out, this process ends before the others; see proc(5).
-_SAME: Final = ("episode", "purpose", "goal", "world", "outcome", "frames")  # Of a recorded episode, and as listed.
+_ENDED_FIRST: Final = (
+    "1000"  # Where memory runs out, this process ends before the others; see proc(5).
+)
+_SAME: Final = (
+    "episode",
+    "purpose",
+    "goal",
+    "world",
+    "outcome",
+    "frames",
+)  # Of a recorded episode, and as listed.
 _log = logging.getLogger("console")
 
 
@@ -46,7 +55,9 @@ class ListedRecording:
     goal: str = ""
     world: str = ""
     outcome: str | None = None
-    corrected: bool = False  # Whether a person took over from the robot that drove by itself, and so taught it.
+    corrected: bool = (
+        False  # Whether a person took over from the robot that drove by itself, and so taught it.
+    )
     frames: int = 0
     seconds: float = 0.0
     useless: str = ""  # Why it teaches nothing; empty where it does.
@@ -118,8 +129,14 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
         episode, *others = read_recording(path, topics=(JPEG, APPLIED)).episodes
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
-    useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
-    by_hand = any(one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values())
+    useless = (
+        "it holds several episodes; use smal learn"
+        if others
+        else unusable(episode, include_runs=True)
+    )
+    by_hand = any(
+        one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values()
+    )
     ticks = sorted(episode.images)
     same: dict[str, Any] = {name: getattr(episode, name) for name in _SAME}
     return replace(

@@ -35,8 +35,18 @@ _POINTS: Final = 400
 _APART_M: Final = 0.1
 _ANSWER_S: Final = 1.0  # How long a service may take to answer.
 #: What a service tells of itself that the page needs.
-_TOLD: Final = ("world", "worlds", "variation", "variations", "speed_m_s", "turn_rate_rad_s", "disk")
-_PEEK_S: Final = 1.0  # How often a robot without an episode, which sends no frames, is asked what it sees.
+_TOLD: Final = (
+    "world",
+    "worlds",
+    "variation",
+    "variations",
+    "speed_m_s",
+    "turn_rate_rad_s",
+    "disk",
+)
+_PEEK_S: Final = (
+    1.0  # How often a robot without an episode, which sends no frames, is asked what it sees.
+)
 _THINGS: Final = 200  # Places on the map where something stands, at most.
 
 
@@ -47,18 +57,25 @@ class Health:
         self.bus = bus
         self._services = services
         self._asked_s = time.monotonic()
-        self.statuses: dict[str, Status | None] = {}  # The last answers; None of who did not answer.
+        self.statuses: dict[
+            str, Status | None
+        ] = {}  # The last answers; None of who did not answer.
 
     def ask(self) -> list[dict[str, object]]:
         """Ask all at once; return one row a service, for the page."""
         before = self.statuses
         # Threads for this once: a service that hangs holds up its own thread alone, and for no longer than its time.
         with ThreadPoolExecutor(len(self._services), "health") as pool:
-            self.statuses = dict(zip(self._services, pool.map(self._status, self._services), strict=True))
+            self.statuses = dict(
+                zip(self._services, pool.map(self._status, self._services), strict=True)
+            )
         now = time.monotonic()
         elapsed_s = max(now - self._asked_s, 1e-3)
         self._asked_s = now
-        return [_row(name, before.get(name), status, elapsed_s) for name, status in self.statuses.items()]
+        return [
+            _row(name, before.get(name), status, elapsed_s)
+            for name, status in self.statuses.items()
+        ]
 
     def detail(self, service: str, key: str) -> object:
         """Return what a service told of itself; None where it did not."""
@@ -78,7 +95,9 @@ class LiveContent:
     def __init__(self, node: Node, board: Board, library: Library) -> None:
         self._board = board
         self._library = library
-        self.health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
+        self.health = Health(
+            node.bus, tuple(name for name in stack_services() if name != node.name)
+        )
         self.learned: Learned | None = None  # The model that the robot goes by.
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
@@ -121,14 +140,18 @@ class LiveContent:
         around = self._sight.around(episode) if self._board.watchers else None
         if around is None or self._sight.mount is None or (seen := around.seen) is None:
             return
-        columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[seen.hit_m < around.reach_m]
+        columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[
+            seen.hit_m < around.reach_m
+        ]
         self._put(
             "around",
             mounting=self._sight.mount._asdict(),
             # Of the picture: how far to the left a metre ahead, how far ahead, how high; and how far they are apart.
             columns=columns.round(3).tolist(),
             apart=round(float(seen.across[0] - seen.across[1]), 5),
-            things=around.things(_THINGS).round(2).tolist(),  # Ahead of the robot and to its left, metres.
+            things=around.things(_THINGS)
+            .round(2)
+            .tolist(),  # Ahead of the robot and to its left, metres.
         )
 
     def _on_state(self, state: State) -> None:
@@ -144,7 +167,9 @@ class LiveContent:
             left=state.seen_left,
             gap=state.duality_gap,
             state=state.state,
-            places=[[place.keyframe, round(place.weight, 3)] for place in state.places] if belief else [],
+            places=[[place.keyframe, round(place.weight, 3)] for place in state.places]
+            if belief
+            else [],
             **belief,
         )
 
@@ -181,21 +206,33 @@ class LiveContent:
             self._library.folder = name_below(self._library.root, Path(str(folder)))
 
     def _look_at_files(self) -> None:
-        self._board.put("library", self._library.look(lambda shown: self._board.put("library", shown)))
-        told = {key: self.health.detail("recognition", key) for key in ("model", "checksum", "goal")}
+        self._board.put(
+            "library", self._library.look(lambda shown: self._board.put("library", shown))
+        )
+        told = {
+            key: self.health.detail("recognition", key) for key in ("model", "checksum", "goal")
+        }
         if told["model"] is not None and self._followed != (told["checksum"], told["goal"]):
             self._followed = (told["checksum"], told["goal"])
-            self._follow_model(str(told["model"]), None if told["goal"] is None else str(told["goal"]))
+            self._follow_model(
+                str(told["model"]), None if told["goal"] is None else str(told["goal"])
+            )
 
     def _follow_model(self, file: str, goal: str | None) -> None:
         name = name_below(self._library.root, self._library.root / file)
         try:
             if name is None:
-                raise ServiceError(f"The page cannot draw {file}: it lies outside of the console's folder.")
-            recordings = {one.episode: self._library.path(one.name) for one in self._library.recordings()}
+                raise ServiceError(
+                    f"The page cannot draw {file}: it lies outside of the console's folder."
+                )
+            recordings = {
+                one.episode: self._library.path(one.name) for one in self._library.recordings()
+            }
             model = Stored.load(below(self._library.root, name))
             if not isinstance(model, Model):
-                raise ServiceError(f"{name} is for the paper's scheme: its states have no places on a map.")
+                raise ServiceError(
+                    f"{name} is for the paper's scheme: its states have no places on a map."
+                )
             self.learned = learned = learned_of(model, goal, recordings)
             self._board.put("model", {"name": name} | learned.shown())
         except (ModelError, ServiceError, ValueError, OSError) as error:
@@ -206,11 +243,16 @@ def _rounded(*pose: float) -> list[float]:
     return [round(value, 3) for value in pose]
 
 
-def _row(name: str, before: Status | None, status: Status | None, elapsed_s: float) -> dict[str, object]:
+def _row(
+    name: str, before: Status | None, status: Status | None, elapsed_s: float
+) -> dict[str, object]:
     if status is None:
         return {"name": name, "ailment": "does not answer"}
     earlier = before.published if before is not None and before.pid == status.pid else {}
-    rates = {topic: (count - earlier.get(topic, count)) / elapsed_s for topic, count in status.published.items()}
+    rates = {
+        topic: (count - earlier.get(topic, count)) / elapsed_s
+        for topic, count in status.published.items()
+    }
     return {
         "name": name,
         "ailment": ailment(status),
@@ -219,5 +261,9 @@ def _row(name: str, before: Status | None, status: Status | None, elapsed_s: flo
         "dropped": sum(status.dropped.values()),
         "bad": sum(status.bad.values()),
         "failed": status.failed,
-        "told": {key: status.detail[key] for key in _TOLD if status.detail.get(key) not in (None, "", False)},
+        "told": {
+            key: status.detail[key]
+            for key in _TOLD
+            if status.detail.get(key) not in (None, "", False)
+        },
     }

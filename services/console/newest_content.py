@@ -50,7 +50,9 @@ class Board:
     def _since(self, version: int) -> tuple[int, str, bytes]:
         """Return the newest version, and what is newer than another: JSON with the time ``now``, and the picture."""
         with self._lock:
-            new = [f'"{name}":{text}' for name, (at, text) in self._channels.items() if at > version]
+            new = [
+                f'"{name}":{text}' for name, (at, text) in self._channels.items() if at > version
+            ]
             at, picture = self._picture
             due = picture if at > version else b""
             head = f'"now":{self.clock():.3f},"picture":{"true" if due else "false"}'

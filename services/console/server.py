@@ -17,7 +17,9 @@ from services.console.web import Web
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 
-_MOST_BYTES: Final = 1 << 20  # Most bytes that a browser says at once: the names of a thousand recordings.
+_MOST_BYTES: Final = (
+    1 << 20
+)  # Most bytes that a browser says at once: the names of a thousand recordings.
 _AT_ONCE: Final = 1024  # Bytes that are read before it is others' turn: 20 answers, 1 ms.
 _FAREWELL_S: Final = 1  # How long open sockets may take to close at the end.
 _NO_WORD: Final = "-"  # Opens no key that is encrypted, for which the terminal would be asked.
@@ -73,9 +75,13 @@ class WebServer:
             config.load()
         except (ssl.SSLError, OSError) as error:
             self._socket.close()
-            raise ServiceError(f"{settings.console_cert} and its key are of no use: {error}") from None
+            raise ServiceError(
+                f"{settings.console_cert} and its key are of no use: {error}"
+            ) from None
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), name="web", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), name="web", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:

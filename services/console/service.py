@@ -15,8 +15,26 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Velocity
 from schemas.codec import printable
-from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.browser_messages import LATE, Add, Ask, Delete, DriveRequest, End, LearnRequest, Press, Run
+from schemas.rpc import (
+    LoadReply,
+    LoadRequest,
+    Nothing,
+    RecordRequest,
+    ResetReply,
+    ResetRequest,
+    Status,
+)
+from services.console.browser_messages import (
+    LATE,
+    Add,
+    Ask,
+    Delete,
+    DriveRequest,
+    End,
+    LearnRequest,
+    Press,
+    Run,
+)
 from services.console.jobs import BackgroundJob, Jobs
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.live_content import LiveContent
@@ -95,7 +113,9 @@ class ConsoleService:
 
     def _say(self, text: str) -> None:
         self._said += 1
-        self._news.append({"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)})
+        self._news.append(
+            {"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)}
+        )
         self._board.put("news", list(self._news))
 
     def hold(self, held: tuple[float, float] | None, sent_s: float) -> None:
@@ -165,7 +185,9 @@ class ConsoleService:
     def _drive(self, ask: DriveRequest) -> None:
         seed = secrets.randbelow(2**31)
         goal = ask.goal
-        request = ResetRequest(name=ask.name, seed=seed, purpose="drive", goal=goal, driver="teleop", max_ticks=None)
+        request = ResetRequest(
+            name=ask.name, seed=seed, purpose="drive", goal=goal, driver="teleop", max_ticks=None
+        )
         self._begin(ask, request, self._record)
 
     def _run(self, ask: Run) -> None:
@@ -190,7 +212,9 @@ class ConsoleService:
 
         self._begin(ask, request, prepare)
 
-    def _begin(self, ask: DriveRequest | Run, request: ResetRequest, prepare: Callable[[], None]) -> None:
+    def _begin(
+        self, ask: DriveRequest | Run, request: ResetRequest, prepare: Callable[[], None]
+    ) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
 
         def show_goal(begun: ResetReply) -> None:  # Where the victim lies only a simulator knows.
@@ -198,7 +222,9 @@ class ConsoleService:
             self._board.put("goal", {"episode": begun.episode, "at": goal})
 
         there = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
-        self._operator.begin(request.model_copy(update=there), prepare, lambda: self.attended, show_goal)
+        self._operator.begin(
+            request.model_copy(update=there), prepare, lambda: self.attended, show_goal
+        )
 
     def _record(self) -> None:
         """Have the recorder record, unless it does; on a thread that asks."""
@@ -219,9 +245,15 @@ class ConsoleService:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
 
     def _learn(self, ask: LearnRequest | Add) -> None:
-        recordings = [one for name in ask.recordings if (one := self.library.recording(name)) and not one.useless]
+        recordings = [
+            one
+            for name in ask.recordings
+            if (one := self.library.recording(name)) and not one.useless
+        ]
         if len(recordings) != len(ask.recordings):
-            raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
+            raise ServiceError(
+                "a recording that was chosen is gone, or teaches nothing; choose again"
+            )
         if isinstance(ask, Add):
             model = self.library.model(ask.model)
             name = Path(model.name).stem

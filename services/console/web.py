@@ -117,7 +117,9 @@ class Web:
                 raise HTTPException(409, "another map was sent after this one\n")
             size += len(chunk)
             if size > _LARGEST_MAP:
-                raise HTTPException(413, f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n")
+                raise HTTPException(
+                    413, f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n"
+                )
             await asyncio.to_thread(file.write, chunk)
         await asyncio.to_thread(file.flush)
 
@@ -246,4 +248,6 @@ def _picture(jpeg: bytes | None) -> Response:
     if jpeg is None:
         return PlainTextResponse("no such picture\n", 404)
     # What a name or a number stands for does not change while the page is open.
-    return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+    return Response(
+        jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"}
+    )

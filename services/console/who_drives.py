@@ -17,7 +17,9 @@ LET_GO_S: Final = 0.25  # Time after its beat was sent when an answer counts no 
 #: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it. What is
 #: asked for counts as long: later it may be somebody else's turn.
 LEASE_S: Final = 1.0
-_KEPT: Final = round(LEASE_S / BEAT_S)  # Beats in flight that are remembered; an answer to an older one is late anyway.
+_KEPT: Final = round(
+    LEASE_S / BEAT_S
+)  # Beats in flight that are remembered; an answer to an older one is late anyway.
 
 
 class Seat:

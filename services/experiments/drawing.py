@@ -21,7 +21,14 @@ MUTED = "#5f5f5f"
 LINE = "#dddddd"
 BACK = "#ffffff"
 COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
-DASHES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))  # For those who do not tell colours apart.
+DASHES: Final = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (5, 1, 1, 1, 1, 1)),
+    (0, (8, 2)),
+)  # For those who do not tell colours apart.
 _STYLE: Final[dict[Any, Any]] = {
     "axes.edgecolor": LINE, "axes.labelcolor": MUTED, "axes.titlecolor": TEXT, "axes.titlesize": 10, "axes.grid": True,
     "axes.axisbelow": True, "axes.spines.right": False, "axes.spines.top": False, "axes.labelsize": 10,
@@ -49,7 +56,9 @@ def figure(height_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, height_in))
 
 
-def look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:
+def look_at(
+    axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]
+) -> None:
     """Show the part of a map with bounds where points (n, 2) are, and half as much around it; a small map whole."""
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -64,8 +73,16 @@ def draw_reliability(axes: Axes, reliability: Reliability) -> None:
     """Draw how often answers are right over what they say: the larger a point, the more answers it stands for."""
     axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
     sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
-    axes.scatter(reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3)
-    axes.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="score", ylabel="share that is right", aspect="equal")
+    axes.scatter(
+        reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3
+    )
+    axes.set(
+        xlim=(0.0, 1.02),
+        ylim=(0.0, 1.02),
+        xlabel="score",
+        ylabel="share that is right",
+        aspect="equal",
+    )
     axes.set_title(f"calibration error {reliability.error:.3f}")
 
 
@@ -74,6 +91,10 @@ def legend(drawn: Figure, panels: Sequence[Axes], columns: int = 2) -> None:
     named: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
-        named |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in named}
+        named |= {
+            label: handle
+            for handle, label in zip(handles, labels, strict=True)
+            if label not in named
+        }
     if named:
         drawn.legend(list(named.values()), list(named), loc="outside lower center", ncols=columns)

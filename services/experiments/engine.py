@@ -23,7 +23,13 @@ from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 from tqdm import tqdm
 
-from services.kit.credentials import CERTIFICATE_SUFFIX, ENGINE, KEY_SUFFIX, certificate_of, others_reach
+from services.kit.credentials import (
+    CERTIFICATE_SUFFIX,
+    ENGINE,
+    KEY_SUFFIX,
+    certificate_of,
+    others_reach,
+)
 from services.kit.errors import JobError, UsageError
 from smal.features.extraction import in_parallel
 
@@ -34,7 +40,9 @@ _REACHED_S: Final = 10.0  # A scheduler is there within this time.
 #: It has a worker within this time, also where all were killed: one takes 2 s to start, 50 s on a very busy machine.
 _WORKER_S: Final = 120.0
 _LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
-_BATCH: Final = 16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
+_BATCH: Final = (
+    16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
+)
 _AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
 _TRIES = 3  # How many workers may be killed at a task before it is given up.
 #: What the workers of this machine do first: Ctrl-C is left to the process that ends them, which alone names damaged
@@ -44,8 +52,14 @@ signal.signal(signal.SIGINT, signal.SIG_IGN)
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 cv2.setNumThreads(1)
 """
-_PACKAGES: Final = Path(__file__).parents[2]  # What holds our packages: a checkout, or where they are installed.
-_DECIDING: Final = ("numpy", "scipy", "opencv-python-headless")  # Of another version they give other last digits.
+_PACKAGES: Final = Path(__file__).parents[
+    2
+]  # What holds our packages: a checkout, or where they are installed.
+_DECIDING: Final = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+)  # Of another version they give other last digits.
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -60,7 +74,9 @@ class Engine:
     error.
     """
 
-    def __init__(self, workers: int | None, scheduler: str | None = None, secure: Path | None = None) -> None:
+    def __init__(
+        self, workers: int | None, scheduler: str | None = None, secure: Path | None = None
+    ) -> None:
         self.scheduler = scheduler
         self._workers = workers
         self._secure = secure
@@ -72,11 +88,16 @@ class Engine:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
     ) -> None:
         if self._client is not None:
             cluster = self._client.cluster
-            for nanny in cluster.workers.values() if error is not None and cluster is not None else ():
+            for nanny in (
+                cluster.workers.values() if error is not None and cluster is not None else ()
+            ):
                 # What it does nobody waits for, and Dask would: whole tasks, and seconds where a machine is busy.
                 nanny.auto_restart = False
                 if nanny.pid is not None:
@@ -90,7 +111,9 @@ class Engine:
     def client(self) -> "Client":
         """How work is given to the workers; JobError where there are none."""
         if self._client is None:
-            self._client = self._begun() if self.scheduler is None else self._reached(self.scheduler)
+            self._client = (
+                self._begun() if self.scheduler is None else self._reached(self.scheduler)
+            )
         return self._client
 
     def map(self, function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
@@ -116,7 +139,10 @@ class Engine:
             yield from self._answer(waiting.popleft())
 
     def graph(
-        self, tasks: Sequence[Task], do: Callable[[Task], Answer], needs: Callable[[Task], Iterable[Task]]
+        self,
+        tasks: Sequence[Task],
+        do: Callable[[Task], Answer],
+        needs: Callable[[Task], Iterable[Task]],
     ) -> Iterator[tuple[Task, Callable[[], Answer]]]:
         """Yield tasks when they are done, each with what gives its answer or raises why there is none.
 
@@ -143,10 +169,15 @@ class Engine:
         at = f"--scheduler {self.scheduler}: " if self.scheduler else ""
         while time.monotonic() < there_s + _WORKER_S:
             try:
-                return next(iter(wait([*futures], timeout=_LOOK_S, return_when="FIRST_COMPLETED").done))
+                return next(
+                    iter(wait([*futures], timeout=_LOOK_S, return_when="FIRST_COMPLETED").done)
+                )
             except TimeoutError:
                 there_s = time.monotonic() if self._threads() else there_s
-            except (CancelledError, ValueError):  # The latter of a client that gave up its scheduler a while ago.
+            except (
+                CancelledError,
+                ValueError,
+            ):  # The latter of a client that gave up its scheduler a while ago.
                 raise JobError(f"{at}the scheduler is lost") from None
         raise JobError(f"{at}no worker is left, and none came for {_WORKER_S:g} s")
 
@@ -191,7 +222,9 @@ class Engine:
         cluster = _undisturbed(start)
         if watched:
             _say_watched(cluster.dashboard_link)
-        client: Client = distributed.Client(cluster, direct_to_workers=True)  # Not by the scheduler, here as well.
+        client: Client = distributed.Client(
+            cluster, direct_to_workers=True
+        )  # Not by the scheduler, here as well.
         return client
 
     def _reached(self, address: str) -> "Client":
@@ -199,7 +232,9 @@ class Engine:
         distributed = _quiet_distributed()
         security = None
         if self._secure is not None and address.startswith("tls://"):
-            certificate, key = (str(self._secure / f"{ENGINE}{end}") for end in (CERTIFICATE_SUFFIX, KEY_SUFFIX))
+            certificate, key = (
+                str(self._secure / f"{ENGINE}{end}") for end in (CERTIFICATE_SUFFIX, KEY_SUFFIX)
+            )
             certificate_of(Path(certificate), Path(certificate), Path(key))
             names = ("tls_ca_file", "tls_client_cert", "tls_client_key")
             given = dict(zip(names, (certificate, certificate, key), strict=True))
@@ -208,18 +243,28 @@ class Engine:
             client: Client = distributed.Client(address, security=security, timeout=_REACHED_S)
         except (OSError, TimeoutError) as error:
             why = " ".join(str(error).split())
-            raise JobError(f"--scheduler {address}: cannot be reached, or refuses us: {why}") from None
+            raise JobError(
+                f"--scheduler {address}: cannot be reached, or refuses us: {why}"
+            ) from None
         self._client = client  # Closed also where what follows fails.
         try:
             client.wait_for_workers(1, timeout=_WORKER_S)
         except TimeoutError:
-            raise JobError(f"--scheduler {address}: has no worker (dask worker {address})") from None
+            raise JobError(
+                f"--scheduler {address}: has no worker (dask worker {address})"
+            ) from None
         try:
-            others = [worker for worker, theirs in self.on_each(program).items() if theirs != program()]
+            others = [
+                worker for worker, theirs in self.on_each(program).items() if theirs != program()
+            ]
         except ModuleNotFoundError as error:
-            raise JobError(f"--scheduler {address}: {error} at a worker; install SMAL there") from None
+            raise JobError(
+                f"--scheduler {address}: {error} at a worker; install SMAL there"
+            ) from None
         if others:
-            raise JobError(f"--scheduler {address}: {others[0]} has another version of SMAL, or of what it needs")
+            raise JobError(
+                f"--scheduler {address}: {others[0]} has another version of SMAL, or of what it needs"
+            )
         if client.dashboard_link:
             _say_watched(client.dashboard_link)
         return client
@@ -260,9 +305,13 @@ def _check(scheduler: str, secure: Path | None) -> None:
             f"--scheduler {scheduler}: is no address; try tcp://127.0.0.1:8786, or tls://host:8786 with --secure"
         )
     if kind == "tls" and secure is None:
-        raise UsageError(f"--scheduler {scheduler}: give --secure, a folder that `smal secure init` made")
+        raise UsageError(
+            f"--scheduler {scheduler}: give --secure, a folder that `smal secure init` made"
+        )
     if kind == "tcp" and others_reach(host.strip("[]")):
-        raise UsageError(f"--scheduler {scheduler}: whoever reaches it could run anything there; only tls:// will do")
+        raise UsageError(
+            f"--scheduler {scheduler}: whoever reaches it could run anything there; only tls:// will do"
+        )
 
 
 @cache
@@ -286,7 +335,10 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
     import dask  # noqa: PLC0415 - takes a second to import
     import distributed  # noqa: PLC0415
 
-    for name in ("distributed", *(one for one in logging.root.manager.loggerDict if one.startswith("distributed."))):
+    for name in (
+        "distributed",
+        *(one for one in logging.root.manager.loggerDict if one.startswith("distributed.")),
+    ):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
@@ -295,7 +347,9 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
     # With Dask's own setting each image is memory that the system has to give anew: two and a half times the time.
     dask.config.set({"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None})
     # What looks at a worker a hundred times a second, and at its loop fifty times, takes a twelfth of its time.
-    dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"})
+    dask.config.set(
+        {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"}
+    )
     return distributed
 
 

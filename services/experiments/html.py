@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 _FRAME_PX: Final = 320  # How wide a camera image is shown, pixels.
-Advance = Callable[[str, int, int], object]  # Called with what is being done, how much of it is and how much there is.
+Advance = Callable[
+    [str, int, int], object
+]  # Called with what is being done, how much of it is and how much there is.
 
 
 def page(title: str, body: str, width_rem: int = 60) -> str:
@@ -77,11 +79,16 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> 
 
     def cells(row: Sequence[str], tag: str) -> str:
         kinds = (' class="text"' if column < left else "" for column in range(len(row)))
-        return "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(row, kinds, strict=True))
+        return "".join(
+            f"<{tag}{kind}>{html.escape(cell)}</{tag}>"
+            for cell, kind in zip(row, kinds, strict=True)
+        )
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
     # A region that scrolls is reached by the keyboard too.
-    return f'<div class="scroll" tabindex="0"><table><tr>{cells(head, "th")}</tr>{body}</table></div>'
+    return (
+        f'<div class="scroll" tabindex="0"><table><tr>{cells(head, "th")}</tr>{body}</table></div>'
+    )
 
 
 _PAGE: Final = """<!doctype html>

@@ -32,7 +32,12 @@ class RouteDriver:
     """
 
     def __init__(
-        self, route: Sequence[tuple[float, float]], speed_m_s: float, found_m: float, *, car: bool = False
+        self,
+        route: Sequence[tuple[float, float]],
+        speed_m_s: float,
+        found_m: float,
+        *,
+        car: bool = False,
     ) -> None:
         if len(route) < 2:
             raise ValueError("a route needs at least two way points")
@@ -62,7 +67,9 @@ class RouteDriver:
         error = math.remainder(bearing - heading, math.tau)
         if self._turning is None and abs(error) > START_TURNING_RAD:
             self._turning = "left" if error > 0 else "right"
-        elif self._turning is not None and (abs(error) < STOP_TURNING_RAD or (error > 0) != (self._turning == "left")):
+        elif self._turning is not None and (
+            abs(error) < STOP_TURNING_RAD or (error > 0) != (self._turning == "left")
+        ):
             self._turning = None
         return self._turning or "forward"
 
@@ -76,7 +83,9 @@ class RouteDriver:
 
     def _point_at(self, along_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the point so far along the route, shape (2,); of many, shape (..., 2)."""
-        return np.stack([np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)], axis=-1)
+        return np.stack(
+            [np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)], axis=-1
+        )
 
 
 class ExpertService:
@@ -99,7 +108,9 @@ class ExpertService:
     def begin(self, reset: ResetReply) -> None:
         """Take up the route of an episode that begins. Raises JobError where nobody knows the way."""
         if reset.found_m is None or len(reset.route) < 2:
-            raise JobError(f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop")
+            raise JobError(
+                f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop"
+            )
         self._episode = reset.episode
         self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m, car=reset.car)
         self._pose = self._observation = None
@@ -121,7 +132,10 @@ class ExpertService:
         observation = self._observation
         if pose is None or observation is None or self._driver is None or self.arrived:
             return None
-        if (pose.episode, pose.tick) != (observation.episode, observation.tick) or pose.episode != self._episode:
+        if (pose.episode, pose.tick) != (
+            observation.episode,
+            observation.tick,
+        ) or pose.episode != self._episode:
             return None
         if self._last is None or self._last.tick != pose.tick:
             # Otherwise the simulator asked again, because the command was lost on the way: the same answer.

@@ -9,7 +9,9 @@ from services.importers.csv_folder import COLUMNS, NAME
 from services.importers.drive import Tally
 
 
-def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(
+    drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]
+) -> None:
     """Write all drives into one folder, the images of each into a folder of its own."""
     say_view(drives, tally)
     with (folder / NAME).open("w", newline="", encoding="utf-8") as file:
@@ -23,4 +25,13 @@ def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: 
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
                 pose = moment.pose
                 way = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-                table.writerow([drive.name, image, f"{seconds}.{rest_ns:09d}", *velocity, int(drive.success), *way])
+                table.writerow(
+                    [
+                        drive.name,
+                        image,
+                        f"{seconds}.{rest_ns:09d}",
+                        *velocity,
+                        int(drive.success),
+                        *way,
+                    ]
+                )

@@ -27,7 +27,11 @@ from smal.movement import Movement
 
 _DIGITS: Final = 6  # Of velocities: a micrometre and a microradian a second.
 #: What the modules of this package that write a format are called; each has ``write(drives, folder, tally, advance)``.
-_WRITERS: Final[dict[Format, str]] = {"rosbag2": "rosbag2", "lerobot": "lerobot", "folder": "csv_folder"}
+_WRITERS: Final[dict[Format, str]] = {
+    "rosbag2": "rosbag2",
+    "lerobot": "lerobot",
+    "folder": "csv_folder",
+}
 FORMATS: Final = tuple(_WRITERS)
 
 
@@ -76,7 +80,9 @@ class ExportedDrive:
     @property
     def ticks(self) -> list[int]:
         """Those that anything is known of."""
-        return sorted(self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys())
+        return sorted(
+            self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys()
+        )
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
         """Yield what there is at each tick, and count what cannot be used; ``advance`` is called for each."""
@@ -88,14 +94,20 @@ class ExportedDrive:
             advance()
             stamp_ns, jpeg = self._image(tick, tally)
             # What descends from a frame has its stamp.
-            stamp_ns = next((one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns)
+            stamp_ns = next(
+                (one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns
+            )
             if stamp_ns <= last_ns:
                 tally.count("ticks are not later than the one before, and are left out")
                 continue
             last_ns = stamp_ns
-            yield Moment(tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick))
+            yield Moment(
+                tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick)
+            )
 
-    def usable(self, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[Moment, bytes, tuple[float, float]]]:
+    def usable(
+        self, tally: Tally, advance: Callable[[], None]
+    ) -> Iterator[tuple[Moment, bytes, tuple[float, float]]]:
         """Yield the moments that have an image and tell what was done then, with both; count the others."""
         for moment in self.moments(tally, advance):
             if moment.jpeg is not None and moment.velocity is not None:
@@ -123,14 +135,22 @@ class ExportedDrive:
         if applied is None:
             return None
         linear, angular = applied.velocity
-        return round(self.nominal.speed.value * linear, _DIGITS), round(self.nominal.turn_rate.value * angular, _DIGITS)
+        return round(self.nominal.speed.value * linear, _DIGITS), round(
+            self.nominal.turn_rate.value * angular, _DIGITS
+        )
 
 
-def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[ExportedDrive]:
+def read(
+    files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally
+) -> list[ExportedDrive]:
     """Read recordings, with speeds of atoms as given, m/s and rad/s, or by odometry; JobError where none is known."""
     episodes = list(_episodes(files, tally))
     if not episodes:
-        raise JobError(tally.remarks.pop() if len(tally.remarks) == 1 else "nothing to export, for these reasons")
+        raise JobError(
+            tally.remarks.pop()
+            if len(tally.remarks) == 1
+            else "nothing to export, for these reasons"
+        )
     names = [episode.episode for episode in episodes]
     nominal = {}
     for robot in dict.fromkeys(episode.robot for episode in episodes):
@@ -140,7 +160,11 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
             _rate(own, turn_rate, "--turn-rate", ("left", "right")),
         )
     return [
-        ExportedDrive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
+        ExportedDrive(
+            name if names.count(name) == 1 else f"{episode.robot}-{name}",
+            episode,
+            nominal[episode.robot],
+        )
         for name, episode in zip(names, episodes, strict=True)
     ]
 
@@ -153,7 +177,9 @@ def write(
     advance: Callable[[], None] = lambda: None,
 ) -> None:
     """Write drives into an empty folder, ``advance`` for each tick; JobError when they do not fit the format."""
-    importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(drives, folder, tally, advance)
+    importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(
+        drives, folder, tally, advance
+    )
 
 
 def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
@@ -161,7 +187,9 @@ def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
     for camera in (drive.episode.camera for drive in drives):
         if camera is not None:
             angle = camera_of(camera).field_deg
-            tally.say(f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}")
+            tally.say(
+                f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}"
+            )
 
 
 def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
@@ -185,7 +213,12 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
                 yield episode
 
 
-def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: str, atoms: tuple[Atom, Atom]) -> Rate:
+def _rate(
+    episodes: Collection[RecordedEpisode],
+    given: float | None,
+    option: str,
+    atoms: tuple[Atom, Atom],
+) -> Rate:
     """Return the rate that the user gives, or else the median over all ticks of these atoms, as learning has it."""
     if given is not None:
         return Rate(given, f"as {option} says")
@@ -204,4 +237,6 @@ def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: st
     if rate > 0.0 or not made:
         return Rate(rate, "by its odometry" if made else "never done")
     episode, applied = made[0]
-    raise JobError(f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}")
+    raise JobError(
+        f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}"
+    )

@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from services.exporters.drives import ExportedDrive, say_view
 from services.importers.drive import Tally
-from services.importers.lerobot import ACTION, DATA, EPISODES, INFO, POSE, STATE, SUCCESS, VELOCITIES, VIDEO
+from services.importers.lerobot import (
+    ACTION,
+    DATA,
+    EPISODES,
+    INFO,
+    POSE,
+    STATE,
+    SUCCESS,
+    VELOCITIES,
+    VIDEO,
+)
 from services.importers.ticks import TICK_S
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
@@ -39,7 +49,9 @@ _NUMBER: Final = {"pandas_type": "int64", "numpy_type": "int64", "metadata": Non
 #: Of the table of tasks: others read it with pandas, and look tasks up in its index.
 _TASKS: Final = {
     "index_columns": ["task"],
-    "column_indexes": [{"name": None, "field_name": None, **_NAME, "metadata": {"encoding": "UTF-8"}}],
+    "column_indexes": [
+        {"name": None, "field_name": None, **_NAME, "metadata": {"encoding": "UTF-8"}}
+    ],
     "columns": [
         {"name": "task_index", "field_name": "task_index", **_NUMBER},
         {"name": "task", "field_name": "task", **_NAME},
@@ -69,11 +81,16 @@ class _Episode:
 
     def take(self, frame: _Frame, pixels: Pixels) -> None:
         self.frames.append(frame)
-        counts = [cv2.calcHist([pixels], [channel], None, [256], [0.0, 256.0])[:, 0] for channel in range(3)]
+        counts = [
+            cv2.calcHist([pixels], [channel], None, [256], [0.0, 256.0])[:, 0]
+            for channel in range(3)
+        ]
         self.counts += np.stack(counts).astype(np.int64)
 
 
-def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(
+    drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]
+) -> None:
     """Write one data set of all drives; each episode has a video of its own."""
     import av  # noqa: PLC0415 - of the extra `formats`
 
@@ -90,7 +107,9 @@ def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: 
                     add(pixels)
                     episodes[-1].take(frame, pixels)
     except av.FFmpegError as error:
-        raise JobError(f"the video cannot be written: {error.strerror or type(error).__name__}") from None
+        raise JobError(
+            f"the video cannot be written: {error.strerror or type(error).__name__}"
+        ) from None
     say_view(drives, tally)
     if not episodes:
         raise JobError("nothing to export: no frame has an image and tells what was done then")
@@ -121,9 +140,16 @@ def _usable(
                 continue
             if last is None or moment.tick != last + 1:
                 episode += 1
-                tally.count("gaps are the end of an episode and the beginning of another", int(last is not None))
+                tally.count(
+                    "gaps are the end of an episode and the beginning of another",
+                    int(last is not None),
+                )
             last = moment.tick
-            way = None if moment.pose is None else (moment.pose.x_m, moment.pose.y_m, moment.pose.heading_rad)
+            way = (
+                None
+                if moment.pose is None
+                else (moment.pose.x_m, moment.pose.y_m, moment.pose.heading_rad)
+            )
             arrived = drive.success and moment.tick == drive.episode.end_tick
             yield episode, drive.episode.goal, _Frame(velocity, way, arrived), pixels
 
@@ -134,7 +160,9 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
     width, height = size
     if width % 2 or height % 2:
-        raise JobError(f"images of {width}x{height} pixels: a video has an even number of columns and rows")
+        raise JobError(
+            f"images of {width}x{height} pixels: a video has an even number of columns and rows"
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=FPS, options=_OPTIONS)
@@ -152,14 +180,19 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
         container.mux(stream.encode())
 
 
-def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally) -> None:
+def _describe(
+    folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally
+) -> None:
     import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
 
     lengths = [len(episode.frames) for episode in episodes]
     ends = np.cumsum(lengths).tolist()
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     columns = _columns(episodes, lengths, tasks, tally)
-    _write_table(folder / DATA.format(**_FIRST), pa.table({name: _cells(values) for name, values in columns.items()}))
+    _write_table(
+        folder / DATA.format(**_FIRST),
+        pa.table({name: _cells(values) for name, values in columns.items()}),
+    )
     rows = []
     for number, (episode, length, end) in enumerate(zip(episodes, lengths, ends, strict=True)):
         film = f"videos/{CAMERA}"
@@ -169,24 +202,38 @@ def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], rob
         row |= {"dataset_from_index": end - length, "dataset_to_index": end}
         row |= {f"{film}/{name}": index for name, index in _place(number).items()}
         row |= {f"{film}/from_timestamp": 0.0, f"{film}/to_timestamp": length / FPS}
-        row |= {f"stats/{key}/{name}": value for key, one in statistics.items() for name, value in one.items()}
+        row |= {
+            f"stats/{key}/{name}": value
+            for key, one in statistics.items()
+            for name, value in one.items()
+        }
         rows.append(row | {f"meta/episodes/{name}": index for name, index in _FIRST.items()})
     _write_table(folder / EPISODES / "chunk-000/file-000.parquet", pa.Table.from_pylist(rows))
     named = [{"task_index": number, "task": task} for number, task in enumerate(tasks)]
-    _write_table(folder / "meta/tasks.parquet", pa.Table.from_pylist(named), {"pandas": json.dumps(_TASKS)})
+    _write_table(
+        folder / "meta/tasks.parquet", pa.Table.from_pylist(named), {"pandas": json.dumps(_TASKS)}
+    )
     _write_json(folder / "meta/stats.json", _statistics(columns, slice(None), episodes))
-    _write_json(folder / INFO, _info(columns, len(episodes), len(tasks), size) | {"robot_type": robot})
+    _write_json(
+        folder / INFO, _info(columns, len(episodes), len(tasks), size) | {"robot_type": robot}
+    )
 
 
-def _columns(episodes: list[_Episode], lengths: list[int], tasks: list[str], tally: Tally) -> dict[str, NDArray[Any]]:
+def _columns(
+    episodes: list[_Episode], lengths: list[int], tasks: list[str], tally: Tally
+) -> dict[str, NDArray[Any]]:
     frames = [frame for episode in episodes for frame in episode.frames]
     places = np.concatenate([np.arange(length) for length in lengths])
-    columns: dict[str, NDArray[Any]] = {ACTION: np.array([frame.action for frame in frames], np.float32)}
+    columns: dict[str, NDArray[Any]] = {
+        ACTION: np.array([frame.action for frame in frames], np.float32)
+    }
     poses = [frame.pose for frame in frames if frame.pose is not None]
     if len(poses) == len(frames):
         columns[STATE] = np.array(poses, np.float32)
     else:
-        tally.say(f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry: there is no {STATE}")
+        tally.say(
+            f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry: there is no {STATE}"
+        )
     return columns | {
         SUCCESS: np.array([frame.success for frame in frames]),
         "timestamp": (places / FPS).astype(np.float32),
@@ -197,7 +244,9 @@ def _columns(episodes: list[_Episode], lengths: list[int], tasks: list[str], tal
     }
 
 
-def _info(columns: dict[str, NDArray[Any]], episodes: int, tasks: int, size: tuple[int, int]) -> dict[str, Any]:
+def _info(
+    columns: dict[str, NDArray[Any]], episodes: int, tasks: int, size: tuple[int, int]
+) -> dict[str, Any]:
     width, height = size
     film = {
         "video.height": height, "video.width": width, "video.codec": _CODEC, "video.pix_fmt": _PIXELS,
@@ -205,10 +254,19 @@ def _info(columns: dict[str, NDArray[Any]], episodes: int, tasks: int, size: tup
     }  # fmt: skip
     names = {ACTION: list(VELOCITIES), STATE: list(POSE)}
     rows = {
-        key: {"dtype": str(values.dtype), "shape": list(values.shape[1:]) or [1], "names": names.get(key)}
+        key: {
+            "dtype": str(values.dtype),
+            "shape": list(values.shape[1:]) or [1],
+            "names": names.get(key),
+        }
         for key, values in columns.items()
     }
-    shown = {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": film}
+    shown = {
+        "dtype": "video",
+        "shape": [height, width, 3],
+        "names": ["height", "width", "channels"],
+        "info": film,
+    }
     return {
         "codebase_version": "v3.0", "total_episodes": episodes, "total_frames": len(columns["index"]),
         "total_tasks": tasks, "chunks_size": _CHUNK, "data_files_size_in_mb": _DATA_MB,
@@ -217,7 +275,9 @@ def _info(columns: dict[str, NDArray[Any]], episodes: int, tasks: int, size: tup
     }  # fmt: skip
 
 
-def _statistics(columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_Episode]) -> dict[str, Statistics]:
+def _statistics(
+    columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_Episode]
+) -> dict[str, Statistics]:
     """Return what a data set says of the values of each feature, for those who normalize them."""
     images = sum((episode.counts for episode in episodes), np.zeros((3, 256), np.int64))
     found = {CAMERA: _of_images(images, sum(len(episode.frames) for episode in episodes))}
@@ -225,7 +285,12 @@ def _statistics(columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_E
         part = values[rows].reshape(len(values[rows]), -1)
         exact = part.astype(np.float64)
         # The extremes are of their own type, as lerobot has it.
-        made = {"min": part.min(axis=0), "max": part.max(axis=0), "mean": exact.mean(axis=0), "std": exact.std(axis=0)}
+        made = {
+            "min": part.min(axis=0),
+            "max": part.max(axis=0),
+            "mean": exact.mean(axis=0),
+            "std": exact.std(axis=0),
+        }
         made |= {name: np.quantile(exact, share, axis=0) for name, share in _QUANTILES.items()}
         found[key] = {name: value.tolist() for name, value in made.items()} | {"count": [len(part)]}
     return found
@@ -239,9 +304,19 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
     mean = shares @ levels
     variance = np.maximum(shares @ levels**2 - mean**2, 0.0)  # Of rounding it can be below 0.
     there = [levels[channel > 0] for channel in counts]
-    found = {"min": [one[0] for one in there], "max": [one[-1] for one in there], "mean": mean, "std": variance**0.5}
-    found |= {name: levels[np.minimum((below < share).sum(axis=1), 255)] for name, share in _QUANTILES.items()}
-    return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()} | {"count": [images]}
+    found = {
+        "min": [one[0] for one in there],
+        "max": [one[-1] for one in there],
+        "mean": mean,
+        "std": variance**0.5,
+    }
+    found |= {
+        name: levels[np.minimum((below < share).sum(axis=1), 255)]
+        for name, share in _QUANTILES.items()
+    }
+    return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()} | {
+        "count": [images]
+    }
 
 
 def _cells(values: NDArray[Any]) -> Any:  # noqa: ANN401 - of a package without types

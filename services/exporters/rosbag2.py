@@ -25,18 +25,31 @@ _ODOM = "odom"
 _BASE = "base_link"
 _CAMERA = "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
-_OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # Robot (ahead, left, up) to camera (right, down, ahead).
-_COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # Of each lens, as ROS has it.
+_OPTICAL: Final = {
+    "x": -0.5,
+    "y": 0.5,
+    "z": -0.5,
+    "w": 0.5,
+}  # Robot (ahead, left, up) to camera (right, down, ahead).
+_COEFFICIENTS: Final = {
+    "plumb_bob": 5,
+    "rational_polynomial": 8,
+    "equidistant": 4,
+}  # Of each lens, as ROS has it.
 Fields = dict[str, Any]
 
 
-def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
+def write(
+    drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]
+) -> None:
     """Write a bag for each drive, by its name."""
     from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 - of the extra `formats`
 
     store = names.typestore()
     for drive in drives:
-        writer = Writer(folder / drive.name, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+        writer = Writer(
+            folder / drive.name, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
+        )
         for what in ("robot", "episode", "world", "purpose", "goal", "outcome"):
             writer.set_custom_data(f"smal.{what}", getattr(drive.episode, what) or "")
         channels: dict[str, Any] = {}
@@ -44,13 +57,19 @@ def write(drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: 
             for topic, kind, stamp_ns, fields in _said(drive, tally, advance):
                 if topic not in channels:
                     qos = [_latched()] if topic == "/tf_static" else []
-                    channels[topic] = writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
+                    channels[topic] = writer.add_connection(
+                        topic, kind, typestore=store, offered_qos_profiles=qos
+                    )
                 data = store.serialize_cdr(ros_message(store, kind, fields), kind)
                 writer.write(channels[topic], stamp_ns, data)
-        tally.count("drives have no odometry: nothing moves in a 3D view", int(not drive.episode.odometry))
+        tally.count(
+            "drives have no odometry: nothing moves in a 3D view", int(not drive.episode.odometry)
+        )
 
 
-def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[str, str, int, Fields]]:
+def _said(
+    drive: ExportedDrive, tally: Tally, advance: Callable[[], None]
+) -> Iterator[tuple[str, str, int, Fields]]:
     began_ns: int | None = None
     for moment in drive.moments(tally, advance):
         stamp_ns = moment.stamp_ns
@@ -62,8 +81,15 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
             vectors = (sample.angular_velocity_rad_s, sample.acceleration_m_s2)
             turning, push = (dict(zip("xyz", vector, strict=True)) for vector in vectors)
             # The orientation was not measured.
-            absent = {"orientation": {"w": 1.0}, "orientation_covariance": np.array([-1.0, *[0.0] * 8])}
-            felt = {"header": _header(at_ns, _BASE), "angular_velocity": turning, "linear_acceleration": push}
+            absent = {
+                "orientation": {"w": 1.0},
+                "orientation_covariance": np.array([-1.0, *[0.0] * 8]),
+            }
+            felt = {
+                "header": _header(at_ns, _BASE),
+                "angular_velocity": turning,
+                "linear_acceleration": push,
+            }
             yield "/imu", _IMU, at_ns, felt | absent
         if (pose := moment.pose) is not None:
             place = {"x": pose.x_m, "y": pose.y_m}
@@ -81,7 +107,12 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
             image = {"header": header, "format": "jpeg", "data": data}
             yield "/camera/image_raw/compressed", names.COMPRESSED, stamp_ns, image
             if drive.episode.camera is not None:
-                yield "/camera/camera_info", names.INFO, stamp_ns, {"header": header, **_sees(drive.episode.camera)}
+                yield (
+                    "/camera/camera_info",
+                    names.INFO,
+                    stamp_ns,
+                    {"header": header, **_sees(drive.episode.camera)},
+                )
         if moment.velocity is not None:
             command = {"header": _header(stamp_ns, _BASE), "twist": _twist(*moment.velocity)}
             yield "/cmd_vel", names.STAMPED, stamp_ns, command
@@ -106,7 +137,11 @@ def _twist(linear: float, angular: float) -> Fields:
 
 def _transforms(stamp_ns: int, frames: tuple[str, str], place: Fields, turn: Fields) -> Fields:
     transform = {"transform": {"translation": place, "rotation": turn}}
-    return {"transforms": [transform | {"header": _header(stamp_ns, frames[0]), "child_frame_id": frames[1]}]}
+    return {
+        "transforms": [
+            transform | {"header": _header(stamp_ns, frames[0]), "child_frame_id": frames[1]}
+        ]
+    }
 
 
 def _header(stamp_ns: int, frame: str) -> Fields:
@@ -122,5 +157,11 @@ def _latched() -> Any:  # noqa: ANN401 - of a package without types
 
     for_ever = ros.QosTime(*divmod(2**63 - 1, 1_000_000_000))
     usual = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE
-    kept = ros.QosDurability.TRANSIENT_LOCAL, for_ever, for_ever, ros.QosLiveliness.AUTOMATIC, for_ever
+    kept = (
+        ros.QosDurability.TRANSIENT_LOCAL,
+        for_ever,
+        for_ever,
+        ros.QosLiveliness.AUTOMATIC,
+        for_ever,
+    )
     return ros.Qos(*usual, *kept, avoid_ros_namespace_conventions=False)

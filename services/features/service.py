@@ -65,7 +65,10 @@ class FeaturesService:
 
     def detail(self) -> Detail:
         """Tell what is extracted, and how many frames had no depth."""
-        detail: Detail = {"modalities": " ".join(self._features.modalities), "fingerprint": self._features.fingerprint}
+        detail: Detail = {
+            "modalities": " ".join(self._features.modalities),
+            "fingerprint": self._features.fingerprint,
+        }
         return detail | ({"without_depth": self.without_depth} if self.needs_depth else {})
 
     def _joined(self) -> Observation | None:

@@ -47,18 +47,25 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read such a folder; each episode is a drive."""
     names = [name for name in inside.names() if name.lower().endswith(".csv")]
     if NAME not in names and len(names) != 1:
-        raise ImportFailure(f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files")
+        raise ImportFailure(
+            f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files"
+        )
     name = NAME if NAME in names else names[0]
     drives: dict[str, list[Row]] = {}
     arrived: dict[str, bool] = {}
     for line in _lines(inside, name, job.rate_hz, tally):
         velocity = line.linear_m_s * (job.speed or 1.0), line.angular_rad_s * (job.turn_rate or 1.0)
-        drives.setdefault(line.episode, []).append(Row(line.image, line.time_s, velocity, line.pose))
+        drives.setdefault(line.episode, []).append(
+            Row(line.image, line.time_s, velocity, line.pose)
+        )
         if line.success is not None:
             arrived[line.episode] = line.success
     if not drives:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
-    return [drive_of(inside, each, rows, tally, success=arrived.get(each)) for each, rows in drives.items()]
+    return [
+        drive_of(inside, each, rows, tally, success=arrived.get(each))
+        for each, rows in drives.items()
+    ]
 
 
 def _lines(inside: Inside, name: str, rate_hz: float | None, tally: Tally) -> Iterator[_Line]:

@@ -43,7 +43,9 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
     lines = inside.read("manifest.json").splitlines()
     if len(lines) < 5:
-        raise ImportFailure(f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines")
+        raise ImportFailure(
+            f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines"
+        )
     manifest = inside.parsed(_Manifest, lines[4], "manifest.json")
     sessions: dict[str, list[Row]] = {}
     found = 0
@@ -59,13 +61,21 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         else:
             time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
             # No car does more than all, whatever the joystick says; and of donkeycar -1 is full left.
-            throttle, angle = (min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle))
+            throttle, angle = (
+                min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle)
+            )
             velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
-            sessions.setdefault(record.session, []).append(Row(f"images/{record.image}", time_s, velocity))
+            sessions.setdefault(record.session, []).append(
+                Row(f"images/{record.image}", time_s, velocity)
+            )
     if found != manifest.current_index:
-        tally.say(f"the manifest announces {manifest.current_index} records, the catalogs have {found}")
+        tally.say(
+            f"the manifest announces {manifest.current_index} records, the catalogs have {found}"
+        )
     if not sessions:
-        raise ImportFailure(f"{inside.path}: no record in this tub has an image, an angle and a throttle")
+        raise ImportFailure(
+            f"{inside.path}: no record in this tub has an image, an angle and a throttle"
+        )
     metric = job.speed is not None and job.turn_rate is not None
     return [drive_of(inside, name, rows, tally, metric=metric) for name, rows in sessions.items()]
 

@@ -13,7 +13,9 @@ from services.kit.errors import JobError
 from smal.camera import Camera
 
 Array = NDArray[np.float64]
-MOST_SAMPLES: Final = 10_000_000  # Most of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
+MOST_SAMPLES: Final = (
+    10_000_000  # Most of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
+)
 # No wheeled robot is faster.
 FASTEST_M_S = 50.0
 FASTEST_RAD_S = 100.0
@@ -30,7 +32,9 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
     """A frame cannot be used; the text says why."""
 
 
-Image = Callable[[], bytes]  # Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
+Image = Callable[
+    [], bytes
+]  # Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
 Images = Callable[[], Iterator[Image]]
 Rows = Sequence[tuple[float, ...]] | Array
 

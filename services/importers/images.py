@@ -17,7 +17,9 @@ from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jp
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Most bytes of an image file.
 _MOST: Final = (4096, 3072)  # Columns and rows that a recording's image can have.
 _LEAST: Final = (32, 24)  # Those that features need.
-_FASTEST_HZ: Final = 120.0  # No camera of a robot is faster; then the times are those of copying the data set.
+_FASTEST_HZ: Final = (
+    120.0  # No camera of a robot is faster; then the times are those of copying the data set.
+)
 _UNREAD: Final = "images cannot be read"
 _JPEG: Final = b"\xff\xd8"
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
@@ -65,7 +67,13 @@ class Row(NamedTuple):
 
 
 def drive_of(
-    inside: Inside, name: str, rows: Sequence[Row], tally: Tally, *, success: bool | None = None, metric: bool = True
+    inside: Inside,
+    name: str,
+    rows: Sequence[Row],
+    tally: Tally,
+    *,
+    success: bool | None = None,
+    metric: bool = True,
 ) -> ImportedDrive:
     """Make a drive of its frames; ImportFailure where no camera's frames have such times."""
     times_s = np.array([row.time_s for row in rows])
@@ -82,7 +90,9 @@ def drive_of(
     def images() -> Iterator[Image]:
         return (partial(_image, inside, row.image, tally) for row in rows)
 
-    return ImportedDrive.of_rows(name, times_s, images, motion, track, tally, success=success, metric=metric)
+    return ImportedDrive.of_rows(
+        name, times_s, images, motion, track, tally, success=success, metric=metric
+    )
 
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:
@@ -110,7 +120,9 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
             stream.thread_type = "NONE"
             stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
             if times_s[0] > 0.0 and stream.time_base:
-                container.seek(math.floor(times_s[0] / float(stream.time_base)), stream=stream, backward=True)
+                container.seek(
+                    math.floor(times_s[0] / float(stream.time_base)), stream=stream, backward=True
+                )
             yield from _nearest(container.decode(stream), times_s, tolerance_s)
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__

@@ -12,8 +12,12 @@ from schemas.codec import describe, printable
 from services.importers.drive import ImportFailure
 from services.kit.root import OutsideError, below, open_below
 
-MOST_BYTES: Final = 256 * 2**20  # Most of a file read as a whole; a thousand hours are described in less.
-LONGEST_LINE: Final = 1_000_000  # Most characters of a line; of a row of numbers it has a few hundred.
+MOST_BYTES: Final = (
+    256 * 2**20
+)  # Most of a file read as a whole; a thousand hours are described in less.
+LONGEST_LINE: Final = (
+    1_000_000  # Most characters of a line; of a row of numbers it has a few hundred.
+)
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -45,7 +49,9 @@ class Inside:
         try:
             yield
         except OutsideError:
-            said = f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)"
+            said = (
+                f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)"
+            )
             raise ImportFailure(said) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "no file name"
@@ -64,7 +70,9 @@ class Inside:
         with self.open(name) as file:
             while line := file.readline(LONGEST_LINE + 1):
                 if len(line) > LONGEST_LINE:
-                    raise ImportFailure(f"{self.called(name)}: a line of more than {LONGEST_LINE} characters")
+                    raise ImportFailure(
+                        f"{self.called(name)}: a line of more than {LONGEST_LINE} characters"
+                    )
                 yield line
 
     def names(self, folder: str = "") -> list[str]:
@@ -78,4 +86,6 @@ class Inside:
         try:
             return model.model_validate_json(data)
         except ValidationError as error:
-            raise ImportFailure(f"{self.called(name)}: {describe(error).removeprefix('message: ')}") from None
+            raise ImportFailure(
+                f"{self.called(name)}: {describe(error).removeprefix('message: ')}"
+            ) from None

@@ -14,7 +14,10 @@ from services.kit.errors import UsageError
 Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
 #: What has to be installed for each.
-_PACKAGES: Final[dict[Format, tuple[str, ...]]] = {"rosbag2": ("rosbags",), "lerobot": ("pyarrow", "av")}
+_PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
+    "rosbag2": ("rosbags",),
+    "lerobot": ("pyarrow", "av"),
+}
 _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
@@ -52,7 +55,9 @@ class ImportReport(Strict):
     odometry: Literal["of the source", "reckoned from velocities", "none"]
     speed: float
     turn_rate: float
-    metric: bool  # Whether these are metres and radians a second, and not in units of the source's own.
+    metric: (
+        bool  # Whether these are metres and radians a second, and not in units of the source's own.
+    )
     atoms: dict[str, int]
 
 

@@ -10,7 +10,15 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeInt, PositiveInt
 
 from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.drive import (
+    MOST_SAMPLES,
+    Array,
+    Image,
+    ImportedDrive,
+    ImportFailure,
+    NotAnImage,
+    Tally,
+)
 from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
@@ -104,7 +112,9 @@ class _Velocity(NamedTuple):
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a data set; each of its episodes is a drive."""
     dataset = _DataSet(inside, job, tally)
-    asked = [one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes]
+    asked = [
+        one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes
+    ]
     once = {episode.number: episode for episode in asked}
     tally.count("episodes are described again, which are read once", len(asked) - len(once))
     drives = [dataset.drive(episode) for episode in once.values()]
@@ -138,36 +148,68 @@ class _DataSet:
     def _of_tables(self) -> Iterator[_Episode]:
         columns = [_EPISODE, "length", "data/chunk_index", "data/file_index"]
         if self._filmed:
-            columns += [f"videos/{self._camera}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
+            columns += [
+                f"videos/{self._camera}/{name}"
+                for name in ("chunk_index", "file_index", "from_timestamp")
+            ]
         chunks = [f"{EPISODES}/{chunk}" for chunk in self._inside.names(EPISODES)]
         files = [f"{chunk}/{name}" for chunk in chunks for name in self._inside.names(chunk)]
         if not files:
-            raise ImportFailure(f"{self._inside.called(EPISODES)}: has no chunk-000/file-000.parquet")
+            raise ImportFailure(
+                f"{self._inside.called(EPISODES)}: has no chunk-000/file-000.parquet"
+            )
         for name in files:
             each = _numbers(self._inside, name, columns)
-            if not all(column.ndim == 1 and (column >= 0.0).all() and (column < np.inf).all() for column in each):
+            if not all(
+                column.ndim == 1 and (column >= 0.0).all() and (column < np.inf).all()
+                for column in each
+            ):
                 raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
-            for number, length, chunk, file, *film in zip(*(column.tolist() for column in each), strict=True):
-                episode = _Episode(int(number), int(length), DATA.format(chunk_index=int(chunk), file_index=int(file)))
+            for number, length, chunk, file, *film in zip(
+                *(column.tolist() for column in each), strict=True
+            ):
+                episode = _Episode(
+                    int(number),
+                    int(length),
+                    DATA.format(chunk_index=int(chunk), file_index=int(file)),
+                )
                 if film:
                     at = {"chunk_index": int(film[0]), "file_index": int(film[1])}
-                    episode = episode._replace(video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2])
+                    episode = episode._replace(
+                        video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2]
+                    )
                 yield episode
 
     def drive(self, episode: _Episode) -> ImportedDrive:
         where = self._velocity
         name = str(episode.number)
         columns = dict.fromkeys(["timestamp", where.feature])
-        columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys({SUCCESS} & self.info.features.keys())
-        found = dict(zip(columns, _numbers(self._inside, episode.data, [*columns], episode.number), strict=True))
+        columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys(
+            {SUCCESS} & self.info.features.keys()
+        )
+        found = dict(
+            zip(
+                columns,
+                _numbers(self._inside, episode.data, [*columns], episode.number),
+                strict=True,
+            )
+        )
         times_s = found["timestamp"].ravel()
         if times_s.size != episode.length:
-            self._tally.say(f"episode {name}: announces {episode.length} frames, has {times_s.size}")
+            self._tally.say(
+                f"episode {name}: announces {episode.length} frames, has {times_s.size}"
+            )
         sideways = [] if where.sideways is None else [where.sideways]
-        moved = self._part(episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways])
+        moved = self._part(
+            episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways]
+        )
         aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
         self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
-        poses = self._part(episode, found[STATE], STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
+        poses = (
+            self._part(episode, found[STATE], STATE, self._pose)
+            if self._pose
+            else np.zeros((0, len(POSE)))
+        )
         return ImportedDrive.of_rows(
             name,
             times_s,
@@ -223,7 +265,9 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
             if linear in names and angular in names:
                 sideways = next((names.index(name) for name in _SIDEWAYS if name in names), None)
                 scale = job.speed or 1.0, job.turn_rate or radians
-                return _Velocity(feature, names.index(linear), names.index(angular), sideways, *scale)
+                return _Velocity(
+                    feature, names.index(linear), names.index(angular), sideways, *scale
+                )
     named = ", ".join(map(printable, dict.fromkeys(seen))) or "no names"
     raise ImportFailure(
         f"{called}: neither {ACTION} nor {STATE} has a linear and an angular velocity of a base "
@@ -260,12 +304,20 @@ def _batches(
             if missing := [column for column in wanted if column not in table.schema_arrow.names]:
                 raise ImportFailure(f"{called}: lacks the column {printable(missing[0])}")
             for batch in table.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
-                yield batch if episode is None else batch.filter(pc.equal(batch.column(_EPISODE), episode))
+                yield (
+                    batch
+                    if episode is None
+                    else batch.filter(pc.equal(batch.column(_EPISODE), episode))
+                )
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise ImportFailure(f"{called}: not a Parquet file that can be read: {printable(str(error))}") from None
+        raise ImportFailure(
+            f"{called}: not a Parquet file that can be read: {printable(str(error))}"
+        ) from None
 
 
-def _numbers(inside: Inside, name: str, columns: Sequence[str], episode: int | None = None) -> list[Array]:
+def _numbers(
+    inside: Inside, name: str, columns: Sequence[str], episode: int | None = None
+) -> list[Array]:
     """Return columns of numbers: (n,), or of lists of as many numbers each, (n, width)."""
     parts: list[list[Array]] = [[] for _ in columns]
     for batch in _batches(inside, name, columns, episode):

@@ -54,7 +54,13 @@ def write(
     poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
     success = drive.success is not False if job.success is None else job.success
     name = _name(drive, shown, begin[0][1])
-    told = {"purpose": "drive", "driver": "teleop", "world": job.format, "seed": 0, "goal": job.goal}
+    told = {
+        "purpose": "drive",
+        "driver": "teleop",
+        "world": job.format,
+        "seed": 0,
+        "goal": job.goal,
+    }
 
     def header(row: int) -> Message:
         tick = int(shown.numbers[row])
@@ -64,7 +70,9 @@ def write(
     cause = header(begin[0][0])
     started = Episode.after(cause, event="started", **told)
     writer = EpisodeWriter.begin(Path(job.folder), started)
-    camera = drive.camera if job.field_of_view_deg is None else Camera.of_field(job.field_of_view_deg)
+    camera = (
+        drive.camera if job.field_of_view_deg is None else Camera.of_field(job.field_of_view_deg)
+    )
     made: Counter[str] = Counter()
     try:
         writer.write(started)

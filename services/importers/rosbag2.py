@@ -22,7 +22,14 @@ from mcap.records import Channel, Message, Schema
 from zstandard import ZstdDecompressor, ZstdError
 
 from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.drive import (
+    MOST_SAMPLES,
+    Image,
+    ImportedDrive,
+    ImportFailure,
+    NotAnImage,
+    Tally,
+)
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
@@ -32,8 +39,12 @@ from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-_MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20  # Largest message: a raw image of 4096x3072x4, and more.
-_LEAST_ROW: Final = 6  # Bytes of a row beside its blob: two lengths, and the header of three columns and more.
+_MOST_BYTES: Final = (
+    4 * 4096 * 3072 + 2**20
+)  # Largest message: a raw image of 4096x3072x4, and more.
+_LEAST_ROW: Final = (
+    6  # Bytes of a row beside its blob: two lengths, and the header of three columns and more.
+)
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"
 TWIST = "geometry_msgs/msg/Twist"
@@ -60,7 +71,14 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
             for message in messages:
                 if topic in (None, message.topic):
                     yield message._replace(data=_unpacked(message.data))
-        except (McapError, struct.error, ValueError, sqlite3.Error, MemoryError, OverflowError) as error:
+        except (
+            McapError,
+            struct.error,
+            ValueError,
+            sqlite3.Error,
+            MemoryError,
+            OverflowError,
+        ) as error:
             reason = printable(str(error)) or type(error).__name__
             raise ImportFailure(f"{inside.called(name)}: damaged: {reason}") from None
 
@@ -76,7 +94,9 @@ def _files(inside: Inside) -> list[str]:
     if not found:
         bags = [name for name in names if "metadata.yaml" in inside.names(name)]
         more = [f"; {printable(name)} in it is a bag: import each by itself" for name in bags]
-        more += [f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")]
+        more += [
+            f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")
+        ]
         raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{[*more, ''][0]}")
     return found
 
@@ -106,18 +126,24 @@ def _of_mcap(path: Path, tally: Tally) -> Iterator[Received]:
 
 
 def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
-    with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)) as database:
+    with closing(
+        sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+    ) as database:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         database.execute("PRAGMA trusted_schema = OFF")
         for table in ("topics", "messages"):
             _check_plain(database, table)
         topics: dict[Any, tuple[str, str]] = {}
-        for number, name, kind, form in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+        for number, name, kind, form in database.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
             if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
         # In the order in which they were received; to sort them by time could take as much room as they do.
         left = path.stat().st_size
-        for number, stamp_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
+        for number, stamp_ns, data in database.execute(
+            "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"
+        ):
             left -= _LEAST_ROW + (len(data) if isinstance(data, bytes) else 0)
             if left < 0:
                 raise sqlite3.DatabaseError("its messages are larger than the file")
@@ -127,16 +153,24 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
 
 def _check_plain(database: sqlite3.Connection, table: str) -> None:
     """Refuse all but a table that holds what is read of it: a view or a generated column could compute for ever."""
-    found = database.execute("SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchall()
-    if len(found) != 1 or found[0][0] != "table" or not found[0][1]:  # A virtual table has no page of its own.
+    found = database.execute(
+        "SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)
+    ).fetchall()
+    if (
+        len(found) != 1 or found[0][0] != "table" or not found[0][1]
+    ):  # A virtual table has no page of its own.
         raise sqlite3.DatabaseError("no tables of topics and messages")
-    for name, hidden in database.execute("SELECT name, hidden FROM pragma_table_xinfo(?)", (table,)):
+    for name, hidden in database.execute(
+        "SELECT name, hidden FROM pragma_table_xinfo(?)", (table,)
+    ):
         if hidden:
             raise sqlite3.DatabaseError(f"the column {name} of {table} is computed, not stored")
 
 
 def _is_cdr(encoding: object, tally: Tally) -> bool:
-    tally.count(f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR", int(encoding != "cdr"))
+    tally.count(
+        f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR", int(encoding != "cdr")
+    )
     return encoding == "cdr"
 
 
@@ -197,13 +231,20 @@ class _Found:
             self._velocity(message, odometry.twist.twist)
             place = odometry.pose.pose.position
             turn = odometry.pose.pose.orientation
-            yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
+            yaw = math.atan2(
+                2.0 * (turn.w * turn.z + turn.x * turn.y),
+                1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z),
+            )
             _keep(self.tracks, topic, (time_s, place.x, place.y, yaw))
         elif kind == INFO and topic not in self.cameras:
             self.cameras[topic] = camera_of_ros(_decoded(message))
 
     def _velocity(self, message: Received, twist: Any) -> None:  # noqa: ANN401 - as above
-        _keep(self.velocities, message.topic, (message.time_s, float(twist.linear.x), float(twist.angular.z)))
+        _keep(
+            self.velocities,
+            message.topic,
+            (message.time_s, float(twist.linear.x), float(twist.angular.z)),
+        )
 
 
 def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa: ANN401 - a time, or a tuple with one
@@ -224,15 +265,37 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
             tally.count(f"messages of {message.topic} are not what their type says")
     commands = [topic for topic in found.velocities if topic not in found.tracks]
     meant = _called(commands, "cmd_vel") or commands or list(found.tracks)
-    image = _chosen("image (CompressedImage or Image)", "--camera", job.camera, list(found.images), found, inside)
-    velocity = _chosen("velocity (Twist, TwistStamped or Odometry)", "--velocity", job.velocity, meant, found, inside)
-    tracks = [velocity] if velocity in found.tracks else _called(found.tracks, "odom") or list(found.tracks)
+    image = _chosen(
+        "image (CompressedImage or Image)",
+        "--camera",
+        job.camera,
+        list(found.images),
+        found,
+        inside,
+    )
+    velocity = _chosen(
+        "velocity (Twist, TwistStamped or Odometry)",
+        "--velocity",
+        job.velocity,
+        meant,
+        found,
+        inside,
+    )
+    tracks = (
+        [velocity]
+        if velocity in found.tracks
+        else _called(found.tracks, "odom") or list(found.tracks)
+    )
     if len(tracks) == 1:
         tally.say(f"odometry is that of {printable(tracks[0])}")
     tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
     rows = np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0)
     # The camera beside the images: /camera/camera_info of /camera/image.
-    beside = [topic for topic in found.cameras if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
+    beside = [
+        topic
+        for topic in found.cameras
+        if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")
+    ]
     camera = found.cameras[beside[0]] if len(beside) == 1 else None
     way = found.tracks[tracks[0]] if len(tracks) == 1 else []
 
@@ -240,7 +303,9 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         return (partial(_image, message) for message in received(inside, Tally(), image))
 
     times_s = np.array(found.images[image])
-    return [ImportedDrive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)]
+    return [
+        ImportedDrive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)
+    ]
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:
@@ -249,17 +314,25 @@ def _called(topics: Collection[str], usual: str) -> list[str]:
     return found if len(found) == 1 else []
 
 
-def _chosen(what: str, flag: str, wish: str | None, topics: list[str], found: _Found, inside: Inside) -> str:
+def _chosen(
+    what: str, flag: str, wish: str | None, topics: list[str], found: _Found, inside: Inside
+) -> str:
     """Return the topic that is wished for, or the only one."""
     if wish is not None:
         known = found.images if flag == "--camera" else found.velocities
         if wish not in known:
-            raise ImportFailure(f"{inside.path}: no topic {wish} of {what}; there are: {_list(known)}")
+            raise ImportFailure(
+                f"{inside.path}: no topic {wish} of {what}; there are: {_list(known)}"
+            )
         return wish
     if not topics:
-        raise ImportFailure(f"{inside.path}: no topic of {what}; it has: {_list(sorted(found.topics))}")
+        raise ImportFailure(
+            f"{inside.path}: no topic of {what}; it has: {_list(sorted(found.topics))}"
+        )
     if len(topics) > 1:
-        raise ImportFailure(f"{inside.path}: several topics of {what}: {_list(topics)}; choose one with {flag}")
+        raise ImportFailure(
+            f"{inside.path}: several topics of {what}: {_list(topics)}; choose one with {flag}"
+        )
     return topics[0]
 
 
@@ -273,7 +346,11 @@ def _image(message: Received) -> bytes:
         if message.type == COMPRESSED:
             return as_jpeg(bytes(image.data))
         if image.encoding not in ENCODINGS:
-            raise NotAnImage("images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)")
-        return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
+            raise NotAnImage(
+                "images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)"
+            )
+        return raw_as_jpeg(
+            rgb_of(image.encoding, image.width, image.height, image.step, image.data)
+        )
     except ValueError as error:
         raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None

@@ -29,7 +29,9 @@ MOST_MEMORY: Final = 2 * 2**30  # Bytes of memory; the numbers of the longest dr
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
-def run(job: ImportJob, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> ImportReport:
+def run(
+    job: ImportJob, tally: Tally, advance: Callable[[int], None] = lambda _total: None
+) -> ImportReport:
     """Import, telling ``advance`` of each frame, and of how many; ImportFailure or OSError when that cannot be."""
     try:
         return _run(job, tally, advance)
@@ -44,7 +46,9 @@ def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> Import
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"
-        raise ImportFailure(f"{job.path}: none of the episodes {', '.join(job.episodes)}; there are: {names}")
+        raise ImportFailure(
+            f"{job.path}: none of the episodes {', '.join(job.episodes)}; there are: {names}"
+        )
     usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
     total = sum(drive.times_s.size for drive in drives)
     found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
@@ -52,7 +56,9 @@ def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> Import
     if not written:
         raise ImportFailure(f"{job.path}: nothing to import")
     made = sum((one.atoms for one in written), Counter[str]())
-    origin = "of the source" if any(drive.track.size for drive in drives) else "reckoned from velocities"
+    origin = (
+        "of the source" if any(drive.track.size for drive in drives) else "reckoned from velocities"
+    )
     return ImportReport(
         files=tuple(str(one.path) for one in written),
         ticks=made.total(),

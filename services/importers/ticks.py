@@ -14,12 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import MAX_TICK, Velocity
-from services.importers.drive import FASTEST_M_S, LATEST_S, Array, ImportedDrive, ImportFailure, Tally
+from services.importers.drive import (
+    FASTEST_M_S,
+    LATEST_S,
+    Array,
+    ImportedDrive,
+    ImportFailure,
+    Tally,
+)
 from smal.movement import seen_from
 
 TICK_S: Final = 0.1  # Time between two ticks, on which the stack runs and learning reckons.
-HOLD_S: Final = 0.5  # A base stops that is told nothing for so long: as ROS drivers have it, twice our gate's.
-GAP_S: Final = 0.125  # Further from any frame a tick has none: below 4 Hz too little of the way is seen.
+HOLD_S: Final = (
+    0.5  # A base stops that is told nothing for so long: as ROS drivers have it, twice our gate's.
+)
+GAP_S: Final = (
+    0.125  # Further from any frame a tick has none: below 4 Hz too little of the way is seen.
+)
 _ROUNDING_S: Final = 1e-6  # What times may be off by the rounding of numbers.
 _FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
 #: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
@@ -63,7 +74,9 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
     there_s = times_s[chosen]
     count = math.ceil((there_s[-1] + TICK_S / 2.0 - there_s[0] - _ROUNDING_S) / TICK_S)
     if count > MAX_TICK:
-        raise ImportFailure(f"a drive of {count * TICK_S / 86400.0:.3g} days: its times are not in seconds")
+        raise ImportFailure(
+            f"a drive of {count * TICK_S / 86400.0:.3g} days: its times are not in seconds"
+        )
     due_s = there_s[0] + TICK_S * np.arange(count)
     nearest = np.searchsorted((there_s[1:] + there_s[:-1]) / 2.0, due_s + _ROUNDING_S, side="right")
     near = np.abs(there_s[nearest] - due_s) <= GAP_S + _ROUNDING_S
@@ -102,7 +115,10 @@ class Moves:
 
     def silent(self, times_s: Array) -> int:
         """Count ticks within which no velocity holds: the robot is taken to stand."""
-        first, last = (np.searchsorted(self._times_s, at_s) - 1 for at_s in (times_s + _ROUNDING_S, times_s + TICK_S))
+        first, last = (
+            np.searchsorted(self._times_s, at_s) - 1
+            for at_s in (times_s + _ROUNDING_S, times_s + TICK_S)
+        )
         stands = np.append(self._stands, True)
         return int((stands[first] & (first == last)).sum())
 
@@ -118,7 +134,9 @@ class Moves:
         return found
 
 
-def odometry(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
+def odometry(
+    drive: ImportedDrive, times_s: Array, moves: Moves | None
+) -> tuple[Array, NDArray[np.bool_]] | None:
     """Give the pose at the times of ticks, (n, 3), as seen from the first one, and whether it is known, (n,).
 
     It is by the drive's track, and not known further than `HOLD_S` from its samples; where there is none it is reckoned
@@ -168,7 +186,9 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
     driving = linear[linear > _LEAST_LINEAR]
     turning = angular[angular > _LEAST_ANGULAR]
     if not driving.size:
-        raise ImportFailure("the robot never drives: no velocity above 0.02; are its units metres a second?")
+        raise ImportFailure(
+            "the robot never drives: no velocity above 0.02; are its units metres a second?"
+        )
     fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR
     return Nominal(float(np.quantile(driving, quantile)), fast)
 

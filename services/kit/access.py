@@ -44,7 +44,8 @@ def access_control(robots: Sequence[str], *, linked: bool = False) -> dict[str, 
         "rules": [rule for of_role in rules.values() for rule in of_role],
         "subjects": [{"id": name, "cert_common_names": [name]} for name in rules],
         "policies": [
-            {"rules": [rule["id"] for rule in of_role], "subjects": [name]} for name, of_role in rules.items()
+            {"rules": [rule["id"] for rule in of_role], "subjects": [name]}
+            for name, of_role in rules.items()
         ],
     }
 
@@ -71,10 +72,20 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     """Yield each kind of message, and the keys with which a role may send it to the router, and be sent it."""
     gives, takes, fetches, recorded = (
         {topic.key(robot) for topic in topics for robot in robots}
-        for topics in (role.gives, role.takes, role.fetches, [topic for topic in role.gives if topic.recorded])
+        for topics in (
+            role.gives,
+            role.takes,
+            role.fetches,
+            [topic for topic in role.gives if topic.recorded],
+        )
     )
     kept = {f"{key}/{KEPT_KEYS}" for key in recorded}
-    replayed = {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in role.fetches if topic.recorded for robot in robots}
+    replayed = {
+        f"{topic.key(robot)}/{KEPT_KEYS}"
+        for topic in role.fetches
+        if topic.recorded
+        for robot in robots
+    }
     serves, calls = (
         {rpc_key(robot, *name.split("/", 1)) for name in names for robot in robots}
         for names in (role.serves, role.calls)

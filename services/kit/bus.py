@@ -64,7 +64,9 @@ WAITING_CALLS: Final = 32  # Calls of one key that wait; where more come, nobody
 CALLS_SHARE: Final = 0.1  # Most of a processor's time that answering the calls of one key takes.
 MOVE_S: Final = 2.0  # Longest that a robot is without an instance, where one of several is gone.
 _AGAIN_S: Final = 0.05  # From one call that nobody answers to the next.
-_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW  # Of calls: ahead of images and of what is replayed.
+_CALL_PRIORITY: Final = (
+    zenoh.Priority.INTERACTIVE_LOW
+)  # Of calls: ahead of images and of what is replayed.
 _LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
 _PUT: Final = zenoh.SampleKind.PUT
 _MOST_TOKENS: Final = 1 << 16  # More than all sessions may declare at a router.
@@ -109,7 +111,9 @@ class Bus:
         )
         self._echo: LaneEcho = of._echo if of else LaneEcho(role, self._lanes)
         #: By topic, with when something was last sent, monotonic seconds.
-        self._publishers: dict[str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]] = {}
+        self._publishers: dict[
+            str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]
+        ] = {}
         self._matching: dict[str, Declared[zenoh.Publisher]] = {}
         self._held = Budget(HELD_BYTES)
         self._declared: list[tuple[Connection, Declared[Any]]] = []
@@ -124,7 +128,9 @@ class Bus:
         """The sessions of now, by lane."""
         return {lane: connection.session for lane, connection in self._lanes.items()}
 
-    def _declare(self, lane: Lane, make: Callable[[zenoh.Session], E], *, sends: bool = False) -> Declared[E]:
+    def _declare(
+        self, lane: Lane, make: Callable[[zenoh.Session], E], *, sends: bool = False
+    ) -> Declared[E]:
         declared = self._lanes[lane].declare(make, sends=sends)
         self._declared.append((self._lanes[lane], declared))
         return declared
@@ -175,7 +181,9 @@ class Bus:
         topic = TOPICS[message.topic_name]
         publisher, _ = self._publishers.get(topic.name) or (None, 0.0)
         if publisher is None:
-            publisher = self._lanes[topic.outgoing].declare(partial(self.declare_publisher, topic), sends=True)
+            publisher = self._lanes[topic.outgoing].declare(
+                partial(self.declare_publisher, topic), sends=True
+            )
         self._publishers[topic.name] = publisher, time.monotonic()
         publisher.entity.put(payload := encode(message), attachment=checksum(payload))
 
@@ -204,11 +212,16 @@ class Bus:
         """Declare the publisher that a topic asks for, in the session of now."""
         session = session or self.sessions[topic.outgoing]
         key = topic.key(self.robot)
-        options = {"encoding": zenoh.Encoding(encoding_of(topic.message)), **zenoh_quality(quality(topic))}
+        options = {
+            "encoding": zenoh.Encoding(encoding_of(topic.message)),
+            **zenoh_quality(quality(topic)),
+        }
         if not topic.recorded:
             return session.declare_publisher(key, **options)
         block = zenoh.CongestionControl.BLOCK
-        replies = zenoh.ext.RepliesConfig(congestion_control=block, priority=REPLAY_PRIORITY, express=False)
+        replies = zenoh.ext.RepliesConfig(
+            congestion_control=block, priority=REPLAY_PRIORITY, express=False
+        )
         missed = zenoh.ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None)
         return zenoh.ext.declare_advanced_publisher(
             session,
@@ -219,7 +232,9 @@ class Bus:
             publisher_detection=True,
         )
 
-    def subscribe(self, topic: Topic, take: Take, refused: Refused = lambda _: None, *, replay: bool = False) -> None:
+    def subscribe(
+        self, topic: Topic, take: Take, refused: Refused = lambda _: None, *, replay: bool = False
+    ) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
 
         It is given payload, encoding, and how many seconds it took by the clocks of both machines, or None. ``refused``
@@ -239,25 +254,37 @@ class Bus:
                 refused(f"{why}; {_origin(sample)}")
                 return
             stamp = sample.timestamp
-            take(payload, encoding, None if stamp is None else time.time() - stamp.get_time().timestamp())
+            take(
+                payload,
+                encoding,
+                None if stamp is None else time.time() - stamp.get_time().timestamp(),
+            )
 
         if replay:
             connection = self._lanes[topic.lane]
             both = subscribe_whole(connection, key, on_sample, refused, self._held)
             self._declared += [(connection, declared) for declared in both]
         else:
-            self._declare(topic.lane, lambda session: session.declare_subscriber(key, in_order(on_sample)))
+            self._declare(
+                topic.lane, lambda session: session.declare_subscriber(key, in_order(on_sample))
+            )
 
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary") -> None:
+    def listen(
+        self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary"
+    ) -> None:
         """Call ``take(key, payload, encoding)`` for each sample on keys; BusError when these are no key expression."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
         try:
-            self._declare(lane, lambda session: session.declare_subscriber(keys, in_order(on_sample)))
+            self._declare(
+                lane, lambda session: session.declare_subscriber(keys, in_order(on_sample))
+            )
         except zenoh.ZError as error:
-            raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
+            raise BusError(
+                str(error).partition(" at /")[0]
+            ) from None  # without the place in Zenoh's source
 
     # -- who is there ---------------------------------------------------------------------------------------------
 
@@ -268,7 +295,9 @@ class Bus:
         it, and then all tokens that the router had before.
         """
         lane = self._lanes["urgent"]
-        return partial(lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key)))
+        return partial(
+            lane.let_go, lane.declare(lambda session: session.liveliness().declare_token(key))
+        )
 
     def look(self, keys: str, timeout_s: float) -> frozenset[str]:
         """Return the keys of all liveliness tokens that stand now; without a router, or a session, there are none.
@@ -278,7 +307,9 @@ class Bus:
         # No callback: Zenoh ends one under a lock that other threads wait for while they hold Python's.
         channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(_MOST_TOKENS)
         try:
-            replies = self._lanes["ordinary"].session.liveliness().get(keys, channel, timeout=timeout_s)
+            replies = (
+                self._lanes["ordinary"].session.liveliness().get(keys, channel, timeout=timeout_s)
+            )
         except zenoh.ZError:  # The session has been closed, by this process or for a new one.
             return frozenset()
         return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
@@ -338,7 +369,9 @@ class Bus:
                         query.reply(key, payload, encoding=JSON_ENCODING)
 
             payload = query.payload
-            if (why := flaw(key, None, str(query.key_expr), 0 if payload is None else len(payload))) is not None:
+            if (
+                why := flaw(key, None, str(query.key_expr), 0 if payload is None else len(payload))
+            ) is not None:
                 refused(why)
                 reply(Failure(error=why))
                 return
@@ -360,9 +393,13 @@ class Bus:
         # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
         # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
         def take_calls(session: zenoh.Session) -> zenoh.Queryable[Any]:
-            calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
+            calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(
+                WAITING_CALLS
+            )
             queryable = session.declare_queryable(key, calls, complete=True)
-            thread = threading.Thread(target=answer_all, args=(queryable,), name=f"calls of {key}", daemon=True)
+            thread = threading.Thread(
+                target=answer_all, args=(queryable,), name=f"calls of {key}", daemon=True
+            )
             self._answering = [*(one for one in self._answering if one.is_alive()), thread]
             thread.start()
             return queryable
@@ -381,7 +418,9 @@ class Bus:
         began_s = time.monotonic()
         if patience_s is None:
             patience_s = MOVE_S if service in SERVICES and SERVICES[service].grouped else 0.0
-        while (reply := self._ask(key, request, timeout_s)) is None and time.monotonic() < began_s + patience_s:
+        while (
+            reply := self._ask(key, request, timeout_s)
+        ) is None and time.monotonic() < began_s + patience_s:
             time.sleep(_AGAIN_S)
         if reply is None:
             raise RpcError(
@@ -438,4 +477,8 @@ def _origin(sample: zenoh.Sample) -> str:
     """Say whose a sample is, as far as that is said; a router stamps what came without a time."""
     if sample.source_info is not None:
         return f"sent by {sample.source_info.source_id.zid}"
-    return "stamped by nobody" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
+    return (
+        "stamped by nobody"
+        if sample.timestamp is None
+        else f"stamped by {sample.timestamp.get_id()}"
+    )

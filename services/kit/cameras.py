@@ -35,4 +35,6 @@ def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of i
         raise ValueError("no focal length in it; the camera is not calibrated")
     distortion = tuple(float(one) for one in info.d)
     lens: Any = info.distortion_model if any(distortion) else info.distortion_model or "plumb_bob"
-    return Camera(k[0] / width, lens, distortion, ((k[2] - width / 2) / width, (k[5] - height / 2) / width))
+    return Camera(
+        k[0] / width, lens, distortion, ((k[2] - width / 2) / width, (k[5] - height / 2) / width)
+    )

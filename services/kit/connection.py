@@ -86,7 +86,9 @@ class Connection:
             if event.kind == zenoh.SampleKind.DELETE:
                 lost[:] = [router]
             elif router in lost:  # and at no other one meanwhile
-                threading.Thread(target=self._renew, args=(session,), name="a new session", daemon=True).start()
+                threading.Thread(
+                    target=self._renew, args=(session,), name="a new session", daemon=True
+                ).start()
 
         callback = zenoh.handlers.Callback(on_event, indirect=False)
         self._listener = session.info.declare_transport_events_listener(callback)

@@ -36,7 +36,9 @@ Credentials = Certificate | None  # None of whoever goes to an open bus.
 
 def credentials_in(folder: Path, role: str) -> Certificate:
     """Return a folder's certificate for a role; BusError where it has none, or others can read its key."""
-    return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
+    return certificate_of(
+        folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}"
+    )
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
@@ -57,7 +59,11 @@ def how_secure(credentials: Credentials, *hosts: str) -> str:
     """Say who gets in at routers, which listen on some hosts; a client does not know on which others as well."""
     if credentials is not None:
         return "for holders of a certificate, encrypted"
-    return "for whoever is on this machine" if hosts and not any(map(others_reach, hosts)) else "for whoever reaches it"
+    return (
+        "for whoever is on this machine"
+        if hosts and not any(map(others_reach, hosts))
+        else "for whoever reaches it"
+    )
 
 
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
@@ -77,11 +83,19 @@ def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
             encrypted_socket.settimeout(REFUSAL_S)
             encrypted_socket.recv(1)
     except ssl.SSLCertVerificationError as error:
-        more = f"; `smal secure renew DIR --host {host}` adds a name" if "mismatch" in error.verify_message else ""
+        more = (
+            f"; `smal secure renew DIR --host {host}` adds a name"
+            if "mismatch" in error.verify_message
+            else ""
+        )
         return f"the certificate that {where} shows is refused: {error.verify_message.rstrip('.')}{more}"
     except ssl.SSLError as error:
         _, alert, reason = (error.reason or "").partition("ALERT_")
-        return f"{where} refuses {certificate.certificate}: {reason.lower().replace('_', ' ')}" if alert else None
+        return (
+            f"{where} refuses {certificate.certificate}: {reason.lower().replace('_', ' ')}"
+            if alert
+            else None
+        )
     except OSError:
         return None
     return None

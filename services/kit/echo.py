@@ -21,7 +21,9 @@ from services.kit.connection import Connection, Declared
 from services.kit.history import in_order
 from services.kit.zenoh_session import ECHO_QUALITY, LEASE_MS, zenoh_quality
 
-PERIOD_S: Final = 0.5  # Time between two signs of life from one lane to another, unless a process needs more.
+PERIOD_S: Final = (
+    0.5  # Time between two signs of life from one lane to another, unless a process needs more.
+)
 #: Age of a lane's last echo at which the process is unhealthy, seconds: as old as a silent link that Zenoh closes.
 SILENT_S: Final = LEASE_MS / 1000.0
 #: How long a lane stays silent, from `SILENT_S` on, before its process must end, seconds. When a router returns, Zenoh
@@ -46,7 +48,9 @@ class LaneEcho:
     def __init__(self, role: str, connections: Mapping[Lane, Connection]) -> None:
         self._period_s = PERIOD_S
         self._connections = connections
-        begun_s = time.monotonic()  # Every lane counts as proved when its session has just been opened.
+        begun_s = (
+            time.monotonic()
+        )  # Every lane counts as proved when its session has just been opened.
         #: When the newest sign of life was sent that has arrived.
         self._sent_s = dict.fromkeys(_WAYS, begun_s)
         self._vain_s = dict.fromkeys(LANES, 0.0)
@@ -74,7 +78,9 @@ class LaneEcho:
 
     def silent(self) -> tuple[Lane, ...]:
         """Return the lanes without a router, or without an echo for `SILENT_S`."""
-        return tuple(lane for lane in LANES if self.age_s(lane) > SILENT_S or not self._has_router(lane))
+        return tuple(
+            lane for lane in LANES if self.age_s(lane) > SILENT_S or not self._has_router(lane)
+        )
 
     def deaf(self) -> tuple[Lane, ...]:
         """Return the lanes that had no echo for `DEAF_S` more while a lane of this process had a router."""
@@ -94,7 +100,9 @@ class LaneEcho:
     def _publish(self, way: Way, key: str) -> Declared[zenoh.Publisher]:
         connection = self._connections[way[0]]
         how = zenoh_quality(ECHO_QUALITY)
-        declared = connection.declare(lambda session: session.declare_publisher(key, **how), sends=True)
+        declared = connection.declare(
+            lambda session: session.declare_publisher(key, **how), sends=True
+        )
         self._declared.append((connection, declared))
         return declared
 
@@ -108,7 +116,9 @@ class LaneEcho:
                 self._sent_s[way] = sent_s
 
         connection = self._connections[way[1]]
-        declared = connection.declare(lambda session: session.declare_subscriber(key, in_order(take)))
+        declared = connection.declare(
+            lambda session: session.declare_subscriber(key, in_order(take))
+        )
         self._declared.append((connection, declared))
 
     def _run(self) -> None:
@@ -125,4 +135,6 @@ class LaneEcho:
         silent = [lane for lane in LANES if self.age_s(lane) > SILENT_S]
         there = len(silent) < len(LANES) or any(map(self._has_router, LANES))
         for lane in LANES:
-            self._vain_s[lane] = self._vain_s[lane] + self._period_s if there and lane in silent else 0.0
+            self._vain_s[lane] = (
+                self._vain_s[lane] + self._period_s if there and lane in silent else 0.0
+            )

@@ -13,8 +13,12 @@ from typing import Final
 
 #: Memory that a process must be able to get at any time, bytes: twice the blocks by which glibc and Zenoh ask for more.
 _RESERVE: Final = 8 << 20
-_ENDING_S: Final = 15  # Time to tidy up after an error, seconds: more than a node waits for its threads.
-_services: list[object] = []  # Services that this process runs: one, and none in a command or a test.
+_ENDING_S: Final = (
+    15  # Time to tidy up after an error, seconds: more than a node waits for its threads.
+)
+_services: list[
+    object
+] = []  # Services that this process runs: one, and none in a command or a test.
 
 
 def check_memory() -> None:

@@ -6,7 +6,11 @@ from typing import Final
 #: Logged by a process that cannot get memory: it would fail again, while a new process begins with little in use.
 NO_MEMORY: Final = "out of memory; this process ends and must be started again"
 #: Messages of Python, without memory for a thread's stack; of C++, as OpenCV passes it on; and of the loader.
-_TOLD: Final = ("can't start new thread", "std::bad_alloc", "failed to map segment from shared object")
+_TOLD: Final = (
+    "can't start new thread",
+    "std::bad_alloc",
+    "failed to map segment from shared object",
+)
 _OPENCV_NO_MEMORY: Final = -4  # `cv2.Error.STS_NO_MEM`.
 
 

@@ -68,7 +68,9 @@ def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set
 
 def owner(robot: str, instances: Iterable[str]) -> str:
     """Return the instance whose digest together with the robot is the highest; empty without instances."""
-    return max(instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one), default="")
+    return max(
+        instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one), default=""
+    )
 
 
 class Seen(NamedTuple):
@@ -80,18 +82,25 @@ class Seen(NamedTuple):
     @classmethod
     def of(cls, keys: Iterable[str], prefix: str) -> "Seen":
         """Parse the keys of liveliness tokens; a key of another form is left out."""
-        pattern = re.compile(rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?")
+        pattern = re.compile(
+            rf"{re.escape(prefix)}/([0-9a-f]{{8}}-[1-9]\d?)(?:/([a-z0-9_-]{{1,32}}))?"
+        )
         instances: set[str] = set()
         serving: dict[str, set[str]] = {}
         for match in filter(None, map(pattern.fullmatch, keys)):
             instance, robot = match.groups()
             (instances if robot is None else serving.setdefault(robot, set())).add(instance)
-        return cls(frozenset(instances), {robot: frozenset(found) for robot, found in serving.items()})
+        return cls(
+            frozenset(instances), {robot: frozenset(found) for robot, found in serving.items()}
+        )
 
     def among(self, answering: frozenset[str]) -> "Seen":
         """Return what is seen of instances that answer."""
         serving = {robot: instances & answering for robot, instances in self.serving.items()}
-        return Seen(self.instances & answering, {robot: instances for robot, instances in serving.items() if instances})
+        return Seen(
+            self.instances & answering,
+            {robot: instances for robot, instances in serving.items() if instances},
+        )
 
 
 _NOTHING: Final = Seen(frozenset(), {})
@@ -113,11 +122,15 @@ class Answers:
         """Keep an answer; return whether it changes what is known."""
         before = self._last.get(instance)
         self._last[instance] = now_s, frozenset(robots)
-        return before is None or now_s - before[0] > ANSWER_S or before[1] != self._last[instance][1]
+        return (
+            before is None or now_s - before[0] > ANSWER_S or before[1] != self._last[instance][1]
+        )
 
     def answering(self, now_s: float) -> frozenset[str]:
         """Return the instances whose last answer is recent, and forget the others."""
-        self._last = {one: answer for one, answer in self._last.items() if now_s - answer[0] <= ANSWER_S}
+        self._last = {
+            one: answer for one, answer in self._last.items() if now_s - answer[0] <= ANSWER_S
+        }
         return frozenset(self._last)
 
     def served(self) -> frozenset[str]:
@@ -181,7 +194,9 @@ class Group(Generic[S]):
         self._answering: frozenset[str] = frozenset()
         self._answered = threading.Lock()  # Held to keep an answer, and to look at all.
         self._looked_s = self._asked_s = -math.inf
-        self._served_s = dict.fromkeys(self.robots, math.inf)  # When each robot was last served by an instance.
+        self._served_s = dict.fromkeys(
+            self.robots, math.inf
+        )  # When each robot was last served by an instance.
         self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
         self._news = threading.Event()
         self._ended = threading.Event()
@@ -192,10 +207,14 @@ class Group(Generic[S]):
         http = None
         with ExitStack() as closing_last:
             closing_last.callback(self._join_looking)
-            self._bus = closing_last.enter_context(closing(self._settings.open_bus(role_of(self._name))))
+            self._bus = closing_last.enter_context(
+                closing(self._settings.open_bus(role_of(self._name)))
+            )
             try:
                 if self._settings.http is not None:
-                    http = serve_http(self._settings.http, self._ailment, Together(self._registries).registry)
+                    http = serve_http(
+                        self._settings.http, self._ailment, Together(self._registries).registry
+                    )
                 self._keep_snapshots(closing_last)
                 self._looked_s = time.monotonic()
                 self._served_s = dict.fromkeys(self.robots, self._looked_s)
@@ -255,7 +274,9 @@ class Group(Generic[S]):
         if not self._ending and time.monotonic() - self._looked_s > ANSWER_S:
             return None
         served = [*self._served.items()]
-        return Answer(robots=tuple(robot for robot, one in served if one.node is not None and not one.leaving))
+        return Answer(
+            robots=tuple(robot for robot, one in served if one.node is not None and not one.leaving)
+        )
 
     def _ask(self) -> None:
         """Ask all instances, this one as well, whether they live and which robots they serve."""
@@ -304,7 +325,9 @@ class Group(Generic[S]):
         for robot in sorted(wanted - others):
             mine = self._served.get(robot)
             if mine is None:
-                self._served[robot] = _Served(self._bus.stand(f"{self._prefix}/{self.instance}/{robot}"))
+                self._served[robot] = _Served(
+                    self._bus.stand(f"{self._prefix}/{self.instance}/{robot}")
+                )
             elif mine.thread is None and robot in seen.serving and self._handed_on(robot):
                 # An instance that is announced here and does not answer yet may serve the robot.
                 alone = announced.serving[robot] == {self.instance}
@@ -353,7 +376,9 @@ class Group(Generic[S]):
         topics = [SNAPSHOTS[self._name]] if self._name in SNAPSHOTS else []
         for robot, topic in ((robot, topic) for robot in self.robots for topic in topics):
 
-            def keep(payload: bytes, encoding: str, _transit_s: float | None, robot: str = robot) -> None:
+            def keep(
+                payload: bytes, encoding: str, _transit_s: float | None, robot: str = robot
+            ) -> None:
                 self._kept[robot] = _Kept(payload, encoding, time.monotonic())
                 self._news.set()
 
@@ -377,7 +402,11 @@ class Group(Generic[S]):
     # -- health -------------------------------------------------------------------------------------------------------
 
     def _nodes(self) -> list[Node]:
-        return [served.node for served in [*self._served.values()] if served.node is not None and not served.leaving]
+        return [
+            served.node
+            for served in [*self._served.values()]
+            if served.node is not None and not served.leaving
+        ]
 
     def _registries(self) -> list[CollectorRegistry]:
         return [node.metrics.registry for node in self._nodes()]

@@ -38,7 +38,10 @@ _TIMES: Final = {
     "transit": ("topic", "From the sender to here, by the clocks of both machines."),
     "wait": ("topic", "From arrival until its turn in the queue."),
     "work": ("topic", "Handling one message, its answers published."),
-    "decision": ("source", "From a frame's readiness to the acceptance of its command, at the actuator."),
+    "decision": (
+        "source",
+        "From a frame's readiness to the acceptance of its command, at the actuator.",
+    ),
 }
 
 
@@ -58,7 +61,11 @@ def ailment(status: Status) -> str | None:
 def silence(lanes: Collection[str]) -> str:
     """Return what is wrong with a bus that is not connected, in one line, by its silent lanes."""
     some = 0 < len(lanes) < len(LANES)
-    return f"no echo from the router by lane {', '.join(lanes)}" if some else "no connection to the router"
+    return (
+        f"no echo from the router by lane {', '.join(lanes)}"
+        if some
+        else "no connection to the router"
+    )
 
 
 class Metrics(Collector):
@@ -75,12 +82,18 @@ class Metrics(Collector):
         ProcessCollector(registry=self.registry)
         self._times = {
             what: Histogram(
-                f"smal_{what}_seconds", meaning, ("service", "robot", by), buckets=BUCKETS_S, registry=self.registry
+                f"smal_{what}_seconds",
+                meaning,
+                ("service", "robot", by),
+                buckets=BUCKETS_S,
+                registry=self.registry,
             )
             for what, (by, meaning) in _TIMES.items()
         }
 
-    def took(self, what: Literal["transit", "wait", "work", "decision"], of: str, seconds: float) -> None:
+    def took(
+        self, what: Literal["transit", "wait", "work", "decision"], of: str, seconds: float
+    ) -> None:
         """Count how long something took, of a topic or a source of commands."""
         self._times[what].labels(*self._labels, of).observe(max(0.0, seconds))
 
@@ -95,13 +108,17 @@ class Metrics(Collector):
         for name, meaning in _COUNTS.items():
             counts = CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC)
             yield _by_topic(counts, labels, getattr(status, name))
-        depth = GaugeMetricFamily("smal_queue_depth", "Messages that wait for their turn.", labels=_BY_TOPIC)
+        depth = GaugeMetricFamily(
+            "smal_queue_depth", "Messages that wait for their turn.", labels=_BY_TOPIC
+        )
         yield _by_topic(depth, labels, status.waiting)
         meaning = "Messages and requests whose handling failed."
         failures = CounterMetricFamily("smal_handling_failures", meaning, labels=_BY_TOPIC[:2])
         failures.add_metric(labels, status.failed)
         yield failures
-        yield _gauge("smal_healthy", "Whether it gets its work done.", labels, ailment(status) is None)
+        yield _gauge(
+            "smal_healthy", "Whether it gets its work done.", labels, ailment(status) is None
+        )
         for name, value in status.detail.items():
             if isinstance(value, int | float):
                 metric = f"smal_{status.service}_{re.sub(r'[^a-zA-Z0-9_]', '_', name)}"
@@ -131,7 +148,9 @@ class Together(Collector):
         return (family for name, family in together.items() if not name.startswith("process_"))
 
 
-def _by_topic(family: GaugeMetricFamily | CounterMetricFamily, labels: Labels, counts: dict[str, int]) -> Metric:
+def _by_topic(
+    family: GaugeMetricFamily | CounterMetricFamily, labels: Labels, counts: dict[str, int]
+) -> Metric:
     for topic, count in counts.items():
         family.add_metric((*labels, topic), count)
     return family
@@ -173,7 +192,9 @@ class _Handler(WSGIRequestHandler):
         """Say nothing: a check every few seconds is no news."""
 
 
-def serve_http(address: str, ailment: Callable[[], str | None], metrics: CollectorRegistry) -> WSGIServer:
+def serve_http(
+    address: str, ailment: Callable[[], str | None], metrics: CollectorRegistry
+) -> WSGIServer:
     """Answer on threads of its own, so that a busy service answers as well, and a frozen one does not.
 
     The address is ``HOST:PORT``; without a host, every interface. ``ailment`` tells why the service is not healthy. The

@@ -16,7 +16,9 @@ from services.kit.connection import Connection, Declared
 from services.kit.replay import Budget, Replay
 from services.kit.wire import Refused
 
-REPLAY_TIMEOUT_S: Final = 10.0  # How long a sender that does not answer can hold up its own samples.
+REPLAY_TIMEOUT_S: Final = (
+    10.0  # How long a sender that does not answer can hold up its own samples.
+)
 _AGAIN_S: Final = 0.5  # From one question that nobody answers to the next.
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
@@ -28,7 +30,11 @@ def in_order(on_sample: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callb
 
 
 def _ask(
-    connection: Connection, keys: str, on_reply: Callable[[zenoh.Sample], None], end: Callable[[], None], until_s: float
+    connection: Connection,
+    keys: str,
+    on_reply: Callable[[zenoh.Sample], None],
+    end: Callable[[], None],
+    until_s: float,
 ) -> None:
     """Have what was kept sent; until then again where there is nothing: a sender is seen before it can be asked."""
     came: list[bool] = []
@@ -57,11 +63,17 @@ def _ask(
 
 
 def subscribe_whole(
-    connection: Connection, key: str, take: Callable[[zenoh.Sample], None], refused: Refused, budget: Budget
+    connection: Connection,
+    key: str,
+    take: Callable[[zenoh.Sample], None],
+    refused: Refused,
+    budget: Budget,
 ) -> tuple[Declared[Any], Declared[Any]]:
     """Call ``take`` for each sample of a key, also for those of the last ``topics.KEPT_S``; return what is declared."""
     senders = f"{key}/@adv/pub"
-    renewed: list[bool] = []  # One for each session: who had nothing to send is asked again from the second one on.
+    renewed: list[
+        bool
+    ] = []  # One for each session: who had nothing to send is asked again from the second one on.
 
     def ask(name: str) -> None:
         def on_reply(sample: zenoh.Sample) -> None:
@@ -97,10 +109,14 @@ def subscribe_whole(
     def hear(session: zenoh.Session) -> zenoh.ext.AdvancedSubscriber[None]:
         renewed.append(True)
         replay.hold()
-        return zenoh.ext.declare_advanced_subscriber(session, key, in_order(on_live), recovery=recovery)
+        return zenoh.ext.declare_advanced_subscriber(
+            session, key, in_order(on_live), recovery=recovery
+        )
 
     heard = connection.declare(hear)
     on_token = in_order(on_sender)
     return heard, connection.declare(
-        lambda session: session.liveliness().declare_subscriber(f"{senders}/**", on_token, history=True)
+        lambda session: session.liveliness().declare_subscriber(
+            f"{senders}/**", on_token, history=True
+        )
     )

@@ -41,7 +41,9 @@ class Inbox:
     of them does: whoever sends more than is handled loses their own, and nobody else's.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, most_bytes: int = MOST_BYTES
+    ) -> None:
         self._clock = clock
         self._most_bytes = most_bytes
         self._ready = threading.Condition()
@@ -101,7 +103,9 @@ class Inbox:
             if not any(queue.items for queue in self._queues.values()) and not self._woken:
                 self._ready.wait(timeout_s)
             self._woken = False
-            waiting = [(queue.items[0].number, name) for name, queue in self._queues.items() if queue.items]
+            waiting = [
+                (queue.items[0].number, name) for name, queue in self._queues.items() if queue.items
+            ]
             if not waiting:
                 return None
             name = min(waiting)[1]
@@ -116,5 +120,7 @@ class Inbox:
     def oldest_s(self) -> float:
         """Return how long the oldest item has waited, 0 where none waits."""
         with self._ready:
-            arrivals_s = [queue.items[0].arrived_s for queue in self._queues.values() if queue.items]
+            arrivals_s = [
+                queue.items[0].arrived_s for queue in self._queues.values() if queue.items
+            ]
         return max(0.0, self._clock() - min(arrivals_s)) if arrivals_s else 0.0

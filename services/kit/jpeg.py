@@ -17,7 +17,9 @@ _TABLE_MARKERS: Final = (0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0))
 
 def encode_jpeg(image: NDArray[np.uint8], quality: int = QUALITY) -> bytes:
     """Compress a (height, width, 3) RGB image. Raises ValueError when it has more pixels than JPEG can hold."""
-    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    done, jpeg = cv2.imencode(
+        ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]
+    )
     if not done:
         height, width = image.shape[:2]
         raise ValueError(f"OpenCV cannot encode a {width}x{height} image as JPEG")
@@ -27,7 +29,9 @@ def encode_jpeg(image: NDArray[np.uint8], quality: int = QUALITY) -> bytes:
 def shrunk(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     """Return a (height, width, 3) image so wide, with the same sides' ratio."""
     height = max(1, round(width * image.shape[0] / image.shape[1]))
-    return cast("NDArray[np.uint8]", cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+    return cast(
+        "NDArray[np.uint8]", cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    )
 
 
 def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
@@ -62,7 +66,9 @@ def jpeg_size(data: bytes) -> tuple[int, int] | None:
     while data[:2] == b"\xff\xd8" and at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
         if marker in _FRAME_MARKERS:
-            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(
+                data[at + 5 : at + 7], "big"
+            )
         # Tables and comments have a length; anything else before the frame is no camera's JPEG.
         if marker not in _TABLE_MARKERS:
             return None

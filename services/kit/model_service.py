@@ -63,7 +63,9 @@ def identity_of(model: AnyModel) -> str:
     return model.checksum[:_DIGITS]
 
 
-def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None) -> str | None:
+def refused(
+    model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None
+) -> str | None:
     """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
     if scheme not in (None, model.scheme):
         command = "smal paper learn" if scheme == "paper" else "smal learn"
@@ -102,7 +104,9 @@ def _read(file: IO[bytes], name: str) -> AnyModel:
         told = os.fstat(file.fileno())
         identity = told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns, told.st_ctime_ns
         if (model := _MODELS.get(identity)) is None:
-            model = _MODELS[identity] = cast("AnyModel", Stored.read(file, name))  # There is no third scheme.
+            model = _MODELS[identity] = cast(
+                "AnyModel", Stored.read(file, name)
+            )  # There is no third scheme.
         return model
 
 
@@ -114,7 +118,9 @@ class LoadedModel:
     name: str  # Its file: the path in the settings, or the name that a call gave.
     stride: int  # Frames from one decision to the next; 1 but for the paper's scheme.
     goal: str | None  # Where to go; None for the only goal.
-    asked: LoadRequest | None = None  # By which call it was loaded; None for the model of the settings.
+    asked: LoadRequest | None = (
+        None  # By which call it was loaded; None for the model of the settings.
+    )
 
     @property
     def identity(self) -> str:
@@ -133,10 +139,18 @@ class LoadedModel:
         """Work with a model. Raises ServiceError when it cannot be used so."""
         if (refusal := refused(model, scheme, stride, goal)) is not None:
             raise ServiceError(f"{name}: {refusal}")
-        return cls(model, name, 1 if isinstance(model, Model) else stride or model.sequence_length, goal)
+        return cls(
+            model, name, 1 if isinstance(model, Model) else stride or model.sequence_length, goal
+        )
 
     @classmethod
-    def read(cls, path: Path, scheme: Scheme | None = None, stride: int | None = None, goal: str | None = None) -> Self:
+    def read(
+        cls,
+        path: Path,
+        scheme: Scheme | None = None,
+        stride: int | None = None,
+        goal: str | None = None,
+    ) -> Self:
         """Read the model that whoever started the service named. Raises ServiceError when it cannot be used so."""
         try:
             return cls.of(load_model(path), str(path), scheme, stride, goal)
@@ -151,10 +165,15 @@ class LoadedModel:
                 model = _read(file, request.model)
         except (OSError, NoModelError) as error:
             _log.warning("model %r: %s", request.model, error)
-            raise ServiceError(f"no model {printable(request.model)!r} below the root of this service") from None
+            raise ServiceError(
+                f"no model {printable(request.model)!r} below the root of this service"
+            ) from None
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        return replace(cls.of(model, request.model, request.scheme, request.stride, request.goal), asked=request)
+        return replace(
+            cls.of(model, request.model, request.scheme, request.stride, request.goal),
+            asked=request,
+        )
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
@@ -162,7 +181,12 @@ class LoadedModel:
 
     def detail(self) -> Detail:
         """Tell of the model in the service's status."""
-        known: Detail = {"model": self.name, "checksum": self.identity, "scheme": self.model.scheme, "goal": self.goal}
+        known: Detail = {
+            "model": self.name,
+            "checksum": self.identity,
+            "scheme": self.model.scheme,
+            "goal": self.goal,
+        }
         return {**known, **self._size()}
 
     def _size(self) -> dict[str, int]:
@@ -208,7 +232,9 @@ def serve_loads(
     node.detail = lambda: {"root": str(root)} | service.detail()
 
 
-def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_contra], topic: Topic) -> None:
+def serve_model(
+    node: Node, settings: ModelSettings, service: ModelService[M_contra], topic: Topic
+) -> None:
     """Load the model of the settings, or that of who served the robot before, and handle a topic until stopped."""
     handed = node.inherited
     if handed is not None and handed.model is not None:
@@ -217,7 +243,9 @@ def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_con
         except ServiceError as error:
             node.log.error("the model that %s went by is not at hand here: %s", node.robot, error)  # noqa: TRY400 - one line
     elif settings.model is not None:
-        service.load(LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal))
+        service.load(
+            LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal)
+        )
     if handed is not None and handed.state is not None and service.loaded is not None:
         if handed.checksum == handed.state.model == service.loaded.identity:
             service.resume(handed.state, handed.wheels)
@@ -227,7 +255,9 @@ def serve_model(node: Node, settings: ModelSettings, service: ModelService[M_con
     def hand_on() -> None:
         node.publish(_snapshot(node, service))
 
-    serve_loads(node, service, settings.root, hand_on)  # At once: a model that was said to be loaded is not forgotten.
+    serve_loads(
+        node, service, settings.root, hand_on
+    )  # At once: a model that was said to be loaded is not forgotten.
     node.subscribe(topic, service.handle)
     node.every(SNAPSHOT_S, hand_on)
     name = None if service.loaded is None else service.loaded.name
@@ -241,10 +271,21 @@ def _snapshot(node: Node, service: ModelService[M_contra]) -> Snapshot | None:
     if service.loaded is None:
         return None
     state, wheels = service.hands_on() or (None, None)
-    header: dict[str, object] = {"robot": node.robot, "episode": NO_EPISODE, "tick": 0, "stamp_ns": time.time_ns()}
+    header: dict[str, object] = {
+        "robot": node.robot,
+        "episode": NO_EPISODE,
+        "tick": 0,
+        "stamp_ns": time.time_ns(),
+    }
     if state is not None:
         header = {name: getattr(state, name) for name in header}
     checksum = service.loaded.identity
     model = service.loaded.asked
-    told = {"service": node.name, "checksum": checksum, "model": model, "state": state, "wheels": wheels}
+    told = {
+        "service": node.name,
+        "checksum": checksum,
+        "model": model,
+        "state": state,
+        "wheels": wheels,
+    }
     return Snapshot.model_validate(header | told)

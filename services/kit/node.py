@@ -42,7 +42,9 @@ _LAST_WORK_S: Final = 10.0
 #: Python calls its handler only after the wait.
 LOOK_S: Final = 0.2
 SNAPSHOT_S: Final = 1.0  # How often a node publishes what it would hand on.
-_SOON: Final = "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
+_SOON: Final = (
+    "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
+)
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
 A = TypeVar("A")
@@ -98,12 +100,20 @@ class Node:
         #: Which process this is: drawn anew at every start, for those who have to tell two of a name apart.
         self.session = secrets.token_hex(8)
         self.log = logging.getLogger(name)
-        self.bus = settings.open_bus(role_of(name), patience_s) if bus is None else bus.of_robot(settings.robot)
+        self.bus = (
+            settings.open_bus(role_of(name), patience_s)
+            if bus is None
+            else bus.of_robot(settings.robot)
+        )
         self.instance = instance  # Which instance of a group it belongs to, if any.
-        self.inherited: Snapshot | None = None  # What the instance that served the robot before has handed on.
+        self.inherited: Snapshot | None = (
+            None  # What the instance that served the robot before has handed on.
+        )
         self.detail: Callable[[], Detail] = dict
         robots = settings.robots if isinstance(settings, FleetSettings) else 1
-        self._inbox = Inbox(most_bytes=MOST_BYTES // robots)  # What one robot sends is never at the cost of another.
+        self._inbox = Inbox(
+            most_bytes=MOST_BYTES // robots
+        )  # What one robot sends is never at the cost of another.
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
         self._apart: list[threading.Thread] = []
@@ -117,14 +127,21 @@ class Node:
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
         self._complaints: defaultdict[tuple[str, str], Throttle] = defaultdict(Throttle)
-        self._counting = threading.Lock()  # Held to count what goes wrong, which is noticed on several threads.
+        self._counting = (
+            threading.Lock()
+        )  # Held to count what goes wrong, which is noticed on several threads.
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http = None
         if settings.http is not None:
-            self._http = serve_http(settings.http, lambda: ailment(self.status()), self.metrics.registry)
+            self._http = serve_http(
+                settings.http, lambda: ailment(self.status()), self.metrics.registry
+            )
         self.bus.serve(
-            name, "status", lambda _request, reply: reply(self.status()), partial(self._refuse, "rpc/status")
+            name,
+            "status",
+            lambda _request, reply: reply(self.status()),
+            partial(self._refuse, "rpc/status"),
         )
 
     # -- wiring ---------------------------------------------------------------------------------------------------
@@ -141,7 +158,9 @@ class Node:
         self._inbox.open(topic.name, depth or topic.queue)
         refuse = partial(self._refuse, topic.name)
         read = self._reader(topic, handler, refuse)
-        self._handlers[topic.name] = lambda item: self.publish(read(*cast("tuple[bytes, str]", item)))
+        self._handlers[topic.name] = lambda item: self.publish(
+            read(*cast("tuple[bytes, str]", item))
+        )
 
         def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
             self._inbox.put(topic.name, (payload, encoding), len(payload))
@@ -150,7 +169,12 @@ class Node:
 
         self.bus.subscribe(topic, take, refuse, replay=replay)
 
-    def at_once(self, topic: Topic, handler: Callable[[M], None], otherwise: Callable[[], None] = lambda: None) -> None:
+    def at_once(
+        self,
+        topic: Topic,
+        handler: Callable[[M], None],
+        otherwise: Callable[[], None] = lambda: None,
+    ) -> None:
         """Handle a topic on the bus's thread, before all that waits; ``otherwise`` is called for what is no message."""
 
         def refuse(why: str) -> None:
@@ -165,14 +189,18 @@ class Node:
 
         self.bus.subscribe(topic, take, refuse)
 
-    def _reader(self, topic: Topic, handler: Callable[[M], A], refuse: Refused) -> Callable[[bytes, str], A | None]:
+    def _reader(
+        self, topic: Topic, handler: Callable[[M], A], refuse: Refused
+    ) -> Callable[[bytes, str], A | None]:
         """Make what hands a payload to a handler, and counts it, as received or as bad."""
 
         def read(payload: bytes, encoding: str) -> A | None:
             try:
                 message = decode(topic.message, payload, encoding)
                 if key_of(message) != topic.key(self.robot):
-                    raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
+                    raise DecodeError(
+                        f"message of {message.robot}/{message.topic_name} on the key of {self.robot}"
+                    )
             except DecodeError as error:
                 refuse(str(error))
                 return None
@@ -182,7 +210,12 @@ class Node:
         return read
 
     def serve(
-        self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None], *, at_once: bool = False
+        self,
+        verb: str,
+        request_type: type[R],
+        handler: Callable[[R], Strict | None],
+        *,
+        at_once: bool = False,
     ) -> None:
         """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read.
 
@@ -252,7 +285,9 @@ class Node:
                 with self._surviving(handler.__name__):
                     self.publish(handler())
 
-        thread = threading.Thread(target=repeat, name=f"{self.name}, {handler.__name__}", daemon=True)
+        thread = threading.Thread(
+            target=repeat, name=f"{self.name}, {handler.__name__}", daemon=True
+        )
         self._apart.append(thread)
         thread.start()
 
@@ -262,11 +297,17 @@ class Node:
         """Send one message, several, or none."""
         for message in [messages] if isinstance(messages, Message) else messages or ():
             # Signed here, so that the robot can tell two senders of one kind apart, and none forgets to.
-            signed = message.model_copy(update={"session": self.session}) if isinstance(message, Command) else message
+            signed = (
+                message.model_copy(update={"session": self.session})
+                if isinstance(message, Command)
+                else message
+            )
             self.bus.publish(signed)
             self._published[message.topic_name] += 1
 
-    def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
+    def spin(
+        self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None
+    ) -> bool:
         """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False).
 
         Raises BusError when a lane of the bus stays deaf, and MemoryError or OSError when there is no memory left.
@@ -285,7 +326,9 @@ class Node:
             now = time.monotonic()
             if deadline is not None and now >= deadline:
                 return False
-            dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
+            dues = [timer.due_s for timer in self._timers] + (
+                [deadline] if deadline is not None else []
+            )
             self._handle(self._inbox.take(max(0.0, min([*dues, now + LOOK_S]) - now)))
         self._state = "stopping"
         if self._failure is not None:
@@ -342,7 +385,12 @@ class Node:
                 bug = None if isinstance(error, ServiceError) else error
                 level = logging.WARNING if bug is None else logging.ERROR
                 self.log.log(
-                    level, "handling %s failed (%d failures so far): %s", name, self._failed, error, exc_info=bug
+                    level,
+                    "handling %s failed (%d failures so far): %s",
+                    name,
+                    self._failed,
+                    error,
+                    exc_info=bug,
                 )
 
     def _refuse(self, name: str, why: str) -> None:
@@ -370,7 +418,11 @@ class Node:
             idle_s=round(now - self._worked_s, 3),
             busy_s=round(now - began_s, 3) if (began_s := self._began_s) is not None else 0.0,
             oldest_s=round(self._inbox.oldest_s(), 3),
-            waiting={name: many for name, many in self._inbox.waiting().items() if not name.startswith(_SOON)},
+            waiting={
+                name: many
+                for name, many in self._inbox.waiting().items()
+                if not name.startswith(_SOON)
+            },
             received=dict(self._received),
             published=dict(self._published),
             dropped=dict(self._inbox.dropped),

@@ -85,7 +85,9 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
         # A panic of Zenoh, in tidying up, hides the error that came first.
         if any(map(out_of_memory, _with_causes(error))):
             _end(name, NO_MEMORY)
-        if type(error).__name__ == "PanicException":  # Of Zenoh: it has printed where, and cannot be closed.
+        if (
+            type(error).__name__ == "PanicException"
+        ):  # Of Zenoh: it has printed where, and cannot be closed.
             _end(name, f"{error}; this process ends and must be started again")
         raise
 

@@ -55,7 +55,11 @@ class Replay(Generic[T]):
     """
 
     def __init__(
-        self, take: Callable[[T], None], ask: Callable[[str], None], budget: Budget, overdue: Callable[[str], None]
+        self,
+        take: Callable[[T], None],
+        ask: Callable[[str], None],
+        budget: Budget,
+        overdue: Callable[[str], None],
     ) -> None:
         self._take = take
         self._ask = ask

@@ -24,7 +24,9 @@ ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types
     """Return a message of a kind (``nav_msgs/msg/Odometry``); what its fields, maps in maps, lack is zero or empty."""
     given = dict(fields or {})
-    made = {name: _value(store, node, given.pop(name, None)) for name, node in store.fielddefs[kind][1]}
+    made = {
+        name: _value(store, node, given.pop(name, None)) for name, node in store.fielddefs[kind][1]
+    }
     if given:
         raise KeyError(f"{kind} has no {', '.join(given)}")
     return store.types[kind](**made)
@@ -36,21 +38,37 @@ def _value(store: Any, node: Any, value: Any) -> Any:  # noqa: ANN401 - as above
     if sort == "NAME":
         return ros_message(store, about, value)
     if sort == "BASE":
-        return ("" if about[0] == "string" else np.zeros(1, about[0])[0].item()) if value is None else value
+        return (
+            ("" if about[0] == "string" else np.zeros(1, about[0])[0].item())
+            if value is None
+            else value
+        )
     (inner, what), count = about
     if inner.name == "NAME":
         return [ros_message(store, what, one) for one in value or ()]
     return np.zeros(count, what[0]) if value is None else np.asarray(value, what[0])
 
 
-def rgb_of(encoding: str, width: int, height: int, step: int, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def rgb_of(
+    encoding: str, width: int, height: int, step: int, data: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
     """Return the RGB pixels (height, width, 3) of rows of ``step`` bytes; ValueError when that does not fit."""
     if encoding not in ENCODINGS:
         raise ValueError(f"encoding {encoding[:30]!r}: known are {', '.join(ENCODINGS)}")
     size, conversion = ENCODINGS[encoding]
-    if not (0 < width * height <= MOST_PIXELS and step >= width * size and data.size == step * height):
-        raise ValueError(f"{width}x{height} pixels in {data.size} bytes, {step} a row: that cannot be")
+    if not (
+        0 < width * height <= MOST_PIXELS and step >= width * size and data.size == step * height
+    ):
+        raise ValueError(
+            f"{width}x{height} pixels in {data.size} bytes, {step} a row: that cannot be"
+        )
     if size == 2 and width % 2:
         raise ValueError(f"{width} columns: pixels of {encoding} come in pairs")
-    pixels = np.ascontiguousarray(data.reshape(height, step)[:, : width * size]).reshape(height, width, size)
-    return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+    pixels = np.ascontiguousarray(data.reshape(height, step)[:, : width * size]).reshape(
+        height, width, size
+    )
+    return (
+        pixels
+        if conversion is None
+        else np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+    )

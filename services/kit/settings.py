@@ -22,7 +22,9 @@ MAX_ROBOTS: Final = 32
 class ServiceSettings(BaseSettings):
     """Settings that every service has; each can be given as ``SMAL_<NAME>`` or ``--<name>``."""
 
-    model_config = SettingsConfigDict(env_prefix="SMAL_", cli_kebab_case=True, use_attribute_docstrings=True)
+    model_config = SettingsConfigDict(
+        env_prefix="SMAL_", cli_kebab_case=True, use_attribute_docstrings=True
+    )
 
     robot: Annotated[str, Field(pattern=ROBOT_ID_PATTERN)] = "rescuebot"
     """Robot id, part of every topic's key."""
@@ -43,7 +45,9 @@ class ServiceSettings(BaseSettings):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = [name for name in ("tls_ca", "tls_cert", "tls_key") if getattr(self, name) is not None]
+        given = [
+            name for name in ("tls_ca", "tls_cert", "tls_key") if getattr(self, name) is not None
+        ]
         if 0 < len(given) < 3:
             raise ValueError("tls_ca, tls_cert and tls_key go together")
         if (given or self.secure) and "router" not in self.model_fields_set:

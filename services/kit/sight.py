@@ -28,7 +28,12 @@ class ObstacleSight:
         """Return what stands about the robot now, by the newest of both; None where no depth has told it."""
         now = self._odometry
         depth = self._depth
-        if now is None or depth is None or depth.mounting is None or not episode == now.episode == depth.episode:
+        if (
+            now is None
+            or depth is None
+            or depth.mounting is None
+            or not episode == now.episode == depth.episode
+        ):
             return None
         self.mount = mount = Mount(**depth.mounting.model_dump())
         if self._around is None or self._around[0] != episode:

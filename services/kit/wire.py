@@ -29,10 +29,14 @@ from schemas.topics import TOPICS
 from services.kit.errors import JobError
 
 MAX_RPC_BYTES: Final = 1_000_000  # Largest request of a service, and largest reply, bytes.
-LARGEST_BYTES: Final = max(topic.message.max_bytes for topic in TOPICS.values())  # Largest message of any topic, bytes.
+LARGEST_BYTES: Final = max(
+    topic.message.max_bytes for topic in TOPICS.values()
+)  # Largest message of any topic, bytes.
 #: What a subscriber is called with: payload, encoding, seconds on the way.
 Take = Callable[[bytes, str, float | None], None]
-Refused = Callable[[str], None]  # What is called with why a sample or a request is refused, in one line.
+Refused = Callable[
+    [str], None
+]  # What is called with why a sample or a request is refused, in one line.
 
 
 class BusError(JobError):
@@ -40,7 +44,13 @@ class BusError(JobError):
 
 
 def flaw(
-    wanted: str, message: type[Message] | None, key: str, size: int, encoding: str = "", *, put: bool = True
+    wanted: str,
+    message: type[Message] | None,
+    key: str,
+    size: int,
+    encoding: str = "",
+    *,
+    put: bool = True,
 ) -> str | None:
     """Say in one line why something is refused, before its bytes are copied; None where it may be taken.
 

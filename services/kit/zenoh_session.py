@@ -27,11 +27,15 @@ from services.table import roles
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/@]+):(\d{1,5})"
-ATTEMPT_MS: Final = 800  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
+ATTEMPT_MS: Final = (
+    800  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
+)
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
-LEASE_MS: Final = 2000  # After so long a silence a link is dead, and so is one that has not said who it is.
+LEASE_MS: Final = (
+    2000  # After so long a silence a link is dead, and so is one that has not said who it is.
+)
 #: After so long a silence of a router that has others beside it its clients go to one of those: with one attempt at the
 #: silent one, which their next attempt may be, they are there within two seconds.
 PAIR_LEASE_MS: Final = 1000
@@ -49,9 +53,13 @@ CLIENT_THREADS: Final = len(LANES) + 1
 NET_THREADS: Final = 16
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
-_CALL_BYTES: Final = 2 * MAX_RPC_BYTES  # Largest call that a router passes on, for who is called to refuse it by name.
+_CALL_BYTES: Final = (
+    2 * MAX_RPC_BYTES
+)  # Largest call that a router passes on, for who is called to refuse it by name.
 _GROUPS: Final = f"{group_key('*', '*')}/**"  # Of the questions of instances to each other; ``**`` does not match it.
-_RUNTIME: Final = "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
+_RUNTIME: Final = (
+    "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
+)
 _LOG: Final = "RUST_LOG"  # Zenoh's variable for what it logs.
 _OPENING: Final = threading.Lock()
 _LIBC: Final = ctypes.CDLL(None)
@@ -80,7 +88,9 @@ def quality(topic: Topic) -> Quality:
     """
     if topic.lane == "ordinary":
         return Quality("interactive_low", "block", express=False) if topic.reliable else _ORDINARY
-    return Quality("real_time" if topic.lane == "stop" else "interactive_high", "drop", express=True)
+    return Quality(
+        "real_time" if topic.lane == "stop" else "interactive_high", "drop", express=True
+    )
 
 
 def zenoh_quality(how: Quality) -> dict[str, Any]:
@@ -109,7 +119,13 @@ def _door() -> list[dict[str, object]]:
         keys = [key for name in names for key in _everything(f"{ROOT}/*/{name}")]
         rules.append((["put", "delete"], keys, how._asdict()))
     return [
-        {"id": str(number), "messages": messages, "flows": ["ingress"], "key_exprs": keys, "overwrite": overwrite}
+        {
+            "id": str(number),
+            "messages": messages,
+            "flows": ["ingress"],
+            "key_exprs": keys,
+            "overwrite": overwrite,
+        }
         for number, (messages, keys, overwrite) in enumerate(rules)
     ]
 
@@ -131,7 +147,9 @@ def _everything(key: str) -> list[str]:
     return [key, f"{key}/{KEPT_KEYS}"]
 
 
-def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Sequence[str] = ()) -> dict[str, object]:
+def settings_of(
+    mode: str, endpoint: str, credentials: Credentials, peers: Sequence[str] = ()
+) -> dict[str, object]:
     """Return what a router, or a client of one or of several, tells Zenoh, by the paths of Zenoh's own settings.
 
     A router links itself with its peers, and does so again for as long as it takes; where it is among them, with those
@@ -163,12 +181,22 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials, peers: Seque
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
     if several:
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+        settings["connect/retry"] = {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        }
     if mode == "router":
         settings["transport/unicast/accept_timeout"] = LEASE_MS
         keys = ["**", _GROUPS]
         settings["low_pass_filter"] = [
-            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": keys, "size_limit": _CALL_BYTES}
+            {
+                "id": "calls",
+                "messages": ["query"],
+                "flows": ["ingress"],
+                "key_exprs": keys,
+                "size_limit": _CALL_BYTES,
+            }
         ]
         settings["qos/network"] = _door()
         settings["downsampling"] = _bounds()
@@ -217,7 +245,9 @@ def router_settings(
     }
 
 
-def zenohd_configuration(endpoint: str, robots: Sequence[str], credentials: Credentials) -> dict[str, object]:
+def zenohd_configuration(
+    endpoint: str, robots: Sequence[str], credentials: Credentials
+) -> dict[str, object]:
     """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
     tree: dict[str, Any] = {}
     for path, value in router_settings(endpoint, robots, credentials).items():
@@ -256,9 +286,13 @@ def check_credentials(endpoint: str, credentials: Credentials) -> None:
     """Check that addresses are encrypted where the credentials are a certificate, and only there; else a BusError."""
     for one in addresses(endpoint):
         if encrypted(one) and credentials is None:
-            raise BusError(f"{one} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
+            raise BusError(
+                f"{one} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY"
+            )
         if credentials is not None and not encrypted(one):
-            raise BusError(f"{one} is not encrypted: with a certificate give an address that begins with tls/")
+            raise BusError(
+                f"{one} is not encrypted: with a certificate give an address that begins with tls/"
+            )
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
@@ -308,7 +342,10 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
     full = f"is full (it takes {MAX_SESSIONS} sessions, {len(LANES)} of each program)"
     if credentials is not None:
         refused = why_refused(credentials, *host_and_port(named(endpoint)))
-        return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
+        return (
+            refused
+            or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
+        )
     return f"what listens at {endpoint} is no router, or takes nobody in without a certificate, or {full}"
 
 
@@ -321,7 +358,10 @@ def connected_sockets() -> Iterator[tuple[int, str]]:
             with socket.socket(fileno=os.dup(int(path.name))) as one:
                 if one.family in (socket.AF_INET, socket.AF_INET6):
                     host, port = one.getpeername()[:2]
-                    yield int(path.name), f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}"
+                    yield (
+                        int(path.name),
+                        f"[{host}]:{port}" if one.family == socket.AF_INET6 else f"{host}:{port}",
+                    )
 
 
 def reset(fd: int) -> None:
@@ -355,9 +395,15 @@ class Router:
                 "give --secure DIR (`smal secure init` makes it), or --insecure"
             )
         try:
-            self._session = _open(router_settings(endpoint, robots, credentials, peers), most_sessions(robots))
+            self._session = _open(
+                router_settings(endpoint, robots, credentials, peers), most_sessions(robots)
+            )
         except zenoh.ZError as error:
-            reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
+            reason = (
+                "the port is in use"
+                if "in use" in str(error)
+                else str(error).partition(" at /")[0][:200]
+            )
             raise BusError(
                 f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
             ) from None
@@ -369,7 +415,9 @@ class Router:
         is an imitation, and is the newer one: ids are random.
         """
         remote = {
-            link.dst.partition("/")[2] for link in self._session.info.links() if str(link.zid).startswith(session)
+            link.dst.partition("/")[2]
+            for link in self._session.info.links()
+            if str(link.zid).startswith(session)
         }
         found = [(os.fstat(fd).st_ino, fd) for fd, peer in connected_sockets() if peer in remote]
         if found:

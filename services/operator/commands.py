@@ -44,7 +44,9 @@ class Commands:
         self.stop: int | None = None
         self.emergency = False  # Whether an emergency stop is asked for.
         self._arming = False
-        self._car = False  # Whether it turns only in driving, as far as it has told in this episode.
+        self._car = (
+            False  # Whether it turns only in driving, as far as it has told in this episode.
+        )
         #: When the robot first and last told, while something was held, that it stands before something.
         self._stood_s = _NEVER
         self._insists = False
@@ -163,5 +165,10 @@ class Commands:
         self._sequences[source] += 1
         insists = self._insists and source == "teleop" and self._sent is not None
         return Command.after(
-            self.heard, source=source, sequence=sequence, linear=linear, angular=angular, insists=insists
+            self.heard,
+            source=source,
+            sequence=sequence,
+            linear=linear,
+            angular=angular,
+            insists=insists,
         )

@@ -16,7 +16,16 @@ from schemas.base import NO_EPISODE, Atom, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Box, Episode, Outcome, Purpose, Said, in_words
 from schemas.heartbeat import Heartbeat, Pulse
-from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.rpc import (
+    ArmRequest,
+    CancelRequest,
+    EndRequest,
+    Nothing,
+    ResetReply,
+    ResetRequest,
+    ResumeRequest,
+    Status,
+)
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.node import Node, ServiceError
@@ -29,7 +38,16 @@ ANSWER_S: Final = 5.0
 #: How often it is told how the robot is that has no episode, of which it would tell ten times a second.
 LOOK_S: Final = 0.5
 SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; twenty pulses.
-_APPLIED: Final = ("episode", "tick", "atom", "linear", "angular", "source", "reason", "refused")  # Of the report.
+_APPLIED: Final = (
+    "episode",
+    "tick",
+    "atom",
+    "linear",
+    "angular",
+    "source",
+    "reason",
+    "refused",
+)  # Of the report.
 _PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
 #: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
 REPEAT_S: Final = 0.1
@@ -42,10 +60,14 @@ class Report:
     at: float = 0.0  # When it last told of itself, by the operator's clock.
     answers: bool = False
     waiting: bool = False  # An episode was asked for, and has not begun yet.
-    emergency: bool = False  # An emergency stop was asked for here, and the robot was not armed since.
+    emergency: bool = (
+        False  # An emergency stop was asked for here, and the robot was not armed since.
+    )
     cause: StopCause | None = None  # Why the robot stands until it is armed.
     episode: str | None = None  # The running episode; none where there is none.
-    tick: int = 0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
+    tick: int = (
+        0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
+    )
     atom: Atom | None = None
     linear: float = 0.0
     angular: float = 0.0
@@ -83,10 +105,14 @@ class Operator:
         self._there = there
         self.report = Report()
         self.commands = Commands(node.robot, clock)
-        self.mine: str | None = None  # The running episode, if it was begun here, and how it was asked for.
+        self.mine: str | None = (
+            None  # The running episode, if it was begun here, and how it was asked for.
+        )
         self.request: ResetRequest | None = None
         self._beats = count()
-        self._heard_s = self._applied_s = -math.inf  # When something was heard of the robot, and of its episode.
+        self._heard_s = (
+            self._applied_s
+        ) = -math.inf  # When something was heard of the robot, and of its episode.
         self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
         self.asking = False
@@ -180,7 +206,12 @@ class Operator:
             if heard_s <= as_of_s:
                 node = self._node
                 sequence = next(self._beats)
-                fields = {"session": node.session, "name": node.name, "sequence": sequence, "answers": pulse.number}
+                fields = {
+                    "session": node.session,
+                    "name": node.name,
+                    "sequence": sequence,
+                    "answers": pulse.number,
+                }
                 node.publish(Heartbeat.after(pulse, **fields, present=present))
                 return
 
@@ -213,7 +244,13 @@ class Operator:
         self._withdrawn = withdrawn = threading.Event()
 
         def gone() -> str:
-            return "it was cancelled" if withdrawn.is_set() else "" if there() else "the person who asked has left"
+            return (
+                "it was cancelled"
+                if withdrawn.is_set()
+                else ""
+                if there()
+                else "the person who asked has left"
+            )
 
         def ask() -> Callable[[], None]:
             prepare()
@@ -223,7 +260,9 @@ class Operator:
             if request.driver != "teleop":
                 self._hand_over()
             stays = request.world is None and request.variation is None
-            reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S)
+            reply = self._node.bus.call(
+                "robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S
+            )
             if why := gone():
                 self._call("end", EndRequest(episode=reply.episode, session=self._node.session))
                 raise ServiceError(f"ended at once: {why}")
@@ -283,7 +322,9 @@ class Operator:
             self._say("no episode to end")
         elif self._may_ask():
             self.hold(None)
-            request = EndRequest(episode=applied.episode, found=found, box=box, session=self._node.session)
+            request = EndRequest(
+                episode=applied.episode, found=found, box=box, session=self._node.session
+            )
             self.ask(lambda: self._call("end", request))
 
     def end_mine(self, said: Said | None = None) -> None:
@@ -337,7 +378,9 @@ class Operator:
         if not detail["taken_over"]:
             return
         if detail["episode"] is not None:
-            self._call("end", EndRequest(episode=str(detail["episode"]), session=self._node.session))
+            self._call(
+                "end", EndRequest(episode=str(detail["episode"]), session=self._node.session)
+            )
         self._call("resume", self._resuming())
 
     def _may_ask(self) -> bool:

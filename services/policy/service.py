@@ -22,7 +22,9 @@ from smal.paper.model import PaperModel
 from smal.planning import Planner
 from smal.sought.witness import Glimpse
 
-DELAYS_KEPT: Final = 10  # Reports of the actuator of whose delays the median is taken: those of a second.
+DELAYS_KEPT: Final = (
+    10  # Reports of the actuator of whose delays the median is taken: those of a second.
+)
 SHOWN: Final = 100  # Places where something stands that are told with a decision, for people.
 _log = logging.getLogger("policy")
 
@@ -37,7 +39,9 @@ class PolicyService:
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None
         self._maker: _ByFilter | _ByPaper | None = None
-        self._before: tuple[LoadedModel, _ByFilter | _ByPaper] | None = None  # What recognition may still go by.
+        self._before: tuple[LoadedModel, _ByFilter | _ByPaper] | None = (
+            None  # What recognition may still go by.
+        )
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
@@ -115,7 +119,11 @@ class PolicyService:
         """Tell the loaded model, and how many states were of another one since it was loaded."""
         # This runs on a thread of the bus: the model may be replaced at any time.
         loaded = self._loaded
-        return {"model": None} if loaded is None else loaded.detail() | {"states_of_another_model": self._foreign}
+        return (
+            {"model": None}
+            if loaded is None
+            else loaded.detail() | {"states_of_another_model": self._foreign}
+        )
 
 
 class _ByFilter:
@@ -127,17 +135,26 @@ class _ByFilter:
         self.reset()
 
     def understands(self, state: State) -> bool:
-        return bool(state.places) and all(place.keyframe < self._keyframes for place in state.places)
+        return bool(state.places) and all(
+            place.keyframe < self._keyframes for place in state.places
+        )
 
     def reset(self) -> None:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
     def answer(self, state: State, delay_s: float, sight: ObstacleSight) -> list[Message]:
-        elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
+        elapsed_s = (
+            None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
+        )
         self._stamp_ns = state.stamp_ns
         belief = Belief(
-            *state.belief(), state.lost, state.cosine, state.tracked_m, unseen=state.unseen_m, camera=state.camera
+            *state.belief(),
+            state.lost,
+            state.cosine,
+            state.tracked_m,
+            unseen=state.unseen_m,
+            camera=state.camera,
         )
         seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
@@ -178,6 +195,10 @@ class _ByPaper:
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))
             atoms = tuple(atom.name.lower() for atom in decision.atoms)
-            answer.append(Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms))
-        answer.append(Command.after(state, source="policy", atom=self._maker.next_atom().name.lower()))
+            answer.append(
+                Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms)
+            )
+        answer.append(
+            Command.after(state, source="policy", atom=self._maker.next_atom().name.lower())
+        )
         return answer

@@ -26,7 +26,9 @@ from smal.movement import Atom
 from smal.paper.model import PaperModel
 from smal.robot import NO_GROUND, Localizer
 
-_KEPT: Final = 100  # Odometry and commands that are kept until the observation of their frame comes, frames.
+_KEPT: Final = (
+    100  # Odometry and commands that are kept until the observation of their frame comes, frames.
+)
 _MOST_DRIVES: Final = 1000  # Drives whose beginnings a message of the map has room for.
 
 
@@ -58,7 +60,11 @@ class RecognitionService:
         handed = self.hands_on()
         if self._watches and (not isinstance(model, Model) or model.ground is None):
             raise ServiceError(NO_GROUND)
-        localizer = _ByFilter(model, loaded, self._watches) if isinstance(model, Model) else _ByPaper(model, loaded)
+        localizer = (
+            _ByFilter(model, loaded, self._watches)
+            if isinstance(model, Model)
+            else _ByPaper(model, loaded)
+        )
         self._loaded = loaded
         self._localizer = localizer
         self._last = None
@@ -84,7 +90,11 @@ class RecognitionService:
 
     def see(self, odometry: Odometry) -> State | None:
         """Take the odometry of a frame, which may come before or after its observation."""
-        self._odometry[odometry.episode, odometry.tick] = (odometry.x_m, odometry.y_m, odometry.heading_rad)
+        self._odometry[odometry.episode, odometry.tick] = (
+            odometry.x_m,
+            odometry.y_m,
+            odometry.heading_rad,
+        )
         _forget(self._odometry)
         waiting = self._waiting
         if waiting is None or (waiting.episode, waiting.tick) != (odometry.episode, odometry.tick):
@@ -109,7 +119,9 @@ class RecognitionService:
             if applied is None:
                 atoms.append(atoms[-1])
             else:
-                atoms.append(applied.velocity if applied.source == "policy" else Atom[applied.atom.upper()])
+                atoms.append(
+                    applied.velocity if applied.source == "policy" else Atom[applied.atom.upper()]
+                )
         return atoms[1:]
 
     def handle(self, observation: Observation) -> State | None:
@@ -126,10 +138,16 @@ class RecognitionService:
             )
         last = self._last
         waiting = self._waiting
-        if last is not None and (last.episode, last.tick) == (observation.episode, observation.tick):
+        if last is not None and (last.episode, last.tick) == (
+            observation.episode,
+            observation.tick,
+        ):
             # The simulator sent the frame again because an answer was lost: the same answer, nothing else changed.
             return last
-        again = waiting is not None and (waiting.episode, waiting.tick) == (observation.episode, observation.tick)
+        again = waiting is not None and (waiting.episode, waiting.tick) == (
+            observation.episode,
+            observation.tick,
+        )
         known = (observation.episode, observation.tick) in self._odometry
         if self._localizer.by_odometry and not known and not again:
             self._waiting = observation
@@ -139,16 +157,26 @@ class RecognitionService:
     def _answer(self, observation: Observation) -> State | None:
         assert self._localizer is not None  # noqa: S101 - without a model nothing waits
         self._waiting = None
-        last = self._last if self._last is not None and self._last.episode == observation.episode else None
+        last = (
+            self._last
+            if self._last is not None and self._last.episode == observation.episode
+            else None
+        )
         if last is None:
             self._localizer.reset()
         since = 0 if last is None else last.tick
-        atoms = [] if self._localizer.by_odometry else self._atoms(observation.episode, since, observation.tick)
+        atoms = (
+            []
+            if self._localizer.by_odometry
+            else self._atoms(observation.episode, since, observation.tick)
+        )
         odometry = self._odometry.get((observation.episode, observation.tick))
         try:
             found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
         except FeaturesError as error:
-            raise ServiceError(f"episode {observation.episode}, frame {observation.tick}: {error}") from None
+            raise ServiceError(
+                f"episode {observation.episode}, frame {observation.tick}: {error}"
+            ) from None
         if found is None:
             return None
         if last is None:
@@ -193,16 +221,25 @@ class _ByFilter:
         keyframes, offsets, weights = state.belief()
         if not weights.any() or keyframes.max() >= len(self._mapped.keyframes):
             return False
-        self._localizer.reset(Belief(keyframes, offsets, weights, state.lost, state.cosine, state.tracked_m), wheels)
+        self._localizer.reset(
+            Belief(keyframes, offsets, weights, state.lost, state.cosine, state.tracked_m), wheels
+        )
         self._stamp_ns = state.stamp_ns
         return True
 
     def observe(
-        self, observation: Observation, odometry: Wheels | None, atoms: Sequence[Atom | Velocity], *, behind: bool
+        self,
+        observation: Observation,
+        odometry: Wheels | None,
+        atoms: Sequence[Atom | Velocity],
+        *,
+        behind: bool,
     ) -> State | None:
         if behind:
             return None
-        elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
+        elapsed_s = (
+            None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
+        )
         detected = tuple(Detection(one.label, one.score, one.box) for one in observation.detected)
         percept = Percept(observation.features.to_numpy(), observation.small(), detected)
         located = self._localizer.locate(percept, odometry, atoms, elapsed_s)
@@ -243,10 +280,17 @@ class _ByPaper:
         yield from ()
 
     def observe(
-        self, observation: Observation, _odometry: Wheels | None, _atoms: Sequence[Atom | Velocity], *, behind: bool
+        self,
+        observation: Observation,
+        _odometry: Wheels | None,
+        _atoms: Sequence[Atom | Velocity],
+        *,
+        behind: bool,
     ) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
         first = self._length - 1
         due = (observation.tick - first) % self._loaded.stride == 0 and not behind
-        found = asdict(self._recognizer.observe(observation.tick, observation.features.to_numpy(), due))
+        found = asdict(
+            self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
+        )
         return State.after(observation, model=self._loaded.identity, **found)

@@ -9,20 +9,26 @@ from pathlib import Path
 from typing import Final
 
 LOOK_S: Final = 1.0  # How often the disk is looked at.
-_RATE_S: Final = 10.0  # Over how long the rate is measured, and from how much of that on it is known.
+_RATE_S: Final = (
+    10.0  # Over how long the rate is measured, and from how much of that on it is known.
+)
 _KNOWN_S: Final = 3.0
 #: Who drives is told when there is room for less than that: time to come to an end, or to make room.
 WARN_S: Final = 600.0
 #: Recording ends while there is room for so much more of it: other programs write to the disk as well.
 _CLOSE_S: Final = 10.0
-LEAST_BYTES: Final = 64 * 2**20  # And for that: the largest image has 16 MB, and the index of a day 28 MB.
+LEAST_BYTES: Final = (
+    64 * 2**20
+)  # And for that: the largest image has 16 MB, and the index of a day 28 MB.
 
 
 class Disk:
     """Watches the room on a disk; ``free`` returns how many bytes the disk of a folder still takes."""
 
     def __init__(
-        self, clock: Callable[[], float], free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free
+        self,
+        clock: Callable[[], float],
+        free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
     ) -> None:
         self._clock = clock
         self._free = free
@@ -54,6 +60,10 @@ class Disk:
             self.warning = f"the disk is full ({free / 1e6:.0f} MB are free): no more is recorded"
             return False
         if left_s < WARN_S:
-            left = f"{left_s // 60:.0f} minutes" if left_s >= 120.0 else f"{10 * (left_s // 10):.0f} seconds"
+            left = (
+                f"{left_s // 60:.0f} minutes"
+                if left_s >= 120.0
+                else f"{10 * (left_s // 10):.0f} seconds"
+            )
             self.warning = f"the disk has room for {left} more"
         return True

@@ -55,7 +55,9 @@ class _Recording:
     touched_s: float
     not_before_s: float = 0.0  # Before that not all of it was sent again: a recorder that was killed had its beginning.
     closing: bool = False
-    deadline_s: float = math.inf  # When it is finished whatever still comes: nobody told that the episode ended.
+    deadline_s: float = (
+        math.inf
+    )  # When it is finished whatever still comes: nobody told that the episode ended.
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""
@@ -65,7 +67,11 @@ class _Recording:
     def _whole(self) -> bool:
         """Whether every tick is there, up to the episode's end."""
         writer = self.writer
-        return writer is not None and writer.end_tick is not None and writer.ledger.whole(writer.end_tick)
+        return (
+            writer is not None
+            and writer.end_tick is not None
+            and writer.ledger.whole(writer.end_tick)
+        )
 
 
 class RecorderService:
@@ -105,7 +111,9 @@ class RecorderService:
             try:
                 self._record_in(folder)
             except OSError as error:
-                raise ServiceError(f"cannot record in {folder}: {error.strerror or error}") from None
+                raise ServiceError(
+                    f"cannot record in {folder}: {error.strerror or error}"
+                ) from None
         for topic in TOPICS.values():
             if topic.recorded:
                 node.subscribe(topic, self.handle, depth=QUEUE_FACTOR * topic.kept, replay=True)
@@ -126,7 +134,9 @@ class RecorderService:
             self._node.log.warning("cannot record in %r: %s", request.folder, error)
             # Why not would tell whoever asks what else there is.
             named = printable(request.folder)
-            raise ServiceError(f"cannot record in {named!r} below the root of the recorder") from None
+            raise ServiceError(
+                f"cannot record in {named!r} below the root of the recorder"
+            ) from None
 
     def flush(self, _request: Nothing) -> RecordReply:
         """Finish the files of the episodes that have ended, and name all files since ``start``."""
@@ -169,13 +179,18 @@ class RecorderService:
             except BlockingIOError:
                 pass  # its recorder lives
             except OSError as error:
-                self._complain(f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode")
+                self._complain(
+                    f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode"
+                )
             else:
                 self._node.log.info(
-                    "%s, which was left behind", f"sealed {one.path}" if one.path else f"removed {partial}"
+                    "%s, which was left behind",
+                    f"sealed {one.path}" if one.path else f"removed {partial}",
                 )
                 made = [] if one.path is None else [one.path]
-                self._files = [file for path in self._files for file in (made if path == partial else [path])]
+                self._files = [
+                    file for path in self._files for file in (made if path == partial else [path])
+                ]
                 done.append(one)
         return done
 
@@ -227,7 +242,9 @@ class RecorderService:
     def seal_complete(self) -> None:
         """Finish the files of episodes of which nothing more is to be expected."""
         now_s = self._clock()
-        for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
+        for episode in [
+            episode for episode, recording in self._open.items() if recording.complete(now_s)
+        ]:
             self._seal(episode)
         # Where this machine is slow, the beginning may have come and wait.
         while self._node.idle() and self._early.oldest_s() > EARLY_S:
@@ -310,12 +327,20 @@ class RecorderService:
             return
         path = writer.seal()
         if path != writer.path:
-            self._complain(f"cannot seal {path}: {writer.problem}; tried again with the next episode")
+            self._complain(
+                f"cannot seal {path}: {writer.problem}; tried again with the next episode"
+            )
         self._lost += writer.waiting
         self._files.append(path)
-        self._sealed = self._sealed + _figures(writer)  # another one: `detail` may be adding up this one
-        gaps = "; ".join(f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items())
-        self._node.log.info("%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps)
+        self._sealed = self._sealed + _figures(
+            writer
+        )  # another one: `detail` may be adding up this one
+        gaps = "; ".join(
+            f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items()
+        )
+        self._node.log.info(
+            "%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps
+        )
 
     def _complain(self, problem: str) -> None:
         self._last_error = problem
@@ -364,4 +389,9 @@ def _figures(writer: EpisodeWriter) -> Counter[str]:
     """Return the figures of one recording, to be added up."""
     ledger = writer.ledger
     messages = writer.messages - writer.waiting
-    return Counter(messages=messages, size=writer.size, duplicates=ledger.duplicates, gap_ticks=ledger.gap_ticks)
+    return Counter(
+        messages=messages,
+        size=writer.size,
+        duplicates=ledger.duplicates,
+        gap_ticks=ledger.gap_ticks,
+    )

@@ -22,12 +22,24 @@ from services.kit.cameras import camera_of
 from services.recordings.ledger import Ledger
 from services.recordings.records import MemoryLimitError
 from services.recordings.sink import PARTIAL_SUFFIX
-from services.recordings.stream import RecordingError, Stored, being_recorded, messages, open_recording
+from services.recordings.stream import (
+    RecordingError,
+    Stored,
+    being_recorded,
+    messages,
+    open_recording,
+)
 from services.recordings.survey import summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
-_SAID: Final = ("world", "seed", "purpose", "goal", "driver")  # Who drove where; see `schemas.episode`.
+_SAID: Final = (
+    "world",
+    "seed",
+    "purpose",
+    "goal",
+    "driver",
+)  # Who drove where; see `schemas.episode`.
 
 
 @dataclass
@@ -59,10 +71,14 @@ class EpisodeContents:
 
     robot: str
     episode: str
-    said: dict[str, str | int] = field(default_factory=dict)  # World, seed, purpose, goal and driver.
+    said: dict[str, str | int] = field(
+        default_factory=dict
+    )  # World, seed, purpose, goal and driver.
     outcome: str | None = None
     judge: str | None = None  # Who says so.
-    drove: dict[str, int] = field(default_factory=dict)  # Ticks by whose command moved the robot last in them.
+    drove: dict[str, int] = field(
+        default_factory=dict
+    )  # Ticks by whose command moved the robot last in them.
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
     width: int | None = None
     height: int | None = None
@@ -79,7 +95,11 @@ class EpisodeContents:
     def seconds(self) -> float:
         """From the first message to the last."""
         counted = self.topics.values()
-        return (max(one.last_ns for one in counted) - min(one.first_ns for one in counted)) / 1e9 if counted else 0.0
+        return (
+            (max(one.last_ns for one in counted) - min(one.first_ns for one in counted)) / 1e9
+            if counted
+            else 0.0
+        )
 
 
 @dataclass
@@ -89,7 +109,9 @@ class Contents:
     path: Path
     state: str  # ``sealed``, ``not sealed``, or ``being recorded``.
     size: int
-    about: dict[str, str] = field(default_factory=dict)  # What the recorder wrote of itself: software, when.
+    about: dict[str, str] = field(
+        default_factory=dict
+    )  # What the recorder wrote of itself: software, when.
     episodes: list[EpisodeContents] = field(default_factory=list)
     views: int = 0  # Messages that are there for viewers, derived from the rest.
     views_size: int = 0
@@ -114,7 +136,9 @@ def contents_of(path: Path, *, thorough: bool = False) -> Contents:
     data = open_recording(path, living=True)
     left = path.suffix == PARTIAL_SUFFIX
     sealed = not left and summary_of(data) is not None
-    contents = Contents(path, "being recorded" if recorded else "sealed" if sealed else "not sealed", len(data))
+    contents = Contents(
+        path, "being recorded" if recorded else "sealed" if sealed else "not sealed", len(data)
+    )
     if not sealed:
         why = "left behind" if left else "its end, with the index, is missing or damaged"
         contents.damage.append(f"{contents.state}: {why}")
@@ -128,7 +152,9 @@ def contents_of(path: Path, *, thorough: bool = False) -> Contents:
                 contents.others += 1
             else:
                 ids = stored.robot, stored.episode
-                reading = found.get(ids) or found.setdefault(ids, _Reading(EpisodeContents(*ids), thorough))
+                reading = found.get(ids) or found.setdefault(
+                    ids, _Reading(EpisodeContents(*ids), thorough)
+                )
                 reading.take(stored.topic, stored)
     except MemoryLimitError as error:
         raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
@@ -212,7 +238,9 @@ class _Reading:
     def told(self) -> EpisodeContents:
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
         if self._places:
-            way = [self._places[tick] for tick in sorted(self._places)]  # One may have come late, after an outage.
+            way = [
+                self._places[tick] for tick in sorted(self._places)
+            ]  # One may have come late, after an outage.
             self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)), 0.0)
         return self.episode
 
@@ -220,16 +248,22 @@ class _Reading:
         name = f"episode {self.episode.episode}"
         for topic, bad in self._bad.items():
             count = self.episode.topics[topic].messages
-            contents.damage.append(f"{name}: {topic}: {len(bad)} of {count} do not decode: {bad[0]}")
+            contents.damage.append(
+                f"{name}: {topic}: {len(bad)} of {count} do not decode: {bad[0]}"
+            )
         for topic, twice in self._twice.items():
-            contents.damage.append(f"{name}: {topic}: {len(twice)} are there twice, the first of tick {twice[0]}")
+            contents.damage.append(
+                f"{name}: {topic}: {len(twice)} are there twice, the first of tick {twice[0]}"
+            )
         if not self._began:
             contents.lacks.append(f"{name}: its beginning was not recorded")
         if self._end is None:
             contents.lacks.append(f"{name}: its end was not recorded")
         else:
             self._ledger.close(self._end)
-        contents.lacks += [f"{name}: {topic} lacks {ticks}" for topic, ticks in self._ledger.gaps().items()]
+        contents.lacks += [
+            f"{name}: {topic} lacks {ticks}" for topic, ticks in self._ledger.gaps().items()
+        ]
 
 
 def named_topics(episode: EpisodeContents) -> Iterator[tuple[str, Counted]]:

@@ -42,7 +42,9 @@ class Teaching:
     demonstrations: list[Demonstration] = field(default_factory=list)  # Of each piece without gaps.
     recordings: int = 0  # Files that were read.
     episodes: int = 0  # Episodes that are used.
-    remarks: list[str] = field(default_factory=list)  # Of what is left out, damaged or computed anew.
+    remarks: list[str] = field(
+        default_factory=list
+    )  # Of what is left out, damaged or computed anew.
 
 
 class Teacher:
@@ -63,7 +65,9 @@ class Teacher:
         taught: Size | None = None,
     ) -> None:
         self.teaching = Teaching()
-        self._sizes: dict[Size, str] = {} if taught is None else {taught: "the model"}  # With who has it, first.
+        self._sizes: dict[Size, str] = (
+            {} if taught is None else {taught: "the model"}
+        )  # With who has it, first.
         self._episodes = episodes
         self._features = features
         self._shortest = shortest
@@ -71,7 +75,9 @@ class Teacher:
         self._seen: dict[tuple[str, str], Path] = {}
         self._allowance = Allowance()
 
-    def read_all(self, paths: Sequence[Path], advance: Callable[[str, int, int], object]) -> Teaching:
+    def read_all(
+        self, paths: Sequence[Path], advance: Callable[[str, int, int], object]
+    ) -> Teaching:
         """Read files, tell before each how many are done and how many there are, and return what all of them teach."""
         for number, path in enumerate(paths):
             advance("reading", number, len(paths))
@@ -82,7 +88,11 @@ class Teacher:
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""
         # Vectors of more modalities than the wanted ones hold these.
-        holding = [held for held in features_in(path) if set(self._features.describing) <= set(held.modalities)]
+        holding = [
+            held
+            for held in features_in(path)
+            if set(self._features.describing) <= set(held.modalities)
+        ]
         held = min(holding, key=lambda held: held.size, default=self._features)
         free = self._allowance.left
         taught = len(self.teaching.demonstrations)
@@ -96,8 +106,14 @@ class Teacher:
         self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
             if not self._episodes or episode.episode in self._episodes:
-                whole = {tick: one for tick, one in episode.features.items() if one().shape == (held.size,)}
-                episode.features = {tick: partial(_chosen, one, held, self._features) for tick, one in whole.items()}
+                whole = {
+                    tick: one
+                    for tick, one in episode.features.items()
+                    if one().shape == (held.size,)
+                }
+                episode.features = {
+                    tick: partial(_chosen, one, held, self._features) for tick, one in whole.items()
+                }
                 self._take(path, episode)
         if len(self.teaching.demonstrations) == taught:
             self._allowance.left = free  # nothing of it is kept
@@ -121,18 +137,24 @@ class Teacher:
             return
         computed = _complete(episode, self._features)
         if computed:
-            self._remark(f"{path}: the features of {computed} frames were computed from their images")
+            self._remark(
+                f"{path}: the features of {computed} frames were computed from their images"
+            )
         pieces = [piece for piece in episode.pieces() if piece.ticks.size >= self._shortest]
         if not pieces:
             self._remark(f"{here} is left out: no {self._shortest} successive frames")
             return
         # The very last frame is not counted: unless the victim was found, nothing was done after it.
         recorded = episode.features.keys() | episode.images.keys()
-        lost = recorded - {tick for piece in pieces for tick in piece.ticks.tolist()} - {max(recorded)}
+        lost = (
+            recorded - {tick for piece in pieces for tick in piece.ticks.tolist()} - {max(recorded)}
+        )
         if lost:
             self._remark(f"{here}: {len(lost)} frames beside gaps are left out")
         self.teaching.episodes += 1
-        self.teaching.demonstrations.extend(_demonstration(episode, piece, len(pieces) == 1) for piece in pieces)
+        self.teaching.demonstrations.extend(
+            _demonstration(episode, piece, len(pieces) == 1) for piece in pieces
+        )
 
     def _unusable(self, path: Path, episode: RecordedEpisode) -> str | None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)
@@ -292,8 +314,12 @@ def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
         for features in features_in(path):
             found.setdefault(features, path)
     if len(found) > 1:
-        each = "; ".join(f"{path} holds {','.join(features.modalities)}" for features, path in found.items())
-        raise UsageError(f"the recordings hold different features ({each}): choose with --modalities")
+        each = "; ".join(
+            f"{path} holds {','.join(features.modalities)}" for features, path in found.items()
+        )
+        raise UsageError(
+            f"the recordings hold different features ({each}): choose with --modalities"
+        )
     return next(iter(found), FeatureSettings())
 
 

@@ -22,7 +22,9 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from services.kit.jpeg import decode_jpeg
 
-CAMERA_FRAME: Final = "camera"  # Frame of the camera, for viewers: x to the right in the image, y down, z into it.
+CAMERA_FRAME: Final = (
+    "camera"  # Frame of the camera, for viewers: x to the right in the image, y down, z into it.
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,10 @@ def payload_of(message: Message) -> bytes:
     if not isinstance(message, CompressedImage):
         return message.model_dump_json().encode()
     packed = foxglove.CompressedImage(
-        timestamp=timestamp(message.stamp_ns), frame_id=CAMERA_FRAME, data=message.data, format=message.format
+        timestamp=timestamp(message.stamp_ns),
+        frame_id=CAMERA_FRAME,
+        data=message.data,
+        format=message.format,
     )
     return packed.SerializeToString()
 
@@ -87,7 +92,9 @@ def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
     descriptors = FileDescriptorSet()
     for file in files.values():
         file.CopyToProto(descriptors.file.add())
-    return ChannelFormat(message.DESCRIPTOR.full_name, "protobuf", "protobuf", descriptors.SerializeToString())
+    return ChannelFormat(
+        message.DESCRIPTOR.full_name, "protobuf", "protobuf", descriptors.SerializeToString()
+    )
 
 
 def plain_json_schema(message: type[Message]) -> dict[str, Any]:
@@ -108,7 +115,9 @@ def plain_json_schema(message: type[Message]) -> dict[str, Any]:
             (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
             node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
         if "$ref" in node:
-            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {k: v for k, v in node.items() if k != "$ref"}
+            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {
+                k: v for k, v in node.items() if k != "$ref"
+            }
         if "prefixItems" in node:
             first, *others = node["prefixItems"]
             assert all(other == first for other in others)  # noqa: S101 - of our own messages

@@ -32,7 +32,9 @@ class Spans:
     """A set of whole numbers as spans of successive ones: a drive of hours that lacks nothing is a single one."""
 
     def __init__(self) -> None:
-        self._bounds = array("q")  # Ascending: where a span begins, the first number behind it, and so on.
+        self._bounds = array(
+            "q"
+        )  # Ascending: where a span begins, the first number behind it, and so on.
         self.count = 0
 
     def add(self, number: int) -> bool:
@@ -52,7 +54,11 @@ class Spans:
     def missing(self, last: int) -> Iterator[tuple[int, int]]:
         """Yield first and last number of each gap from 0 to `last`."""
         bounds = [0, *self._bounds, last + 1]
-        yield from ((first, end - 1) for first, end in zip(bounds[::2], bounds[1::2], strict=True) if first < end)
+        yield from (
+            (first, end - 1)
+            for first, end in zip(bounds[::2], bounds[1::2], strict=True)
+            if first < end
+        )
 
 
 class Ledger:
@@ -84,7 +90,9 @@ class Ledger:
 
     def whole(self, end_tick: int) -> bool:
         """Whether nothing is missing of an episode that ended at this tick."""
-        reach = all(self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic].count)
+        reach = all(
+            self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic].count
+        )
         return reach and not self.gap_ticks
 
     @property
@@ -94,8 +102,14 @@ class Ledger:
 
     def gaps(self) -> dict[str, str]:
         """Return the missing ticks by topic, for example ``{"camera/jpeg": "3-5 9"}``."""
-        found = {topic: list(ticks.missing(self._last[topic])) for topic, ticks in self._ticks.items()}
-        return {topic: " ".join(_text(*span) for span in spans) for topic, spans in found.items() if spans}
+        found = {
+            topic: list(ticks.missing(self._last[topic])) for topic, ticks in self._ticks.items()
+        }
+        return {
+            topic: " ".join(_text(*span) for span in spans)
+            for topic, spans in found.items()
+            if spans
+        }
 
 
 def _text(first: int, last: int) -> str:

@@ -12,12 +12,23 @@ from mcap.records import Channel, DataEnd, Footer, Message, Metadata
 
 from schemas.topics import EPISODE, topic_of
 from services.kit.errors import JobError
-from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
+from services.recordings.records import (
+    MAGIC,
+    UNREADABLE,
+    Bounds,
+    chunk_of,
+    heads,
+    inside,
+    mapped,
+    record_of,
+)
 from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
 from services.recordings.writer import GAPS_METADATA
 
-_UNSURE: Final = 16 * 2**20  # May not have reached the disk at a power failure: checksums are checked there.
+_UNSURE: Final = (
+    16 * 2**20
+)  # May not have reached the disk at a power failure: checksums are checked there.
 
 
 class LeftoverError(JobError):
@@ -82,12 +93,16 @@ class _Look:
         # What is not whole may be a chunk at the end, or zeros; what is damaged before hides what is whole.
         head = next(heads(data, self.size), None)
         is_last = head is None or head.end > len(data) or head.opcode in (0, Opcode.CHUNK)
-        if not whole and not (is_last and ChunkSearch(data).next(self.size + 1, len(data)) == len(data)):
+        if not whole and not (
+            is_last and ChunkSearch(data).next(self.size + 1, len(data)) == len(data)
+        ):
             raise LeftoverError(f"it is damaged at byte {self.size}; see smal recording repair")
 
     def _take_all(self) -> bool:
         """Return whether the end of the records was reached."""
-        while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(self._data):
+        while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(
+            self._data
+        ):
             body = self._data[head.begin : head.end]
             match head.opcode:
                 case Opcode.HEADER | Opcode.MESSAGE_INDEX:
@@ -101,7 +116,9 @@ class _Look:
                     chunk = chunk_of(body)
                     if chunk.compression:
                         raise McapError("a chunk that is none of a recorder's")
-                    for one in inside(chunk, Bounds(len(self._data)), checked=head.end > len(self._data) - _UNSURE):
+                    for one in inside(
+                        chunk, Bounds(len(self._data)), checked=head.end > len(self._data) - _UNSURE
+                    ):
                         if isinstance(one, Channel) and topic_of(one.topic) is EPISODE:
                             self._events.add(one.id)
                         elif isinstance(one, Message) and one.channel_id in self._events:

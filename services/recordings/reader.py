@@ -19,7 +19,14 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, copied, mapped
 from services.recordings.stream import RecordingError, Stored, messages_of
 
-USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)  # For teaching, and to be drawn.
+USUAL: Final = (
+    JPEG,
+    CAMERA_INFO,
+    ODOMETRY,
+    POSE,
+    OBSERVATION,
+    APPLIED,
+)  # For teaching, and to be drawn.
 
 
 @dataclass(frozen=True, eq=False)

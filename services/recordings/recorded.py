@@ -24,10 +24,18 @@ class Piece:
 
     ticks: NDArray[np.int64]  # (f,), each one more than the last.
     features: Made  # (f, m), raw feature vectors.
-    atoms: NDArray[np.int8]  # (f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
-    ahead: NDArray[np.float32]  # (f,), fraction of the nominal speed at which the robot went ahead in turning then.
-    images: tuple[memoryview, ...] | None  # As recorded (``encoding.decode_image``), one a frame; or None.
-    odometry: NDArray[np.float64] | None  # (f, 3), metres and radians by the wheels; None if one is missing.
+    atoms: NDArray[
+        np.int8
+    ]  # (f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
+    ahead: NDArray[
+        np.float32
+    ]  # (f,), fraction of the nominal speed at which the robot went ahead in turning then.
+    images: (
+        tuple[memoryview, ...] | None
+    )  # As recorded (``encoding.decode_image``), one a frame; or None.
+    odometry: (
+        NDArray[np.float64] | None
+    )  # (f, 3), metres and radians by the wheels; None if one is missing.
     at_goal: bool  # Whether the last frame is that of an episode which ended with the victim found.
 
 
@@ -47,12 +55,16 @@ class RecordedEpisode:
     box: Box | None = None  # Where in the last frame the goal is.
     #: Read or make the raw ones, of the wanted fingerprint: a drive's would fill memory.
     features: dict[int, Callable[[], NDArray[np.float32]]] = field(default_factory=dict)
-    images: dict[int, memoryview] = field(default_factory=dict)  # As recorded (for ``encoding.decode_image``).
+    images: dict[int, memoryview] = field(
+        default_factory=dict
+    )  # As recorded (for ``encoding.decode_image``).
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)  # From this tick to the next.
     camera: CameraInfo | None = None
-    poses: dict[int, Pose] = field(default_factory=dict)  # True poses, for plots; learning must not use them.
+    poses: dict[int, Pose] = field(
+        default_factory=dict
+    )  # True poses, for plots; learning must not use them.
 
     @property
     def frames(self) -> int:
@@ -62,7 +74,9 @@ class RecordedEpisode:
     def pieces(self) -> list[Piece]:
         """Cut the episode wherever features, what was done, or an image or pose that most frames have, are missing."""
         most = len(self.features) / 2
-        usual = [had for had in (self.images, self.odometry) if len(had.keys() & self.features) > most]
+        usual = [
+            had for had in (self.images, self.odometry) if len(had.keys() & self.features) > most
+        ]
         known = sorted(
             tick
             for tick in self.features

@@ -25,7 +25,11 @@ from smal.files.container import open_regular
 
 MAGIC: Final = MCAP0_MAGIC  # First and last bytes of every MCAP file.
 HEAD: Final = struct.Struct("<BQ")  # Of every record: what it is, and how many bytes follow.
-UNREADABLE: Final = (McapError, ValueError, struct.error)  # What is raised where there is no record.
+UNREADABLE: Final = (
+    McapError,
+    ValueError,
+    struct.error,
+)  # What is raised where there is no record.
 #: Most bytes that a packed chunk may unpack to. Other tools make chunks of a few megabytes, and at least of one
 #: message; the largest is an image of 17 MB.
 LARGEST_CHUNK: Final = 64 * 2**20
@@ -64,7 +68,9 @@ class Allowance:
     def take(self, size: int) -> None:
         """Take memory; raises MemoryLimitError when it is too much."""
         if size > self.left:
-            raise MemoryLimitError(f"takes more than {self._size / 2**30:.3g} GiB of memory, with what was read before")
+            raise MemoryLimitError(
+                f"takes more than {self._size / 2**30:.3g} GiB of memory, with what was read before"
+            )
         self.left -= size
 
 
@@ -172,7 +178,9 @@ def inside(chunk: Chunk, bounds: Bounds, *, checked: bool = False) -> Iterator[M
     """Yield the whole records in a chunk; a checksum counts of a packed one, or if ``checked``. Raises as `records`."""
     content = memoryview(bounds.unpack(chunk) if chunk.compression else chunk.data)
     checked |= bool(chunk.compression)
-    if len(content) != chunk.uncompressed_size or (checked and chunk.uncompressed_crc not in (0, zlib.crc32(content))):
+    if len(content) != chunk.uncompressed_size or (
+        checked and chunk.uncompressed_crc not in (0, zlib.crc32(content))
+    ):
         raise McapError("the content of a chunk is not what it says")
     for opcode, begin, end in heads(content, 0):
         if opcode not in _IN_CHUNKS:
@@ -193,7 +201,9 @@ def record_of(opcode: int, body: memoryview) -> McapRecord | None:
     if opcode == Opcode.MESSAGE:
         channel, tick, time, sent = _MESSAGE.unpack_from(body)
         data = cast("bytes", body[_MESSAGE.size :])
-        return Message(channel_id=channel, sequence=tick, log_time=time, publish_time=sent, data=data)
+        return Message(
+            channel_id=channel, sequence=tick, log_time=time, publish_time=sent, data=data
+        )
     if opcode == 0:
         raise McapError("a record of no kind")
     if opcode not in _KINDS:

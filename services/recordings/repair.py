@@ -21,7 +21,9 @@ def usual_name(path: Path, *, replace: bool) -> Path:
     return path if replace else free_path(path.parent, f"{path.stem}-repaired")
 
 
-def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[list[Contents], Contents | None]:
+def repair(
+    paths: Sequence[Path], out: Path, *, replace: bool = False
+) -> tuple[list[Contents], Contents | None]:
     """Write the recording of all that is whole in others, which are of one episode; return what was wrong, and is.
 
     The second is None where nothing was to be repaired. ``replace`` replaces a file that is there, and removes what was
@@ -33,18 +35,29 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     for one in before:
         if len(one.episodes) != 1:
             several = f"{len(one.episodes)} episodes; one can be repaired at a time"
-            raise JobError(f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}")
+            raise JobError(
+                f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}"
+            )
         first = before[0].episodes[0]
         other = one.episodes[0]
         if (first.robot, first.episode) != (other.robot, other.episode):
-            raise JobError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
+            raise JobError(
+                f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}"
+            )
     left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]
-    with ExitStack() as held, tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
+    with (
+        ExitStack() as held,
+        tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder,
+    ):
         for path in left:
             try:
-                held.callback(os.close, claim(path))  # Recorders keep away from what one of them left behind.
+                held.callback(
+                    os.close, claim(path)
+                )  # Recorders keep away from what one of them left behind.
             except BlockingIOError:
-                raise JobError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
+                raise JobError(
+                    f"{path}: still being recorded; end the episode or stop the recorder first"
+                ) from None
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
@@ -64,7 +77,9 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     try:
         for one in before:
             # `verify` has told of what is not whole; a message that does not decode is left out.
-            for stored in messages(surveyed(open_recording(one.path, living=True), lambda _line: None)):
+            for stored in messages(
+                surveyed(open_recording(one.path, living=True), lambda _line: None)
+            ):
                 with suppress(ValueError):
                     writer.write(stored.message(pixels=True))
     finally:

@@ -50,7 +50,9 @@ class Track:
         """Take a message."""
         self._told[stored.tick].append(stored)
 
-    def play(self, robot: str, episode: str, began_ns: int, wanted: Mapping[str, Topic]) -> Iterator[Tick]:
+    def play(
+        self, robot: str, episode: str, began_ns: int, wanted: Mapping[str, Topic]
+    ) -> Iterator[Tick]:
         """Yield tick after tick of the wanted topics, under other ids.
 
         It is told as a run, so that who records it has no second demonstration. The first tick has the stamp
@@ -60,9 +62,13 @@ class Track:
         for tick, told in sorted(self._told.items()):
             since_ns = told[0].stamp_ns - first_ns
             header = {"robot": robot, "episode": episode, "stamp_ns": began_ns + since_ns}
-            said = sorted((one for stored in told for one in self._said(stored, wanted)), key=_place)
+            said = sorted(
+                (one for stored in told for one in self._said(stored, wanted)), key=_place
+            )
             run = header | {"purpose": "run"}
-            told_anew = (one.model_copy(update=run if isinstance(one, Episode) else header) for one in said)
+            told_anew = (
+                one.model_copy(update=run if isinstance(one, Episode) else header) for one in said
+            )
             yield Tick(tick, since_ns / 1e9, tuple(told_anew))
 
     def _said(self, stored: Stored, wanted: Mapping[str, Topic]) -> Iterator[Message]:
@@ -78,7 +84,9 @@ def _place(message: Message) -> tuple[int, int]:
     """Return where in a tick a message stands: `started` first, `ended` last."""
     order = [*REPLAYABLE].index(message.topic_name)
     if isinstance(message, Episode):
-        return {"started": -1, "ended": len(REPLAYABLE)}.get(message.event, order), place_of(message)
+        return {"started": -1, "ended": len(REPLAYABLE)}.get(message.event, order), place_of(
+            message
+        )
     return order, place_of(message)
 
 

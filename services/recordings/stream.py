@@ -17,10 +17,20 @@ from schemas.topics import JPEG, Topic, topic_of
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
-from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, copied, mapped, records
+from services.recordings.records import (
+    MAGIC,
+    UNREADABLE,
+    Allowance,
+    MemoryLimitError,
+    copied,
+    mapped,
+    records,
+)
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
-OBJECTS: Final = 2048  # Memory of a message that is kept beside its bytes: its object, and its numbers.
+OBJECTS: Final = (
+    2048  # Memory of a message that is kept beside its bytes: its object, and its numbers.
+)
 
 
 class RecordingError(JobError):
@@ -42,7 +52,9 @@ def being_recorded(path: Path) -> bool:
 def open_recording(path: Path, *, living: bool = False) -> memoryview:
     """Return a recording's bytes; RecordingError when there is none, or it is being recorded, unless ``living``."""
     if not living and being_recorded(path):
-        raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+        raise RecordingError(
+            f"{path}: still being recorded; end the episode or stop the recorder first"
+        )
     try:
         data = mapped(path)
     except OSError as error:
@@ -71,10 +83,18 @@ class Stored(NamedTuple):
             raise ValueError(f"{self.key} is no topic of ours")
         payload = copied(self.payload)
         try:
-            message = self._image(payload) if self.topic is JPEG else self.topic.message.model_validate_json(payload)
+            message = (
+                self._image(payload)
+                if self.topic is JPEG
+                else self.topic.message.model_validate_json(payload)
+            )
         except ValidationError as error:
             raise ValueError(describe(error)) from None
-        if (message.robot, message.episode, message.topic_name) != (self.robot, self.episode, self.topic.name):
+        if (message.robot, message.episode, message.topic_name) != (
+            self.robot,
+            self.episode,
+            self.topic.name,
+        ):
             raise ValueError("of another robot, episode or topic than its channel")
         if pixels and isinstance(message, CompressedImage):
             decode_jpeg(message.data)
@@ -85,7 +105,9 @@ class Stored(NamedTuple):
         width, height = jpeg_size(jpeg) or (0, 0)
         if not width * height:
             raise ValueError("not a JPEG image")
-        header = Message(robot=self.robot, episode=self.episode, tick=self.tick, stamp_ns=self.stamp_ns)
+        header = Message(
+            robot=self.robot, episode=self.episode, tick=self.tick, stamp_ns=self.stamp_ns
+        )
         return CompressedImage.after(header, width=width, height=height, data=jpeg)
 
 
@@ -96,14 +118,23 @@ def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
         if isinstance(record, Channel):
             robot = record.metadata.get("robot", "")
             episode = record.metadata.get("episode", "")
-            named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(EPISODE_ID_PATTERN, episode)
-            channels[record.id] = record.topic, topic_of(record.topic) if named else None, robot, episode
+            named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(
+                EPISODE_ID_PATTERN, episode
+            )
+            channels[record.id] = (
+                record.topic,
+                topic_of(record.topic) if named else None,
+                robot,
+                episode,
+            )
         elif isinstance(record, StoredMessage) and record.channel_id in channels:
             whose = channels[record.channel_id]
             yield Stored(*whose, record.sequence, record.log_time, memoryview(record.data))
 
 
-def messages_of(path: Path, topics: Collection[Topic], allowance: Allowance | None = None) -> Iterator[Stored]:
+def messages_of(
+    path: Path, topics: Collection[Topic], allowance: Allowance | None = None
+) -> Iterator[Stored]:
     """Yield the messages of some topics in a recording, within an ``allowance``; or raise RecordingError."""
     data = open_recording(path)
     allowance = allowance or Allowance()
@@ -115,7 +146,9 @@ def messages_of(path: Path, topics: Collection[Topic], allowance: Allowance | No
                 yield stored
     except MemoryLimitError as error:
         allowance.left = before
-        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress), or read fewer at once") from None
+        raise RecordingError(
+            f"{path}: {error}; unpack it first (mcap decompress), or read fewer at once"
+        ) from None
     except UNREADABLE as error:
         why = f"damaged: {str(error) or type(error).__name__}; see smal recording repair"
         raise RecordingError(f"{path}: {why}") from None

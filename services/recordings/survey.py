@@ -11,12 +11,22 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, McapRecord, Message
 
 from services.recordings import records
-from services.recordings.records import MAGIC, UNREADABLE, Allowance, Bounds, Head, MemoryLimitError, heads
+from services.recordings.records import (
+    MAGIC,
+    UNREADABLE,
+    Allowance,
+    Bounds,
+    Head,
+    MemoryLimitError,
+    heads,
+)
 
 _KNOWN: Final = frozenset(map(int, Opcode))
 #: What stands before the magic at the end: where the summary begins, where its parts are listed, its checksum.
 _FOOTER: Final = struct.Struct("<BQQQI")
-_DATA_END: Final = struct.Struct("<BQI")  # And before the summary: the end of the data, with its checksum.
+_DATA_END: Final = struct.Struct(
+    "<BQI"
+)  # And before the summary: the end of the data, with its checksum.
 _COUNT: Final = struct.Struct("<Q")  # The first of the statistics is how many messages there are.
 _CHECKED: Final = 4  # How many times the bytes of a file a search for chunks may check.
 
@@ -142,7 +152,13 @@ class ChunkSearch:
                 chunk = records.chunk_of(self._data[begin:behind])
                 if chunk.uncompressed_crc:
                     self._left -= behind - at
-                    list(records.inside(chunk, Bounds(len(self._data), Allowance(records.LARGEST_CHUNK)), checked=True))
+                    list(
+                        records.inside(
+                            chunk,
+                            Bounds(len(self._data), Allowance(records.LARGEST_CHUNK)),
+                            checked=True,
+                        )
+                    )
                     return at
             except UNREADABLE:
                 pass

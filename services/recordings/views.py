@@ -44,9 +44,16 @@ from services.recordings.encoding import CAMERA_FRAME, timestamp
 from smal.movement import placed, seen_from
 
 _PART: Final = "/view/"
-_KEPT: Final = 100  # Poses by the wheels that wait for the belief of their frame, a few frames later.
+_KEPT: Final = (
+    100  # Poses by the wheels that wait for the belief of their frame, a few frames later.
+)
 #: The arrow of the belief is half a metre long, about as a robot.
-_ARROW: Final = {"shaft_length": 0.35, "shaft_diameter": 0.075, "head_length": 0.15, "head_diameter": 0.15}
+_ARROW: Final = {
+    "shaft_length": 0.35,
+    "shaft_diameter": 0.075,
+    "head_length": 0.15,
+    "head_diameter": 0.15,
+}
 _STEP_M: Final = 0.1  # From point to point of the driven way; more where there would be too many.
 _MOST_POINTS: Final = 10_000  # Most points of a way: more than a screen can tell apart.
 _LINE_PX: Final = 3.0
@@ -124,12 +131,16 @@ class Views:
         true = self._true.get(message.tick)
         if not self._with_world and wheels is not None and true is not None:
             self._with_world = True
-            yield RecordedView("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
+            yield RecordedView(
+                "world", _transform(message, "world", "odom", _origin_of(true, wheels))
+            )
 
     @of.register
     def _tracked(self, pose: TrackedPose) -> Iterator[RecordedView]:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            yield RecordedView("tracked", _in_world(pose, np.array([pose.x_m, pose.y_m, pose.heading_rad])))
+            yield RecordedView(
+                "tracked", _in_world(pose, np.array([pose.x_m, pose.y_m, pose.heading_rad]))
+            )
 
     @of.register
     def _camera(self, info: CameraInfo) -> Iterator[RecordedView]:
@@ -137,7 +148,9 @@ class Views:
         x = info.centre_x_px
         y = info.centre_y_px
         stamp = timestamp(info.stamp_ns)
-        calibration = CameraCalibration(timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height)
+        calibration = CameraCalibration(
+            timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height
+        )
         calibration.K.extend([focal, 0, x, 0, focal, y, 0, 0, 1])
         calibration.distortion_model = info.lens
         calibration.D.extend(info.distortion)
@@ -159,8 +172,14 @@ class Views:
 
     @of.register
     def _state(self, state: State) -> Iterator[RecordedView]:
-        yield from self._changed(state, "recognition", state.status, warns=state.status == "unknown")
-        if self._keyframes is None or not state.places or state.places[0].keyframe >= len(self._keyframes):
+        yield from self._changed(
+            state, "recognition", state.status, warns=state.status == "unknown"
+        )
+        if (
+            self._keyframes is None
+            or not state.places
+            or state.places[0].keyframe >= len(self._keyframes)
+        ):
             return
         known = [place for place in state.places if place.keyframe < len(self._keyframes)]
         offsets = np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in known])
@@ -168,7 +187,9 @@ class Views:
         wheels = self._wheels.get(state.tick)
         # A robot that is lost goes by its wheels; without any, there is nothing else to go by.
         if wheels is not None and state.lost <= 0.5:
-            yield RecordedView("map", _transform(state, "odom", "map", _origin_of(wheels, poses[0])))
+            yield RecordedView(
+                "map", _transform(state, "odom", "map", _origin_of(wheels, poses[0]))
+            )
         elif not self._wheels:
             yield RecordedView("map", _transform(state, "map", "base_link", poses[0]))
         color = Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0)
@@ -190,7 +211,9 @@ class Views:
             yield from self._changed(applied, "robot", f"driven by {applied.source}")
         else:
             cause = f" ({applied.stop_cause})" if applied.stop_cause else ""
-            yield from self._changed(applied, "robot", f"stands: {applied.reason}{cause}", warns=True)
+            yield from self._changed(
+                applied, "robot", f"stands: {applied.reason}{cause}", warns=True
+            )
 
     @of.register
     def _event(self, event: Episode) -> Iterator[RecordedView]:
@@ -200,11 +223,16 @@ class Views:
             text = event.event if event.outcome is None else f"ended: {event.outcome}"
         yield from self._changed(event, "episode", text, warns=event.outcome not in (None, "found"))
 
-    def _changed(self, message: Message, name: str, text: str, *, warns: bool = False) -> Iterator[RecordedView]:
+    def _changed(
+        self, message: Message, name: str, text: str, *, warns: bool = False
+    ) -> Iterator[RecordedView]:
         if self._told.get(name) != text:
             self._told[name] = text
             level = Log.WARNING if warns else Log.INFO
-            yield RecordedView("log", Log(timestamp=timestamp(message.stamp_ns), level=level, message=text, name=name))
+            yield RecordedView(
+                "log",
+                Log(timestamp=timestamp(message.stamp_ns), level=level, message=text, name=name),
+            )
 
 
 def _keep(poses: dict[int, Array], tick: int, pose: Array) -> None:
@@ -242,7 +270,9 @@ def _transform(message: Message, parent: str, child: str, pose: Array) -> FrameT
     )
 
 
-def _line(message: Message, frame: str, name: str, lines: list[Array], color: Color) -> Iterator[RecordedView]:
+def _line(
+    message: Message, frame: str, name: str, lines: list[Array], color: Color
+) -> Iterator[RecordedView]:
     """Yield lines of points (n, 3), and the points for viewers that do not know scenes."""
     drawn = [
         LinePrimitive(
@@ -269,7 +299,9 @@ def _scene(message: Message, frame: str, name: str, entity: SceneEntity) -> Scen
 
 def _cloud(message: Message, frame: str, points: Array) -> PointCloud:
     kind = PackedElementField.FLOAT32
-    fields = [PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate("xyz")]
+    fields = [
+        PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate("xyz")
+    ]
     return PointCloud(
         timestamp=timestamp(message.stamp_ns),
         frame_id=frame,

@@ -20,8 +20,12 @@ from services.recordings.views import RecordedView, Views, view_key
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
-_CHUNK_NS: Final = 1_000_000_000  # Time of a chunk: what viewers load, and what a kill or wrong byte costs.
-_CHUNK_BYTES: Final = 4 * 2**20  # Or so many bytes, where images are large: they are held until then.
+_CHUNK_NS: Final = (
+    1_000_000_000  # Time of a chunk: what viewers load, and what a kill or wrong byte costs.
+)
+_CHUNK_BYTES: Final = (
+    4 * 2**20
+)  # Or so many bytes, where images are large: they are held until then.
 
 
 class EpisodeWriter:
@@ -48,7 +52,9 @@ class EpisodeWriter:
         self._first_ns = sys.maxsize
         self._sink = Sink(claim(part, os.O_RDWR | os.O_CREAT | os.O_EXCL))
         try:
-            self._file: Any = Writer(cast("Any", self._sink), sys.maxsize, CompressionType.NONE, enable_data_crcs=True)
+            self._file: Any = Writer(
+                cast("Any", self._sink), sys.maxsize, CompressionType.NONE, enable_data_crcs=True
+            )
             self._file.start(library=f"smal {program_version()}")
             self._file.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
@@ -63,7 +69,11 @@ class EpisodeWriter:
         names = ("robot", "episode", "world", "seed", "purpose", "goal", "driver")
         metadata = {name: str(getattr(started, name)) for name in names}
         recorded_utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        return cls(partial_of(path), path, metadata | {"software": program_version(), "recorded_utc": recorded_utc})
+        return cls(
+            partial_of(path),
+            path,
+            metadata | {"software": program_version(), "recorded_utc": recorded_utc},
+        )
 
     @property
     def size(self) -> int:
@@ -121,7 +131,9 @@ class EpisodeWriter:
         self.flush()
         if self.end_tick is not None:
             self.ledger.close(self.end_tick)
-        self._file.add_metadata(GAPS_METADATA, {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps())
+        self._file.add_metadata(
+            GAPS_METADATA, {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
+        )
         # Behind it, in a chunk of its own: it has the time of the beginning.
         for cause, view in self._views.way():
             self._draw(view, cause)
@@ -136,8 +148,12 @@ class EpisodeWriter:
         channel = self._channels.get((key, form))
         if channel is None:
             if form not in self._schemas:
-                self._schemas[form] = self._file.register_schema(form.schema_name, form.schema_encoding, form.schema)
-            channel = self._file.register_channel(key, form.message_encoding, self._schemas[form], self._ids)
+                self._schemas[form] = self._file.register_schema(
+                    form.schema_name, form.schema_encoding, form.schema
+                )
+            channel = self._file.register_channel(
+                key, form.message_encoding, self._schemas[form], self._ids
+            )
             self._channels[key, form] = channel
         self._bytes += len(payload)
         self._file.add_message(channel, cause.stamp_ns, payload, cause.stamp_ns, cause.tick)

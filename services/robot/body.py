@@ -88,9 +88,15 @@ class Beginning:
 
     route: tuple[tuple[float, float], ...] = ()
     """Way points from there to the goal, metres; none where the way is not known."""
-    found_m: float | None = None  # How near the goal counts as found; None where nobody knows where it is.
-    victim: tuple[float, float] | None = None  # Where the victim lies, metres; None where it is not known, or nowhere.
-    things: tuple[tuple[tuple[float, float], ...], ...] = ()  # Outlines of what stands there anew, metres, if known.
+    found_m: float | None = (
+        None  # How near the goal counts as found; None where nobody knows where it is.
+    )
+    victim: tuple[float, float] | None = (
+        None  # Where the victim lies, metres; None where it is not known, or nowhere.
+    )
+    things: tuple[
+        tuple[tuple[float, float], ...], ...
+    ] = ()  # Outlines of what stands there anew, metres, if known.
 
 
 V_co = TypeVar("V_co", bound=View, covariant=True)

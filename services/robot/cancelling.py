@@ -17,7 +17,9 @@ class Cancelling:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._asker: str | None = None  # Who has asked for what is being begun; None while nothing is.
+        self._asker: str | None = (
+            None  # Who has asked for what is being begun; None while nothing is.
+        )
         self._by: str | None = None
 
     def cancel(self, session: str, operator: str | None) -> None:
@@ -26,7 +28,9 @@ class Cancelling:
             if self._asker is None:
                 raise ServiceError("there is nothing to cancel: no episode is being begun")
             if session not in (self._asker, operator):
-                raise ServiceError("only who asked for this episode, or the operator, may cancel it")
+                raise ServiceError(
+                    "only who asked for this episode, or the operator, may cancel it"
+                )
             self._by = "who asked for it" if session == self._asker else "the operator"
 
     @contextmanager

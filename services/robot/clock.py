@@ -4,7 +4,9 @@ import time
 from typing import Final
 
 TICK_S: Final = 0.1  # Time from one camera frame to the next, seconds (10 Hz).
-PULSE_S: Final = 0.05  # Time from one pulse, which the robot's operator answers, to the next, seconds.
+PULSE_S: Final = (
+    0.05  # Time from one pulse, which the robot's operator answers, to the next, seconds.
+)
 
 
 def now_s() -> float:

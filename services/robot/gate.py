@@ -44,10 +44,24 @@ Refusal = Literal[
     "out of order",
 ]
 Reason = Literal[
-    "command", "obstacle", "no_depth", "insisted", "radius", "silence", "taken_over", "deaf", "emergency_stop"
+    "command",
+    "obstacle",
+    "no_depth",
+    "insisted",
+    "radius",
+    "silence",
+    "taken_over",
+    "deaf",
+    "emergency_stop",
 ]
 #: The last of several causes is reported: the operator has to know it to arm the robot.
-_WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "wheels", "fault", "emergency_stop")
+_WEIGHT: Final[tuple[StopCause, ...]] = (
+    "not_armed",
+    "operator_lost",
+    "wheels",
+    "fault",
+    "emergency_stop",
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +72,9 @@ class Applied:
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
-    age_s: float = field(default=0.0, compare=False)  # Age of the command, since the capture of its frame.
+    age_s: float = field(
+        default=0.0, compare=False
+    )  # Age of the command, since the capture of its frame.
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,9 @@ class CommandGate:
     must be there for the robot to move.
     """
 
-    def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
+    def __init__(
+        self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None
+    ) -> None:
         self.max_age_s = max_age_s
         #: What bounds the speed of whoever drives, where the robot sees what it may run into; and how it can move.
         self.guard: Guard | None = None
@@ -146,7 +164,11 @@ class CommandGate:
             if self.attended and self.operator is None:
                 return "no operator answers in time; this robot moves only while one does"
             if not self.emergency_stop or stop != self.emergency_stop:
-                return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
+                return (
+                    "another stop was latched meanwhile"
+                    if self.emergency_stop
+                    else "no stop is latched"
+                )
             self._taken_over = self._episode != ""
             self._expire()
             self._released = stop
@@ -164,7 +186,9 @@ class CommandGate:
         """Return the number of the pulse that is sent now; older ones than an operator may answer are forgotten."""
         with self._lock:
             self._pulse += 1
-            self._pulsed_s = {number: at for number, at in self._pulsed_s.items() if now_s - at <= OPERATOR_S}
+            self._pulsed_s = {
+                number: at for number, at in self._pulsed_s.items() if now_s - at <= OPERATOR_S
+            }
             self._pulsed_s[self._pulse] = now_s
             return self._pulse
 
@@ -182,7 +206,9 @@ class CommandGate:
                 theirs = self.operator is None
             if theirs:
                 was_there = self.operator is not None
-                self._operator = _Operator(beat.session, beat.name, beat.sequence, answered_s, beat.present)
+                self._operator = _Operator(
+                    beat.session, beat.name, beat.sequence, answered_s, beat.present
+                )
                 if was_there and not beat.present and self.attended:
                     self._latch("operator_lost")
 
@@ -228,7 +254,9 @@ class CommandGate:
         """
         with self._lock:
             mine = self._latest.get("teleop")
-            if episode is not None and (episode != self._episode or (mine is not None and mine.command.tick > tick)):
+            if episode is not None and (
+                episode != self._episode or (mine is not None and mine.command.tick > tick)
+            ):
                 return "another episode has begun, or the person has commanded since"
             refusal = self.not_theirs(session)
             if refusal is None:
@@ -238,12 +266,16 @@ class CommandGate:
 
     def _expire(self) -> None:
         # Their order goes on to count: a command that comes twice is refused.
-        self._latest = {source: replace(one, until_s=-math.inf) for source, one in self._latest.items()}
+        self._latest = {
+            source: replace(one, until_s=-math.inf) for source, one in self._latest.items()
+        }
 
     def captured(self, tick: int, now_s: float) -> None:
         """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""
         with self._lock:
-            self._captured_s = {t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s}
+            self._captured_s = {
+                t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s
+            }
             self._captured_s[tick] = now_s
 
     # -- commands -------------------------------------------------------------------------------------------------
@@ -273,7 +305,9 @@ class CommandGate:
         refusal = self._check_sender(command, now_s)
         if refusal is not None:
             return refusal
-        if not all(-1.0 <= share <= 1.0 for share in command.velocity):  # NaN is not between them either
+        if not all(
+            -1.0 <= share <= 1.0 for share in command.velocity
+        ):  # NaN is not between them either
             return "not finite"
         last = self._latest.get(command.source)
         if (
@@ -285,7 +319,11 @@ class CommandGate:
         captured_s = self._captured_s.get(command.tick)
         if captured_s is None:
             # Either forgotten because it is too old, or never captured at all.
-            return "stale" if self._captured_s and command.tick < min(self._captured_s) else "unknown frame"
+            return (
+                "stale"
+                if self._captured_s and command.tick < min(self._captured_s)
+                else "unknown frame"
+            )
         return "stale" if now_s - captured_s > self.max_age_s else None
 
     def _check_sender(self, command: Command, now_s: float) -> Refusal | None:
@@ -296,14 +334,20 @@ class CommandGate:
         if command.source == "teleop" and self.not_theirs(command.session):
             return "not the operator"
         last = self._latest.get(command.source)
-        if last is not None and last.command.session != command.session and now_s - last.offered_s <= LEASE_S:
+        if (
+            last is not None
+            and last.command.session != command.session
+            and now_s - last.offered_s <= LEASE_S
+        ):
             return "another session"
         return None
 
     def expect_anybody(self) -> None:
         """End the leases: in lockstep time stands, and a driver that was started again has to be heard."""
         with self._lock:
-            self._latest = {source: replace(one, offered_s=-math.inf) for source, one in self._latest.items()}
+            self._latest = {
+                source: replace(one, offered_s=-math.inf) for source, one in self._latest.items()
+            }
 
     def answered(self, tick: int) -> bool:
         """Whether the driver has commanded for this very frame."""
@@ -323,7 +367,9 @@ class CommandGate:
         while not isinstance(latest, Applied):
             command = latest.command
             insists = command.insists and command.source == "teleop"
-            may, reason = bounded(command.velocity, self.kinematics, self.guard, now_s, insists=insists)
+            may, reason = bounded(
+                command.velocity, self.kinematics, self.guard, now_s, insists=insists
+            )
             asked = latest
             latest = self._obeyed(now_s, deaf=deaf)
             if latest is asked:
@@ -350,7 +396,12 @@ class CommandGate:
 
 
 def bounded(
-    asked: Velocity, kinematics: Kinematics, guard: Guard | None, now_s: float, *, insists: bool = False
+    asked: Velocity,
+    kinematics: Kinematics,
+    guard: Guard | None,
+    now_s: float,
+    *,
+    insists: bool = False,
 ) -> tuple[Velocity, Reason]:
     """Return how a robot moves that is asked to, and why: no more sharply than it can, nor fast into anything."""
     may = kinematics.bounded(asked)
@@ -361,5 +412,7 @@ def bounded(
             reason = "insisted"
         # Slower along the same arc; where it may not go on at all it may turn on the spot, but not as a car.
         slower = min(INSISTED if reason == "insisted" else share, abs(may.linear)) / abs(may.linear)
-        return kinematics.bounded(Velocity(slower * may.linear, (slower or 1.0) * may.angular)), reason
+        return kinematics.bounded(
+            Velocity(slower * may.linear, (slower or 1.0) * may.angular)
+        ), reason
     return may, "command" if may == asked else "radius"

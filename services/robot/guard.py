@@ -18,7 +18,9 @@ from services.robot.clock import TICK_S
 from smal.obstacles.capture_time import CaptureTime
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
 
-MAX_LOOK_S: Final = 0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
+MAX_LOOK_S: Final = (
+    0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
+)
 _STEPS: Final = 20  # Steps of a share: each change of it is published.
 
 
@@ -56,10 +58,16 @@ class Guard:
         self._braking_s = braking_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
         self._capture_time = CaptureTime(mount)
-        self._lock = threading.Lock()  # Held for the few lines that grant a share, or put a look in place of another.
-        self._known = self._before = _Known(None, -math.inf)  # By the last look, and by the one before.
+        self._lock = (
+            threading.Lock()
+        )  # Held for the few lines that grant a share, or put a look in place of another.
+        self._known = self._before = _Known(
+            None, -math.inf
+        )  # By the last look, and by the one before.
 
-    def look(self, depth_m: NDArray[np.float32] | None, pose: Sequence[float], captured_s: float) -> None:
+    def look(
+        self, depth_m: NDArray[np.float32] | None, pose: Sequence[float], captured_s: float
+    ) -> None:
         """Take a depth image, and the pose by the wheels at its stamp.
 
         An image may be older than its stamp: it counts as of the moment and the pose at which it was taken, and not at
@@ -94,7 +102,9 @@ class Guard:
             # What it may have gone since.
             free_m -= age_s * speed_m_s * max(known.granted, self._before.granted)
             # It goes on so for a tick before it can be told otherwise.
-            share = math.floor(most_speed(free_m, speed_m_s, self._braking_s, TICK_S) * _STEPS) / _STEPS
+            share = (
+                math.floor(most_speed(free_m, speed_m_s, self._braking_s, TICK_S) * _STEPS) / _STEPS
+            )
             # A look that came meanwhile was taken before this share was granted.
             for one in (known, self._known):
                 one.granted = max(one.granted, share)

@@ -16,7 +16,9 @@ from services.robot.gate import OPERATOR_S, SILENCE_S, Applied, CommandGate
 PERIOD_S: Final = 0.02  # Time from one look at the gate to the next.
 #: Age of the newest echo at which a lane counts as deaf, seconds; five of the robot's signs of life on each lane.
 ECHO_S: Final = 0.25
-STAND_WITHIN_S: Final = 0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
+STAND_WITHIN_S: Final = (
+    0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
+)
 _log = logging.getLogger("robot")
 
 
@@ -93,7 +95,11 @@ class ActuatorLoop:
                 raise  # It ends the process.
             if self._complaints.due():
                 expected = isinstance(error, ServiceError)
-                _log.error("the body has failed: it stands until it is armed again: %s", error, exc_info=not expected)
+                _log.error(
+                    "the body has failed: it stands until it is armed again: %s",
+                    error,
+                    exc_info=not expected,
+                )
             self._stand()
 
     def _carry_out(self) -> None:
@@ -128,4 +134,6 @@ class ActuatorLoop:
             self._body.stand()
         except Exception:  # noqa: BLE001 - nothing more can be done here
             if self._last_complaints.due():
-                _log.exception("the body does not take the order to stand; its own watchdog has to stop it")
+                _log.exception(
+                    "the body does not take the order to stand; its own watchdog has to stop it"
+                )

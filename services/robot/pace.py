@@ -40,8 +40,12 @@ class Running(Generic[V]):
     #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
     ready_s: dict[int, float] = field(default_factory=dict)
     latency_s: dict[Source, float] = field(default_factory=dict)
-    window: RadioWindow = field(default_factory=RadioWindow)  # Which frames have a picture, by radio.
-    frame: tuple[Message, ...] = ()  # The messages of the last frame that a driver needs to answer it.
+    window: RadioWindow = field(
+        default_factory=RadioWindow
+    )  # Which frames have a picture, by radio.
+    frame: tuple[
+        Message, ...
+    ] = ()  # The messages of the last frame that a driver needs to answer it.
 
     @property
     def request(self) -> ResetRequest:
@@ -99,7 +103,9 @@ class Pace(Protocol[V]):
         """Leave the robot standing."""
 
 
-Paces = Mapping[Mode, Callable[[], Pace[V]]]  # How time passes, by mode; each episode has a pace of its own.
+Paces = Mapping[
+    Mode, Callable[[], Pace[V]]
+]  # How time passes, by mode; each episode has a pace of its own.
 
 
 class RealTime(Generic[V]):

@@ -12,7 +12,15 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode as EpisodeEvent
 from schemas.episode import EventName, Outcome
 from schemas.heartbeat import Heartbeat, Pulse
-from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
+from schemas.rpc import (
+    ArmRequest,
+    CancelRequest,
+    EndRequest,
+    Mode,
+    ResetReply,
+    ResetRequest,
+    ResumeRequest,
+)
 from services.kit.cameras import camera_info
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
 from services.kit.node import ServiceError
@@ -31,7 +39,9 @@ from services.robot.wheels import WheelCheck
 
 #: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
 CLIENT_S: Final = 2.0
-READY_KEPT: Final = 10  # Frames whose readiness is remembered; an older one's command is stale anyway.
+READY_KEPT: Final = (
+    10  # Frames whose readiness is remembered; an older one's command is stale anyway.
+)
 # What is told of before the end is; that the goal is reached is told when it is first seen.
 _ENDING_EVENTS: Final[dict[Outcome, EventName]] = {
     "collision": "collision", "timeout": "timed_out", "missed": "timed_out"
@@ -61,12 +71,18 @@ class EpisodeRunner(Generic[V]):
     ) -> None:
         self.body = body
         self.gate = gate
-        self.wake: Callable[[], None] = lambda: None  # Called when ``poll`` has something to do; must return at once.
-        self.deaf: Callable[[], bool] = lambda: False  # Whether stops or commands might not reach the robot.
+        self.wake: Callable[[], None] = lambda: (
+            None
+        )  # Called when ``poll`` has something to do; must return at once.
+        self.deaf: Callable[[], bool] = lambda: (
+            False
+        )  # Whether stops or commands might not reach the robot.
         self.frame_s = TICK_S  # Time from frame to frame in real time, at least.
         self.task = task
         self.radio = False  # Whether who drives is reached by radio; see `services.robot.radio`.
-        self.jpeg_quality: int | None = None  # Of pictures that leave the robot; None: as the camera gives them.
+        self.jpeg_quality: int | None = (
+            None  # Of pictures that leave the robot; None: as the camera gives them.
+        )
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
@@ -111,7 +127,9 @@ class EpisodeRunner(Generic[V]):
         if self.gate.taken_over or request.driver == "teleop":
             self._unless(self.gate.not_theirs(request.session))
         if self.gate.taken_over and request.driver != "teleop":
-            raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
+            raise ServiceError(
+                "a person has taken over; resume, from the console's page or smal teleop (r)"
+            )
         run = self.running
         if (
             run is not None
@@ -119,7 +137,9 @@ class EpisodeRunner(Generic[V]):
             and not (self.gate.taken_over and request.driver == "teleop")
             and self._clock() - run.client_s <= CLIENT_S
         ):
-            raise ServiceError(f"episode {run.id} is another client's; take over from its driver, or end that client")
+            raise ServiceError(
+                f"episode {run.id} is another client's; take over from its driver, or end that client"
+            )
 
     def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
         """End the running episode and begin the next one, or raise ServiceError; return answer and what to publish."""
@@ -134,7 +154,9 @@ class EpisodeRunner(Generic[V]):
             with self._cancelling.beginning(request.session):
                 episode = RunningEpisode(self.body, self.task, request)
         except CancelledError as error:
-            raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
+            raise ServiceError(
+                f"{error}; the robot is in {self.body.name}, without an episode"
+            ) from None
         # In another world it may be another robot.
         check_stopping(self.body)
         self.gate.guard = guard_of(self.body)
@@ -142,7 +164,9 @@ class EpisodeRunner(Generic[V]):
         self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
         now = pace.gate_s(0)
         now_ns = self._wall_clock_ns()
-        self.running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
+        self.running = run = Running(
+            name, episode, pace, now, now_ns, now_ns, client_s=self._clock()
+        )
         messages.append(self._event(run, "started"))
         try:
             messages.extend(self._frame(run))
@@ -193,7 +217,9 @@ class EpisodeRunner(Generic[V]):
         run = self.running
         if run is not None and command.episode == run.id:
             run.window.answered(command.tick)
-        refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(run.tick))
+        refusal = self.gate.offer(
+            command, self._clock() if run is None else run.pace.gate_s(run.tick)
+        )
         if run is None or refusal is not None or command.source == "emergency_stop":
             return
         ready_s = run.ready_s.get(command.tick)
@@ -206,7 +232,11 @@ class EpisodeRunner(Generic[V]):
         run = self.running
         if beat.answers is not None:
             self.gate.hear(beat, now)
-        if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
+        if (
+            run is not None
+            and beat.session == run.request.session
+            and beat.sequence > run.client_beat
+        ):
             run.client_beat = beat.sequence
             run.client_s = now if beat.present else -math.inf
 
@@ -253,7 +283,11 @@ class EpisodeRunner(Generic[V]):
         tick = run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        if view.odometry is not None and self._follows(view.odometry, captured_s) and self.gate.guard is not None:
+        if (
+            view.odometry is not None
+            and self._follows(view.odometry, captured_s)
+            and self.gate.guard is not None
+        ):
             self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
@@ -262,8 +296,14 @@ class EpisodeRunner(Generic[V]):
             run.frame = ()
         else:
             run.frame = tuple(self._pictures(view, header))
-        run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {tick: self._clock()}
-        if tick == 0 and self.body.camera is not None and isinstance(image := run.frame[-1], CompressedImage):
+        run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {
+            tick: self._clock()
+        }
+        if (
+            tick == 0
+            and self.body.camera is not None
+            and isinstance(image := run.frame[-1], CompressedImage)
+        ):
             yield camera_info(image, self.body.camera, image.width, image.height)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
@@ -286,8 +326,14 @@ class EpisodeRunner(Generic[V]):
     def _pictures(self, view: V, header: Message) -> Iterator[Message]:
         """Make what the driver needs to answer a frame; last comes the colour image, for which the driver waits."""
         for message in view.more(header):
-            yield radio.coarse(message) if self.radio and isinstance(message, DepthImage) else message
-        jpeg = view.jpeg if self.jpeg_quality is None else encode_jpeg(decode_jpeg(view.jpeg), self.jpeg_quality)
+            yield (
+                radio.coarse(message) if self.radio and isinstance(message, DepthImage) else message
+            )
+        jpeg = (
+            view.jpeg
+            if self.jpeg_quality is None
+            else encode_jpeg(decode_jpeg(view.jpeg), self.jpeg_quality)
+        )
         width, height = jpeg_size(jpeg) or (0, 0)
         yield CompressedImage.after(header, width=width, height=height, data=jpeg)
 

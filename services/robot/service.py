@@ -38,9 +38,14 @@ from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
 ROBOT: Final = "robot"  # Name on the bus, whatever body it has.
-PEEK_COLUMNS: Final = 640  # Of what is seen between episodes: so small that a reply takes it, whatever camera it is.
+PEEK_COLUMNS: Final = (
+    640  # Of what is seen between episodes: so small that a reply takes it, whatever camera it is.
+)
 ANSWER_S: Final = 1.0  # How long another robot of this id may take to say so.
-MOVING: Final[tuple[Lane, ...]] = ("urgent", "stop")  # Lanes without which nobody can move the robot, or stop it.
+MOVING: Final[tuple[Lane, ...]] = (
+    "urgent",
+    "stop",
+)  # Lanes without which nobody can move the robot, or stop it.
 V = TypeVar("V", bound=View)
 
 
@@ -64,7 +69,9 @@ def check_alone(settings: ServiceSettings, instead: str = "give this one another
     """Refuse to be a second robot of one id, with a ServiceError that says what its user can do instead."""
     with closing(settings.open_bus(ROBOT)) as bus, suppress(RpcError):
         other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
-        raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); {instead}")
+        raise ServiceError(
+            f"robot {settings.robot} is there already (process {other.pid}); {instead}"
+        )
 
 
 class RobotService:
@@ -86,7 +93,9 @@ class RobotService:
         runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ECHO_S
         for source, topic in COMMANDS.items():
             # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.
-            node.at_once(topic, self.take, self.stop if source == "emergency_stop" else lambda: None)
+            node.at_once(
+                topic, self.take, self.stop if source == "emergency_stop" else lambda: None
+            )
         node.at_once(HEARTBEAT, runner.hear)
         node.at_once(PULSE, self.meet)
         node.serve("arm", ArmRequest, self.arm)
@@ -192,7 +201,13 @@ class RobotService:
         for message in messages:
             if isinstance(message, Episode):
                 outcome = f": {message.outcome}" if message.outcome else ""
-                self._node.log.info("episode %s, frame %d: %s%s", message.episode, message.tick, message.event, outcome)
+                self._node.log.info(
+                    "episode %s, frame %d: %s%s",
+                    message.episode,
+                    message.tick,
+                    message.event,
+                    outcome,
+                )
             elif isinstance(message, CommandApplied):
                 self._time(message)
             yield message
@@ -242,4 +257,6 @@ def serve_robot(
         finally:
             node.publish(runner.end())
         if service.left:
-            raise ServiceError(f"another robot {settings.robot} has been started; give this one another id")
+            raise ServiceError(
+                f"another robot {settings.robot} has been started; give this one another id"
+            )

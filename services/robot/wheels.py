@@ -64,7 +64,8 @@ class WheelCheck:
         self._expect(before[0], at_s)
         reported = Movement.between(before[1], pose)
         found = [
-            axis.compare(moved, at_s - before[0]) for axis, moved in zip(self._axes, astuple(reported), strict=True)
+            axis.compare(moved, at_s - before[0])
+            for axis, moved in zip(self._axes, astuple(reported), strict=True)
         ]
         return next((one for one in found if one is not None), None)
 
@@ -113,7 +114,11 @@ class _Axis:
         """Let time pass in which a base is given an order, and obeys a late one."""
         most = step_s / STARTS_S
         self._slow += max(-most, min(late - self._slow, most))
-        self._quick = math.copysign(min(abs(late), abs(self._quick) + most), late) if self._quick * late >= 0 else 0.0
+        self._quick = (
+            math.copysign(min(abs(late), abs(self._quick) + most), late)
+            if self._quick * late >= 0
+            else 0.0
+        )
         if order * self._quick > 0.0 and order * self._slow > 0.0:
             share = min(abs(order), abs(self._quick), abs(self._slow))
             if share >= self._least:
@@ -126,7 +131,9 @@ class _Axis:
         self._expected_s = 0.0
         followed_s = self._direction * moved / self._full / LAG
         if expected_s == 0.0:
-            followed_s = max(followed_s, 0.0)  # A base that rolls on after its order does what it owes.
+            followed_s = max(
+                followed_s, 0.0
+            )  # A base that rolls on after its order does what it owes.
         self._lacks_s = max(self._lacks_s + expected_s - followed_s, 0.0)
         if self._lacks_s <= UNFOLLOWED_S:
             return None

@@ -62,7 +62,9 @@ class Ros2Body:
     Velocities go over the ``link``.
     """
 
-    def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
+    def __init__(
+        self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s
+    ) -> None:
         self.name = config.name
         self.kinematics = Kinematics(config.speed_m_s, config.turn_rate_rad_s, config.radius_m)
         self.watchdog_s = config.watchdog_s
@@ -94,12 +96,17 @@ class Ros2Body:
             why = self._senses.forbids(atom)
             if why is not None:
                 self.stand()
-                raise ServiceError(f"{self.name} must not go {atom}: {why}; it stands until it is armed again")
+                raise ServiceError(
+                    f"{self.name} must not go {atom}: {why}; it stands until it is armed again"
+                )
         self._asked = velocity
         if self._lacks() is not None:
             self._send(0.0, 0.0)
             return STANDING
-        self._send(velocity.linear * self._config.speed_m_s, velocity.angular * self._config.turn_rate_rad_s)
+        self._send(
+            velocity.linear * self._config.speed_m_s,
+            velocity.angular * self._config.turn_rate_rad_s,
+        )
         return velocity
 
     def stand(self) -> None:
@@ -109,7 +116,9 @@ class Ros2Body:
 
     def _send(self, ahead_m_s: float, turn_rad_s: float) -> None:
         offset_s = self._senses.camera_clock.offset_s
-        self._link.send(ahead_m_s, turn_rad_s, None if offset_s is None else self._clock() - offset_s)
+        self._link.send(
+            ahead_m_s, turn_rad_s, None if offset_s is None else self._clock() - offset_s
+        )
 
     def _lacks(self) -> str | None:
         return self._link.lacks() or self._senses.silent(*self._asked.keys)
@@ -117,11 +126,15 @@ class Ros2Body:
     def begin(self, request: ResetRequest) -> Beginning:
         """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""
         if request.kidnap_tick is not None:
-            raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
+            raise ServiceError(
+                f"{self.name} is real: it cannot be carried away at a frame; carry it by hand"
+            )
         if request.obstacles or request.people or request.blocked:
             raise ServiceError(f"{self.name} is real: put what stands in its way there by hand")
         if request.world is not None or request.variation is not None:
-            raise ServiceError(f"{self.name} is real: no world and no variation can be chosen for it")
+            raise ServiceError(
+                f"{self.name} is real: no world and no variation can be chosen for it"
+            )
         fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
         hint = f"does {self._config.router} reach it, and do {fit} fit?"
         frame = self._senses.frame
@@ -129,7 +142,9 @@ class Ros2Body:
             raise ServiceError(f"{self.name}: no picture has come from {self._camera}; {hint}")
         age_s = self._clock() - frame.captured_s
         if age_s > MAX_AGE_S:
-            raise ServiceError(f"{self.name}: the last picture of {self._camera} is {age_s:.1f} s old")
+            raise ServiceError(
+                f"{self.name}: the last picture of {self._camera} is {age_s:.1f} s old"
+            )
         lacks = self._lacks()
         if lacks is not None:
             said = lacks if lacks == self._senses.learning() else f"{lacks}; {hint}"
@@ -162,7 +177,11 @@ class Ros2Body:
         """Return the newest picture, as JPEG; None where the camera is silent."""
         frame = self._senses.frame
         with suppress(MessageError):
-            return picture(frame.message) if frame and self._clock() - frame.captured_s <= MAX_AGE_S else None
+            return (
+                picture(frame.message)
+                if frame and self._clock() - frame.captured_s <= MAX_AGE_S
+                else None
+            )
         return None
 
     def _take_newest(self) -> None:
@@ -203,9 +222,13 @@ class Ros2Body:
         offset_s = clock.offset_s
         return {
             "lacks": self._lacks(),
-            "camera_age_s": None if frame is None or clock.delay_s == math.inf else round(now - frame.captured_s, 3),
+            "camera_age_s": None
+            if frame is None or clock.delay_s == math.inf
+            else round(now - frame.captured_s, 3),
             "camera_delay_s": None if clock.delay_s == math.inf else round(clock.delay_s, 3),
-            "robot_clock_ahead_s": None if offset_s is None else round(now - offset_s - time.time(), 3),
+            "robot_clock_ahead_s": None
+            if offset_s is None
+            else round(now - offset_s - time.time(), 3),
             "camera_clock_leaps": clock.leaps,
             "odometry_leaps": self._senses.track.leaps,
             **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},

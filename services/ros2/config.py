@@ -36,7 +36,9 @@ class CameraTopics(_Part):
     """Where pictures come from: JPEG, or pixels (rgb8, bgr8, mono8, yuv422); and where the calibration does."""
 
     topic: Topic
-    type: Literal["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"] = messages.COMPRESSED_IMAGE
+    type: Literal["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"] = (
+        messages.COMPRESSED_IMAGE
+    )
     info: Topic | None = None
     latency_s: Seconds = 0.0  # From the light on the sensor to the stamp of a picture.
 
@@ -78,7 +80,9 @@ class StopTopic(_Part):
 
     topic: Topic
     type: Literal[
-        "irobot_create_msgs/msg/HazardDetectionVector", "turtlebot3_msgs/msg/SensorState", "std_msgs/msg/Bool"
+        "irobot_create_msgs/msg/HazardDetectionVector",
+        "turtlebot3_msgs/msg/SensorState",
+        "std_msgs/msg/Bool",
     ]
     #: None for one that speaks only of changes: it must have spoken once since its publisher, and we, were there.
     silence_s: Silence | None = 0.5
@@ -92,7 +96,9 @@ class VelocityTopic(_Part):
         "auto", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped",
         "ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped",
     ] = "auto"  # fmt: skip
-    wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = None  # From axle to axle, of what takes AckermannDrive.
+    wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = (
+        None  # From axle to axle, of what takes AckermannDrive.
+    )
 
 
 class Ros2Config(_Part):
@@ -107,7 +113,9 @@ class Ros2Config(_Part):
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
     speed_m_s: Positive
     turn_rate_rad_s: Positive
-    radius_m: Annotated[float, Field(ge=0, le=100)] = 0.0  # Least radius of its way, of a car; 0: it turns on the spot.
+    radius_m: Annotated[float, Field(ge=0, le=100)] = (
+        0.0  # Least radius of its way, of a car; 0: it turns on the spot.
+    )
     braking_s: Seconds  # From that speed to standing.
     #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
     watchdog_s: Positive
@@ -129,7 +137,9 @@ class Ros2Config(_Part):
         if told != "auto" and ("Ackermann" in told) != car:
             raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
         if car and self.radius_m == 0.0:
-            raise ValueError("radius_m: what takes AckermannDrive has a least radius of its way; say it")
+            raise ValueError(
+                "radius_m: what takes AckermannDrive has a least radius of its way; say it"
+            )
         return self
 
     def full(self, topic: str) -> str:
@@ -173,7 +183,9 @@ def _explained(error: ValidationError) -> str:
             "must not be driven (services/ros2/README.md says how it can)"
         )
     if len(missing) == len(errors) > 1:
-        return f"lacks {', '.join(missing)}; a preset has what is usual: {', '.join(known_presets())}"
+        return (
+            f"lacks {', '.join(missing)}; a preset has what is usual: {', '.join(known_presets())}"
+        )
     if errors[0]["type"] == "value_error":  # one of our own, which says where
         return str(errors[0]["ctx"]["error"])
     return describe(error)
@@ -204,7 +216,9 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     both = dict(base)
     for key, value in own.items():
         was = both.get(key)
-        both[key] = _merged(was, value) if isinstance(was, dict) and isinstance(value, dict) else value
+        both[key] = (
+            _merged(was, value) if isinstance(was, dict) and isinstance(value, dict) else value
+        )
     return both
 
 

@@ -9,7 +9,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from services.kit.ros_message import ros_message
 
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
-RosMessage: TypeAlias = Any  # A message, or a part of one: its class is made of its definition when that is read.
+RosMessage: TypeAlias = (
+    Any  # A message, or a part of one: its class is made of its definition when that is read.
+)
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
@@ -27,7 +29,9 @@ BOOL: Final = "std_msgs/msg/Bool"
 HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
-_LAST_NS: Final = (2**31 - 1) * 1_000_000_000  # The last moment that a stamp, which has 32 bits of seconds, can hold.
+_LAST_NS: Final = (
+    2**31 - 1
+) * 1_000_000_000  # The last moment that a stamp, which has 32 bits of seconds, can hold.
 # Of bases whose messages are not among those of the distributions.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
@@ -66,7 +70,9 @@ class Messages:
 
     def write(self, type_name: str, fields: dict[str, Any]) -> bytes:
         """Return the bytes of a message with these fields, see `ros_message`."""
-        return bytes(self._store.serialize_cdr(ros_message(self._store, type_name, fields), type_name))
+        return bytes(
+            self._store.serialize_cdr(ros_message(self._store, type_name, fields), type_name)
+        )
 
     def read(self, type_name: str, payload: bytes) -> RosMessage:
         """Return the message in some bytes; where there is none, that is a `MessageError`."""
@@ -76,7 +82,11 @@ class Messages:
             raise MessageError(f"not a {type_name}: {type(error).__name__}") from None
 
     def velocity(
-        self, ahead_m_s: float, turn_rad_s: float, stamp_ns: int | None, wheelbase_m: float | None = None
+        self,
+        ahead_m_s: float,
+        turn_rad_s: float,
+        stamp_ns: int | None,
+        wheelbase_m: float | None = None,
     ) -> bytes:
         """Return a Twist or, with a stamp, a TwistStamped: speed ahead, and counter-clockwise.
 

@@ -8,7 +8,9 @@ import numpy as np
 from services.ros2.config import ScanTopic
 from services.ros2.messages import MessageError, RosMessage
 
-_TURN_RAD: Final = 1.01 * math.tau  # A whole turn; drivers round, and one in a hundred is far more than they do.
+_TURN_RAD: Final = (
+    1.01 * math.tau
+)  # A whole turn; drivers round, and one in a hundred is far more than they do.
 
 
 class Way(NamedTuple):
@@ -54,7 +56,11 @@ def _check(message: RosMessage, beams: int, scan: ScanTopic) -> None:
     turn = step * (beams - 1)
     geometry = beams > 0 and step != 0 and abs(begin) <= _TURN_RAD and abs(turn) <= _TURN_RAD
     if not (geometry and abs(begin + turn - end) <= scan.gap_rad):
-        raise MessageError(f"{beams} beams from {begin:g} to {end:g} rad in steps of {step:g}: that is no scan")
+        raise MessageError(
+            f"{beams} beams from {begin:g} to {end:g} rad in steps of {step:g}: that is no scan"
+        )
     if not 0 <= message.range_min < scan.stop_m <= message.range_max:
         limits = f"from {message.range_min:g} to {message.range_max:g} m"
-        raise MessageError(f"it measures {limits}: that does not tell what is nearer than {scan.stop_m:g} m")
+        raise MessageError(
+            f"it measures {limits}: that does not tell what is nearer than {scan.stop_m:g} m"
+        )

@@ -73,7 +73,9 @@ class Heard(NamedTuple):
 
     type_name: str
     take: Callable[[RosMessage, float], None]  # Takes a message, and when it was made by our clock.
-    clock: StampedClock | None = None  # That of its stamps; None where messages count from their arrival.
+    clock: StampedClock | None = (
+        None  # That of its stamps; None where messages count from their arrival.
+    )
     silence_s: float | None = None
     """After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not."""
 
@@ -98,13 +100,17 @@ class Senses:
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = WheelTrack(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self.touched = False  # Whether the bumper was pressed since this was last set.
-        self.refused: Counter[str] = Counter()  # Messages that were none, or not newer than the one before, by topic.
+        self.refused: Counter[str] = (
+            Counter()
+        )  # Messages that were none, or not newer than the one before, by topic.
         self.camera_clock = StampedClock()
         self.inputs = self._plan(config)
 
     def _plan(self, config: Ros2Config) -> dict[str, Heard]:
         full = config.full
-        inputs = {full(config.camera.topic): Heard(str(config.camera.type), self._see, self.camera_clock)}
+        inputs = {
+            full(config.camera.topic): Heard(str(config.camera.type), self._see, self.camera_clock)
+        }
         if config.camera.info is not None:
             inputs[full(config.camera.info)] = Heard(messages.CAMERA_INFO, self._calibrate)
         if config.imu is not None:
@@ -194,21 +200,30 @@ class Senses:
         self._imu.append(ImuReading(made_s, turn, push))
 
     def _scan(self, topic: str, scan: ScanTopic, message: RosMessage, _at_s: float) -> None:
-        places: tuple[tuple[Atom, str, bool], ...] = (("forward", "ahead", True), ("backward", "behind", scan.behind))
+        places: tuple[tuple[Atom, str, bool], ...] = (
+            ("forward", "ahead", True),
+            ("backward", "behind", scan.behind),
+        )
         try:
             told = ways(message, scan)
         except MessageError as error:
             # Whatever the one before has said: where this one cannot be read, nothing is known.
             self._unseen = {atom: f"{topic}: {error}" for atom, _, must in places if must}
             raise
-        unclear = "" if scan.zero_is_free or np.all(message.ranges) else "; is its 0 a free way? see zero_is_free"
+        unclear = (
+            ""
+            if scan.zero_is_free or np.all(message.ranges)
+            else "; is its 0 a free way? see zero_is_free"
+        )
         forbidden: list[Ban] = []
         unseen: dict[Atom, str] = {}
         for (atom, where, must), way in zip(places, told, strict=True):
             if way.nearest_m < math.inf:
                 forbidden.append((f"something is {way.nearest_m:.2f} m {where}", frozenset({atom})))
             if must and not way.seen:
-                unseen[atom] = f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
+                unseen[atom] = (
+                    f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
+                )
         self._forbidden[topic] = tuple(forbidden)
         self._unseen = unseen
 
@@ -237,7 +252,9 @@ class Senses:
                 return f"nothing has come from {topic}"
             if now - heard_s > heard.silence_s:
                 return f"nothing has come from {topic} for {now - heard_s:.1f} s"
-        return self.learning() or next((self._unseen[atom] for atom in atoms if atom in self._unseen), None)
+        return self.learning() or next(
+            (self._unseen[atom] for atom in atoms if atom in self._unseen), None
+        )
 
     def learning(self) -> str | None:
         """Say whose clock is not known yet, of the camera and those who must be heard; None where all are."""
@@ -262,7 +279,9 @@ class Senses:
         return readings
 
 
-Said = tuple[bool, tuple[Ban, ...]]  # What a stop's message says: whether something was touched, and what is forbidden.
+Said = tuple[
+    bool, tuple[Ban, ...]
+]  # What a stop's message says: whether something was touched, and what is forbidden.
 
 
 def _hazards(message: RosMessage) -> Said:
@@ -307,7 +326,9 @@ def picture(message: RosMessage) -> bytes:
             jpeg = message.data.tobytes()
             image = decode_jpeg(jpeg)
         else:
-            image = rgb_of(message.encoding, message.width, message.height, message.step, message.data)
+            image = rgb_of(
+                message.encoding, message.width, message.height, message.step, message.data
+            )
             jpeg = b""
         height, width, _ = image.shape
         if width > _MOST_COLUMNS or height > _MOST_ROWS:

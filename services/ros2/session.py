@@ -42,7 +42,11 @@ def _settings(config: Ros2Config) -> zenoh.Config:
         "connect/endpoints": [config.router],
         "connect/timeout_ms": PATIENCE_MS,
         "connect/exit_on_failure": True,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
         "scouting/multicast/enabled": False,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
@@ -94,10 +98,14 @@ class Ros2Session:
                 self._ask(topic)
             else:
                 key = self._dialect.key(topic, heard.type_name)
-                self._declared.append(self._session.declare_subscriber(key, _in_turn(self._listener(topic))))
+                self._declared.append(
+                    self._session.declare_subscriber(key, _in_turn(self._listener(topic)))
+                )
             self._announce("MS", topic, heard.type_name, _CHANGES if topic in changes else _SENSOR)
         self._declared.append(
-            self._session.liveliness().declare_subscriber(self._dialect.tokens, _called(self._on_token), history=True)
+            self._session.liveliness().declare_subscriber(
+                self._dialect.tokens, _called(self._on_token), history=True
+            )
         )
 
     def _declare(self, token: str | None) -> None:
@@ -129,7 +137,9 @@ class Ros2Session:
         self._heard.pop(topic, None)
         key = self._dialect.key(topic, self._senses.inputs[topic].type_name)
         last = zenoh.ext.HistoryConfig(max_samples=1)
-        asked = zenoh.ext.declare_advanced_subscriber(self._session, key, self._listener(topic), history=last)
+        asked = zenoh.ext.declare_advanced_subscriber(
+            self._session, key, self._listener(topic), history=last
+        )
         # Only now, or a change between the two would be lost.
         before = self._changes.get(topic)
         self._changes[topic] = asked
@@ -140,14 +150,18 @@ class Ros2Session:
         """Whether a message is newer than all that its publisher has sent before, as far as the dialect tells."""
         if not self._dialect.attached:
             return True
-        attached = None if sample.attachment is None else read_attachment(sample.attachment.to_bytes())
+        attached = (
+            None if sample.attachment is None else read_attachment(sample.attachment.to_bytes())
+        )
         if attached is None:
             self._senses.refuse(topic, "without the attachment that rmw_zenoh sends")
             return False
         gid, last = self._heard.get(topic, (b"", -1))
         # What speaks only of changes may say the last one twice: while it is asked anew, it is listened to twice.
         if attached.gid == gid and attached.sequence < last + (topic not in self._changes):
-            self._senses.refuse(topic, f"number {attached.sequence} of its publisher came after a later one")
+            self._senses.refuse(
+                topic, f"number {attached.sequence} of its publisher came after a later one"
+            )
             return False
         # Of each topic the publisher that is heard now; one that was started again has another id.
         self._heard[topic] = attached.gid, attached.sequence
@@ -165,7 +179,9 @@ class Ros2Session:
             if not (speaks or (endpoint.kind == "MS" and endpoint.topic == self._topic)):
                 return
             if speaks:
-                self._ask(endpoint.topic)  # before it counts as there: what it said in another life is forgotten first
+                self._ask(
+                    endpoint.topic
+                )  # before it counts as there: what it said in another life is forgotten first
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(token, None)
             else:
@@ -174,7 +190,9 @@ class Ros2Session:
                 self._choose(self._there("MS", endpoint.topic))
 
     def _there(self, kind: Kind, topic: str) -> list[Endpoint]:
-        return [one for one in list(self._tokens.values()) if (one.kind, one.topic) == (kind, topic)]
+        return [
+            one for one in list(self._tokens.values()) if (one.kind, one.topic) == (kind, topic)
+        ]
 
     def _choose(self, endpoints: list[Endpoint]) -> None:
         types = {one.type_name for one in endpoints}
@@ -195,7 +213,12 @@ class Ros2Session:
             self._type = wanted
             _log.info("%s takes %s: that is what is sent", self._topic, wanted)
         elif wanted != self._type:
-            _log.error("%s takes %s, and velocity.type is %s: it will not move", self._topic, wanted, self._type)
+            _log.error(
+                "%s takes %s, and velocity.type is %s: it will not move",
+                self._topic,
+                wanted,
+                self._type,
+            )
 
     # -- what is sent ---------------------------------------------------------------------------------------------
 
@@ -218,7 +241,9 @@ class Ros2Session:
         stamp_ns = round((robot_s or 0.0) * 1e9) if type_name.endswith("Stamped") else None
         publisher, gid = self._publisher(type_name)
         publisher.put(
-            self._messages.velocity(ahead_m_s, turn_rad_s, stamp_ns, self._config.velocity.wheelbase_m),
+            self._messages.velocity(
+                ahead_m_s, turn_rad_s, stamp_ns, self._config.velocity.wheelbase_m
+            ),
             attachment=self._dialect.attachment(next(self._sequence), time.time_ns(), gid),
         )
 
@@ -254,7 +279,9 @@ class Echo:
     wait. A router does not return what the same session sent, hence the second one.
     """
 
-    def __init__(self, config: Ros2Config, session: zenoh.Session, take: Callable[[float], None]) -> None:
+    def __init__(
+        self, config: Ros2Config, session: zenoh.Session, take: Callable[[float], None]
+    ) -> None:
         self._take = take
         self._sent: dict[bytes, float] = {}
         self._ended = Event()
@@ -262,7 +289,9 @@ class Echo:
         key = f"smal/echo/{self._session.info.zid()}"
         self._subscriber = session.declare_subscriber(key, _in_turn(_called(self._on_echo)))
         drop = zenoh.CongestionControl.DROP
-        self._publisher = self._session.declare_publisher(key, congestion_control=drop, express=True)
+        self._publisher = self._session.declare_publisher(
+            key, congestion_control=drop, express=True
+        )
         self._thread = Thread(target=self._send, name="echo", daemon=True)
         self._thread.start()
 

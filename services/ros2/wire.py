@@ -10,10 +10,14 @@ from services.ros2.messages import Messages
 
 Kind = Literal["MP", "MS"]
 DialectName = Literal["rmw_zenoh", "zenoh-bridge-ros2dds"]
-NO_TYPE_HASH: Final = "TypeHashNotSupported"  # What stands in the place of a type's hash in Humble, which has none.
+NO_TYPE_HASH: Final = (
+    "TypeHashNotSupported"  # What stands in the place of a type's hash in Humble, which has none.
+)
 _GID_BYTES: Final = 16
 # Names that releases before Jazzy 0.2.4 and Humble 0.1.2 write before the values, as strings with their length.
-_OLD_NAMES: Final = tuple(bytes([len(n)]) + n for n in (b"sequence_number", b"source_timestamp", b"source_gid"))
+_OLD_NAMES: Final = tuple(
+    bytes([len(n)]) + n for n in (b"sequence_number", b"source_timestamp", b"source_gid")
+)
 
 
 class Endpoint(NamedTuple):
@@ -108,7 +112,9 @@ class Bridge:
         """Return the token by which we are a node, if there is one."""
         return None
 
-    def endpoint_token(self, _session: str, _number: int, _endpoint: Endpoint, _qos: Qos) -> str | None:
+    def endpoint_token(
+        self, _session: str, _number: int, _endpoint: Endpoint, _qos: Qos
+    ) -> str | None:
         """Return the token of an endpoint of ours, if there is one."""
         return None
 
@@ -127,7 +133,13 @@ class RmwZenoh(Bridge):
     attached = True
 
     def __init__(
-        self, messages: Messages, domain: int, namespace: str, node: str = "smal", *, hashed: bool = True
+        self,
+        messages: Messages,
+        domain: int,
+        namespace: str,
+        node: str = "smal",
+        *,
+        hashed: bool = True,
     ) -> None:
         self._messages = messages
         self._domain = domain
@@ -141,7 +153,9 @@ class RmwZenoh(Bridge):
 
     def key(self, topic: str, type_name: str) -> str:
         """Return domain, topic, type and hash."""
-        return f"{self._domain}/{topic.strip('/')}/{dds_type(type_name)}/{self.type_hash(type_name)}"
+        return (
+            f"{self._domain}/{topic.strip('/')}/{dds_type(type_name)}/{self.type_hash(type_name)}"
+        )
 
     def read_token(self, token: str) -> Endpoint | None:
         """Read what `endpoint_token` writes, and more of it than we say."""
@@ -150,7 +164,11 @@ class RmwZenoh(Bridge):
             return None
         type_name = ros_type(parts[10])
         kind: Kind = "MP" if parts[5] == "MP" else "MS"
-        return None if type_name is None else Endpoint(kind, parts[9].replace("%", "/"), type_name, parts[11])
+        return (
+            None
+            if type_name is None
+            else Endpoint(kind, parts[9].replace("%", "/"), type_name, parts[11])
+        )
 
     def node_token(self, session: str) -> str:
         """Return the token by which `ros2 node list` shows us."""

@@ -20,19 +20,29 @@ _DECLARATION: Final = re.compile(
     rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource (?P<group>[^/]+/[^/]+/@group/)?)",
     re.DOTALL,
 )
-_OWN_LOG: Final = re.compile(rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): ")
+_OWN_LOG: Final = re.compile(
+    rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): "
+)
 #: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it serves. The largest
 #: session of a stack with one robot makes 100.
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
-RATE_HZ: Final = 50.0  # Declarations a second afterwards: a session that runs declares something now and then.
+RATE_HZ: Final = (
+    50.0  # Declarations a second afterwards: a session that runs declares something now and then.
+)
 #: Keys of groups (`schemas.topics.group_key`) that a session may make known at once: its token and what it watches, and
 #: a token of each robot. The router passes every token of a group on to each of its instances.
 GROUP_BURST: Final = 4
 GROUP_BURST_A_ROBOT: Final = 2
-GROUP_RATE_HZ: Final = 1.0  # Keys of groups a second afterwards: a robot moves to another instance now and then.
-MOST_SESSIONS: Final = 10_000  # Sessions whose declarations are counted at a time, ended ones among them.
-_TAKEN_BACK: Final = b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
+GROUP_RATE_HZ: Final = (
+    1.0  # Keys of groups a second afterwards: a robot moves to another instance now and then.
+)
+MOST_SESSIONS: Final = (
+    10_000  # Sessions whose declarations are counted at a time, ended ones among them.
+)
+_TAKEN_BACK: Final = (
+    b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
+)
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
@@ -126,4 +136,6 @@ def print_session(session: str) -> None:
 
 if __name__ == "__main__":
     robots, linked = (int(argument) for argument in sys.argv[1:])
-    count_log(socket.socket(fileno=0), Declarations(robots, linked=bool(linked), disconnect=print_session))
+    count_log(
+        socket.socket(fileno=0), Declarations(robots, linked=bool(linked), disconnect=print_session)
+    )

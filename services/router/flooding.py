@@ -15,10 +15,18 @@ from services.kit.zenoh_session import start_log
 #: Zenoh's log of declarations (of known and of new keys), and of the session that a line belongs to.
 LOG: Final = ",".join(
     f"zenoh::net::{target}=debug"
-    for target in ("primitives::demux", "routing::dispatcher::face", "routing::dispatcher::resource")
+    for target in (
+        "primitives::demux",
+        "routing::dispatcher::face",
+        "routing::dispatcher::resource",
+    )
 )
-_ROOM_BYTES: Final = 1 << 22  # Room for entries that wait to be counted: some thousands, a second of a flood.
-_WAIT_US: Final = 100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
+_ROOM_BYTES: Final = (
+    1 << 22
+)  # Room for entries that wait to be counted: some thousands, a second of a flood.
+_WAIT_US: Final = (
+    100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
+)
 _logger = logging.getLogger("router")
 
 
@@ -42,19 +50,27 @@ def take_log() -> socket.socket:
     return read
 
 
-def end_floods(log: socket.socket, robots: int, *, linked: bool, disconnect: Callable[[str], bool]) -> None:
+def end_floods(
+    log: socket.socket, robots: int, *, linked: bool, disconnect: Callable[[str], bool]
+) -> None:
     """Disconnect every session that declares too much, on a thread of its own."""
     command = [sys.executable, "-m", "services.router.declarations", str(robots), str(int(linked))]
 
     def end_each() -> None:
         while True:
             with subprocess.Popen(  # noqa: S603
-                command, stdin=log.fileno(), stdout=subprocess.PIPE, text=True, start_new_session=True
+                command,
+                stdin=log.fileno(),
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
             ) as one:
                 for line in one.stdout or ():
                     session = line.strip()
                     if disconnect(session):
                         _logger.warning("session %s: too many declarations; disconnected", session)
-            _logger.error("the count of declarations ended with status %s; it starts again", one.returncode)
+            _logger.error(
+                "the count of declarations ended with status %s; it starts again", one.returncode
+            )
 
     threading.Thread(target=end_each, name="floods", daemon=True).start()

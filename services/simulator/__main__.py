@@ -24,7 +24,13 @@ def serve() -> None:
 
     def open_body(node: Node) -> tuple[SimulatedBody, Paces[SimulatedView]]:
         size = f"{settings.camera_width}x{settings.camera_height}"
-        node.log.info("world %s (%s), camera %s, %s base", simulation.name, settings.variation, size, settings.base)
+        node.log.info(
+            "world %s (%s), camera %s, %s base",
+            simulation.name,
+            settings.variation,
+            size,
+            settings.base,
+        )
         body = SimulatedBody(simulation, wanted=node.bus.has_listeners, worlds=worlds)
         return body, {"lockstep": lambda: Lockstep(body)}
 

@@ -59,17 +59,23 @@ class Actuator:
         tick = int(self._time_s / TICK_S + 1e-6)
         while self._tick < tick:
             self._tick += 1
-            self._error = self._radius * (1.0 + self._drive.tick_sigma * self._rng.standard_normal(2))
+            self._error = self._radius * (
+                1.0 + self._drive.tick_sigma * self._rng.standard_normal(2)
+            )
         self._time_s += duration_s
         wanted = wheel_speeds(velocity, self._drive)
-        return WheelSpeeds(wanted.left * float(self._error[0]), wanted.right * float(self._error[1]))
+        return WheelSpeeds(
+            wanted.left * float(self._error[0]), wanted.right * float(self._error[1])
+        )
 
 
 class Motion(NamedTuple):
     """What a base did in one step."""
 
     pose: Pose  # Where it is at the end of the step.
-    rolled_m: tuple[float, float]  # How far the left and the right wheel turned, as metres of the rim.
+    rolled_m: tuple[
+        float, float
+    ]  # How far the left and the right wheel turned, as metres of the rim.
     collided: bool  # Whether it touched anything in this step.
 
 

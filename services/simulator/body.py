@@ -20,7 +20,9 @@ from services.simulator.world.place import WorldError
 from services.simulator.worlds import Worlds
 from smal.camera import Camera
 
-WATCHDOG_S: Final = 0.2  # Silence after which the simulated base stands by itself, as those of real robots do.
+WATCHDOG_S: Final = (
+    0.2  # Silence after which the simulated base stands by itself, as those of real robots do.
+)
 
 STOOD_S: Final = 2.0  # Time within which a base that was told to stand does so and is at rest, with much to spare.
 
@@ -82,16 +84,22 @@ class SimulatedBody:
             self._ordered_s = self._moved_s = self._clock()
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         lies = self.simulation.victim
-        outlines = (shapely.get_coordinates(one.footprint).tolist() for one in self.simulation.obstacles)
+        outlines = (
+            shapely.get_coordinates(one.footprint).tolist() for one in self.simulation.obstacles
+        )
         things = tuple(tuple((x, y) for x, y in outline) for outline in outlines)
-        return Beginning(route, self.simulation.found_m, None if lies is None else (lies.x, lies.y), things)
+        return Beginning(
+            route, self.simulation.found_m, None if lies is None else (lies.x, lies.y), things
+        )
 
     def _go_where_asked(self, request: ResetRequest) -> None:
         wished = request.world, request.variation
         if self._worlds is None:
             if wished != (None, None):
                 raise ServiceError(f"the robot stays in {self.name}")
-        elif any(wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)):
+        elif any(
+            wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)
+        ):
             self._enter(self._worlds.open(*wished))
 
     def drive(self, velocity: Velocity) -> Velocity:
@@ -145,4 +153,8 @@ class SimulatedBody:
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here
-        return {"variation": variation, "variations": ", ".join(VARIATIONS), "worlds": ", ".join(self._worlds.names())}
+        return {
+            "variation": variation,
+            "variations": ", ".join(VARIATIONS),
+            "worlds": ", ".join(self._worlds.names()),
+        }

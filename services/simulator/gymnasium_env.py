@@ -46,12 +46,16 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         **settings: Any,  # noqa: ANN401 - checked by open_simulation
     ) -> None:
         self.render_mode = render_mode
-        self._simulation = simulation or open_simulation(world, CameraSettings(width, height), **settings)
+        self._simulation = simulation or open_simulation(
+            world, CameraSettings(width, height), **settings
+        )
         self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.action_space = spaces.Discrete(len(ATOMS))
         self._episode: LockstepEpisode | None = None
 
-    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[NDArray[np.uint8], Info]:
+    def reset(
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[NDArray[np.uint8], Info]:
         """Begin an episode; the same seed gives the same, without one the environment's own chance decides.
 
         `options` may have a `purpose` (`sample_start`); `info` has `pose`, and `route`, way points (k, 2) for experts.
@@ -61,7 +65,9 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         episode = seed if seed is not None else int(self.np_random.integers(2**31))
         request = ResetRequest(seed=episode, purpose=purpose, max_ticks=NO_LIMIT)
         self._episode = LockstepEpisode(self._simulation, request)
-        return self._episode.view.image, _info(self._episode) | {"route": np.array(self._episode.beginning.route)}
+        return self._episode.view.image, _info(self._episode) | {
+            "route": np.array(self._episode.beginning.route)
+        }
 
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
         """Hold a key for one frame.
@@ -81,7 +87,9 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the last camera image, if the render mode asks for it."""
-        return self._episode.view.image if self._episode and self.render_mode == "rgb_array" else None
+        return (
+            self._episode.view.image if self._episode and self.render_mode == "rgb_array" else None
+        )
 
 
 def _info(episode: LockstepEpisode) -> Info:
@@ -91,4 +99,6 @@ def _info(episode: LockstepEpisode) -> Info:
 
 for _world in ("campus", "indoor"):
     _name = f"smal/{_world.capitalize()}-v0"
-    gymnasium.register(_name, entry_point=SearchEnv, max_episode_steps=MAX_TICKS, kwargs={"world": _world})
+    gymnasium.register(
+        _name, entry_point=SearchEnv, max_episode_steps=MAX_TICKS, kwargs={"world": _world}
+    )

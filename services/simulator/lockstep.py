@@ -47,7 +47,9 @@ class LockstepEpisode(RunningEpisode[SimulatedView]):
         if self._guard is not None and self.contradiction is None:
             self._guard.look(self.view.depth, wheels, now_s)
         wanted = KEYS[asked] if isinstance(asked, str) else asked
-        may, _ = bounded(STANDING if self.contradiction else wanted, self.kinematics, self._guard, now_s)
+        may, _ = bounded(
+            STANDING if self.contradiction else wanted, self.kinematics, self._guard, now_s
+        )
         self._wheels.told(may, now_s)
         self._simulated.advance(may, TICK_S)
         return self.next_frame()

@@ -45,5 +45,11 @@ def open_simulation(
         from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
         wheels = PhysicalBase(there.place, there.robot.drive)
-    light = conditions.light if clouds_seed is None else replace(conditions.light, clouds_seed=clouds_seed)
-    return Simulation(there, replace(camera, light=light), wheels, shake=shake, variation=conditions, depth=depth)
+    light = (
+        conditions.light
+        if clouds_seed is None
+        else replace(conditions.light, clouds_seed=clouds_seed)
+    )
+    return Simulation(
+        there, replace(camera, light=light), wheels, shake=shake, variation=conditions, depth=depth
+    )

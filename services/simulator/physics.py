@@ -52,7 +52,9 @@ _CASTER_RADIUS_M: Final = 0.02
 # Four wheels that all touch would take weight off the driven ones as chance has it. The rear caster carries, the
 # front one hangs this high and catches the robot when it brakes.
 _FRONT_CASTER_M: Final = 0.005
-_CENTRE_BEHIND: Final = 0.1  # of the way to the rear caster: so much of the weight the caster carries
+_CENTRE_BEHIND: Final = (
+    0.1  # of the way to the rear caster: so much of the weight the caster carries
+)
 _CENTRE_HEIGHT: Final = 0.25  # of the body's height: batteries lie low
 _GROUND_CLEARANCE_M: Final = 0.02
 _MAST_HALF_WIDTH_M: Final = 0.02
@@ -119,12 +121,17 @@ def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
     link = sapien.physx.PhysxArticulationLinkComponent()
     angles = np.arange(_HULL_SIDES) * math.tau / _HULL_SIDES
     ring = robot.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-    ends = [np.insert(ring, 2, height - axle_m, axis=1) for height in (_GROUND_CLEARANCE_M, robot.height_m)]
+    ends = [
+        np.insert(ring, 2, height - axle_m, axis=1)
+        for height in (_GROUND_CLEARANCE_M, robot.height_m)
+    ]
     corners = np.concatenate(ends).astype(np.float32)
     shapes = [sapien.physx.PhysxCollisionShapeConvexMesh(corners, [1.0, 1.0, 1.0], wall_material())]
     half_m = (robot.camera.height_m - robot.height_m) / 2
     if half_m > 0:
-        mast = sapien.physx.PhysxCollisionShapeBox([_MAST_HALF_WIDTH_M, _MAST_HALF_WIDTH_M, half_m], wall_material())
+        mast = sapien.physx.PhysxCollisionShapeBox(
+            [_MAST_HALF_WIDTH_M, _MAST_HALF_WIDTH_M, half_m], wall_material()
+        )
         mast.local_pose = sapien.Pose([robot.camera.ahead_m, 0.0, robot.height_m + half_m - axle_m])
         shapes.append(mast)
     for shape in shapes:
@@ -132,12 +139,16 @@ def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
         link.attach(shape)
     caster_m = _CASTER_AT * robot.radius_m
     for ahead_m, clear_m in ((-caster_m, 0.0), (caster_m, _FRONT_CASTER_M)):
-        caster = sapien.physx.PhysxCollisionShapeSphere(_CASTER_RADIUS_M, friction_against_floor(0.0))
+        caster = sapien.physx.PhysxCollisionShapeSphere(
+            _CASTER_RADIUS_M, friction_against_floor(0.0)
+        )
         caster.local_pose = sapien.Pose([ahead_m, 0.0, _CASTER_RADIUS_M + clear_m - axle_m])
         caster.set_collision_groups([0, FLOOR, 0, 0])
         link.attach(caster)
     link.mass = mass_kg = (1 - 2 * _WHEEL_MASS) * robot.mass_kg
-    link.cmass_local_pose = sapien.Pose([-_CENTRE_BEHIND * caster_m, 0.0, _CENTRE_HEIGHT * robot.height_m - axle_m])
+    link.cmass_local_pose = sapien.Pose(
+        [-_CENTRE_BEHIND * caster_m, 0.0, _CENTRE_HEIGHT * robot.height_m - axle_m]
+    )
     across = mass_kg * (3 * robot.radius_m**2 + robot.height_m**2) / 12
     link.inertia = [across, across, mass_kg * robot.radius_m**2 / 2]
     return link
@@ -187,7 +198,8 @@ class PhysicalBase:
         self._drive = drive or place.robot.drive
         #: Seconds from nominal speed to standing, along and about.
         self.braking_s = max(
-            self._drive.speed_m_s / STOPPING_M_S2, self._drive.turn_rate_rad_s / TURN_ACCELERATION_RAD_S2
+            self._drive.speed_m_s / STOPPING_M_S2,
+            self._drive.turn_rate_rad_s / TURN_ACCELERATION_RAD_S2,
         )
         self._scene = new_scene()
         self._obstacles = [obstacles(place.solids, place.robot.top_m)]
@@ -325,7 +337,9 @@ def obstacles(solids: Iterable[Solid], under_m: float) -> Any:
     corners = np.concatenate(walls)
     mesh = quads(corners, np.zeros((len(corners), 4, 2)))
     physx = load().physx
-    shape = physx.PhysxCollisionShapeTriangleMesh(mesh.vertices, mesh.triangles, [1.0, 1.0, 1.0], wall_material())
+    shape = physx.PhysxCollisionShapeTriangleMesh(
+        mesh.vertices, mesh.triangles, [1.0, 1.0, 1.0], wall_material()
+    )
     shape.set_collision_groups([OBSTACLE, 0, 0, 0])
     return _static([shape])
 
@@ -333,7 +347,9 @@ def obstacles(solids: Iterable[Solid], under_m: float) -> Any:
 def _rings(shape: BaseGeometry) -> list[NDArray[np.float64]]:
     """Return the closed outlines (k, 2) of all that a shape covers, each with the solid on its left."""
     parts = [
-        part if part.geom_type == "Polygon" else part.buffer(_HALF_THICKNESS_M, cap_style="square", join_style="mitre")
+        part
+        if part.geom_type == "Polygon"
+        else part.buffer(_HALF_THICKNESS_M, cap_style="square", join_style="mitre")
         for part in shapely.get_parts(shape)
     ]
     polygons = shapely.segmentize(shapely.get_parts(parts), _LONGEST_WALL_M)

@@ -18,7 +18,9 @@ class DriveTrain:
     track_m: float = 0.6  # Distance between the wheels.
     wheel_radius_m: float = 0.2
     tick_sigma: float = 0.03  # Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
-    radius_sigma: float = 0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
+    radius_sigma: float = (
+        0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
+    )
 
     @property
     def car(self) -> "DriveTrain":

@@ -63,7 +63,11 @@ class Simulation:
         #: How its depth camera sits, if it has one: where its other camera does.
         sits = world.robot.camera
         radius_m = world.robot.radius_m
-        self.mount = Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m) if depth else None
+        self.mount = (
+            Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m)
+            if depth
+            else None
+        )
         self._base = base or KinematicBase(world.place, world.robot.drive)
         self.braking_s = self._base.braking_s
         self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
@@ -88,9 +92,15 @@ class Simulation:
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
-        self.pose = self._start = sample_start(self.world, start, "recovery" if anywhere else purpose)
+        self.pose = self._start = sample_start(
+            self.world, start, "recovery" if anywhere else purpose
+        )
         self._obstruct(obstacles, blocked)
-        self.people = walk_about(self.world, LineString(self.route()), self._chance(9), people) if people else ()
+        self.people = (
+            walk_about(self.world, LineString(self.route()), self._chance(9), people)
+            if people
+            else ()
+        )
         self._base.put(self._start, wheels)
         self._sensors.begin(self._start, odometry, imu, shake)
         self.collided = False
@@ -100,14 +110,24 @@ class Simulation:
     def _lay(self, victim: Victim) -> None:
         chance = self._chance(7)
         there = self.world.victim
-        self.victim = there if victim == "there" else moved_victim(self.world, chance) if victim == "moved" else None
-        self._seen[1].lay(self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16)))
+        self.victim = (
+            there
+            if victim == "there"
+            else moved_victim(self.world, chance)
+            if victim == "moved"
+            else None
+        )
+        self._seen[1].lay(
+            self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16))
+        )
 
     def _obstruct(self, count: int, blocked: bool) -> None:
         """Put obstacles into the world; without any it stays as it is."""
         things: tuple[Obstacle, ...] = ()
         if count or blocked:
-            things = stand_in_the_way(self.world, self._start, self._chance(8), count, blocked=blocked)
+            things = stand_in_the_way(
+                self.world, self._start, self._chance(8), count, blocked=blocked
+            )
         if things == self.obstacles:
             return
         self.obstacles = things
@@ -119,7 +139,10 @@ class Simulation:
         chance = self._chance(5)
         room_m = self.world.scale.start_room_m
         self.pose = sample_start(self.world, chance, "recovery")
-        while any(thing.footprint.distance(Point(self.pose.x, self.pose.y)) < room_m for thing in self.obstacles):
+        while any(
+            thing.footprint.distance(Point(self.pose.x, self.pose.y)) < room_m
+            for thing in self.obstacles
+        ):
             self.pose = sample_start(self.world, chance, "recovery")
         self._base.put(self.pose, self._chance(6))
         return self.pose
@@ -142,7 +165,9 @@ class Simulation:
             if duration_s > 0:
                 self._sensors.feel(motion, duration_s / steps)
 
-    def look(self, captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False) -> SimulatedView:
+    def look(
+        self, captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False
+    ) -> SimulatedView:
         """Return what is seen, and felt since this was last called; `captured_s` and `wanted` as in `SimulatedView`."""
         felt = self._sensors
         return SimulatedView(

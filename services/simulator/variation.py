@@ -14,15 +14,25 @@ class Daylight:
     """Sun and sky."""
 
     elevation_deg: float = 40.98
-    azimuth_deg: float = 221.58  # Where the sun stands: above the horizon, and clockwise from north.
-    sun: Colour = (2.6, 2.45, 2.2)  # Colour and strength of the direct light, linear; black where clouds hide the sun.
+    azimuth_deg: float = (
+        221.58  # Where the sun stands: above the horizon, and clockwise from north.
+    )
+    sun: Colour = (
+        2.6,
+        2.45,
+        2.2,
+    )  # Colour and strength of the direct light, linear; black where clouds hide the sun.
     sky: Colour = (0.42, 0.45, 0.5)  # Of the light that comes from everywhere.
     fill: Colour = (0.35, 0.38, 0.45)  # Of the brighter part of the sky opposite the sun.
     zenith: Colour = (84.0, 132.0, 200.0)
     horizon: Colour = (206.0, 218.0, 228.0)  # Colours of the sky's picture, 0 to 255.
     clouds: float = 1.0  # How much of the sky clouds cover, relative to a fair day.
     clouds_seed: int = 0  # Every number has clouds of its own.
-    lamps: Colour = (1.0, 1.0, 1.0)  # Strength and colour of what lights a room: lamps, and daylight through windows.
+    lamps: Colour = (
+        1.0,
+        1.0,
+        1.0,
+    )  # Strength and colour of what lights a room: lamps, and daylight through windows.
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -43,7 +53,9 @@ class Variation:
     """Distance at which 5 % of an object's contrast is left (meteorologists' visibility); None for clear air."""
     exposure_ev: float = 0.0  # By how many stops the camera exposes too much.
     facade_seed: int = 0  # Façades are painted anew for every number but 0.
-    clutter_seed: int = 0  # Movable things (furniture, trees) stand elsewhere for every number but 0.
+    clutter_seed: int = (
+        0  # Movable things (furniture, trees) stand elsewhere for every number but 0.
+    )
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,10 @@ class Worlds:
     def __init__(self, settings: SimulatorSettings) -> None:
         self._settings = settings
         self._first = Path(settings.world).stem
-        self.here = self._first, settings.variation  # The world that was opened last, and its variation.
+        self.here = (
+            self._first,
+            settings.variation,
+        )  # The world that was opened last, and its variation.
 
     def names(self) -> list[str]:
         """Return the names of all worlds that can be asked for, sorted."""
@@ -74,7 +77,12 @@ class Worlds:
         camera = CameraSettings(of.camera_width, of.camera_height)
         try:
             simulation = open_simulation(
-                self._place(world), camera, base=of.base, shake=of.shake, variation=variation, depth=of.depth
+                self._place(world),
+                camera,
+                base=of.base,
+                shake=of.shake,
+                variation=variation,
+                depth=of.depth,
             )
         except JobError as error:
             # Where the files lie means nothing to who asks for a name.

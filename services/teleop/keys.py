@@ -12,7 +12,16 @@ ASK_RELEASES: Final = "\x1b[?u"
 RELEASES_ANSWER: Final = re.compile(rb"\x1b\[\?[0-9]+u")
 
 Key = Literal[
-    "forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "found", "quit"
+    "forward",
+    "backward",
+    "left",
+    "right",
+    "stop",
+    "emergency_stop",
+    "new_episode",
+    "resume",
+    "found",
+    "quit",
 ]
 #: What a terminal tells besides: that it tells releases, and that its keys go to another window now.
 News = Literal["tells_releases", "focus_lost"]
@@ -30,16 +39,21 @@ _KEYS: Final[dict[int, Key]] = {
     _CTRL_C: "quit",
 }
 _EVENT_TYPES: Final = 2  # Of kitty's flags: whether presses, repeats and releases are told apart.
-_CTRL: Final = 4  # Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
+_CTRL: Final = (
+    4  # Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
+)
 _SHORTCUT: Final = ~(1 | 64 | 128)
 _RELEASED: Final = "3"
 #: An escape sequence, the beginning of one at the end of the input, or any other byte. Sequences end in any letter (End
 #: sends ``CSI F``, F2 ``SS3 Q``), but for e: an emergency stop is heard also after half a one.
 _TOKEN: Final = re.compile(
-    rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-DF-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])", re.DOTALL
+    rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-DF-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])",
+    re.DOTALL,
 )
 #: ``code : other codes ; modifiers : event ; text``; all may be left out.
-_NUMBERS: Final = re.compile(r"([0-9]{0,7})(?::[0-9:]*)?(?:;([0-9]{0,3})(?::([0-9]))?(?:;[0-9:]*)?)?")
+_NUMBERS: Final = re.compile(
+    r"([0-9]{0,7})(?::[0-9:]*)?(?:;([0-9]{0,3})(?::([0-9]))?(?:;[0-9:]*)?)?"
+)
 _FLAGS: Final = re.compile(r"\?([0-9]{1,3})")
 _LONGEST_SEQUENCE: Final = 24
 

@@ -100,7 +100,9 @@ class TeleopSession:
         if self._tells_by_s is not None and time.monotonic() > self._tells_by_s:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
-        self._terminal.show(status_line(self._operator.report, self._operator.commands.held, time.monotonic()))
+        self._terminal.show(
+            status_line(self._operator.report, self._operator.commands.held, time.monotonic())
+        )
 
     def finish(self) -> None:
         """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
@@ -161,7 +163,12 @@ class TeleopSession:
 
     def _begin_episode(self) -> None:
         request = ResetRequest(
-            seed=self._seed, purpose="drive", goal=self._goal, driver="teleop", mode="realtime", max_ticks=None
+            seed=self._seed,
+            purpose="drive",
+            goal=self._goal,
+            driver="teleop",
+            mode="realtime",
+            max_ticks=None,
         )
         if self._operator.begin(request):
             self._seed += 1
@@ -170,7 +177,9 @@ class TeleopSession:
     def _tell_of_disk(self) -> None:
         """Tell how much room the recorder has; on a thread of its own, since what moves the robot must not wait."""
         try:
-            told = self._node.bus.call("recorder", "status", Nothing(), Status, _DISK_ANSWER_S).detail.get("disk")
+            told = self._node.bus.call(
+                "recorder", "status", Nothing(), Status, _DISK_ANSWER_S
+            ).detail.get("disk")
         except JobError:
             told = None  # there is none
         if told not in (None, self._disk):
@@ -183,9 +192,17 @@ def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
     if robot.waiting:
         episode = "waiting for the robot; a simulator's first picture takes a while"
     elif robot.episode is None:
-        episode = f"ended: {robot.outcome}; n: next episode" if robot.outcome else "no episode; n: begin one"
+        episode = (
+            f"ended: {robot.outcome}; n: next episode"
+            if robot.outcome
+            else "no episode; n: begin one"
+        )
     else:
-        episode = "a person drives" if robot.driver == "teleop" else f"{robot.driver or 'somebody'} drives"
+        episode = (
+            "a person drives"
+            if robot.driver == "teleop"
+            else f"{robot.driver or 'somebody'} drives"
+        )
     keys = "-" if held is None else "+".join(held.keys) or "stop"
     parts = ["EMERGENCY STOP"] if robot.emergency else []
     return "  |  ".join([*parts, *_robot(robot, now_s), f"you: {keys}", episode])

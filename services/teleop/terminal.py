@@ -23,7 +23,9 @@ _LOCAL_FLAGS: Final = 3
 _LINES_KEPT: Final = 200  # Lines kept for a screen that takes none for a while.
 #: How long the last lines may take to be drawn; a screen that stands still must not keep the process.
 _LAST_LINES_S: Final = 1.0
-_ANSWER_S: Final = 1.0  # How long it may take to say that it has understood; a second is a slow link.
+_ANSWER_S: Final = (
+    1.0  # How long it may take to say that it has understood; a second is a slow link.
+)
 
 
 class Terminal:
@@ -100,7 +102,9 @@ class Terminal:
     def _draw(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._lines or self._status != self._drawn)
+                self._changed.wait_for(
+                    lambda: self._closed or self._lines or self._status != self._drawn
+                )
                 if not self._lines and self._status == self._drawn:
                     return
                 lines = "".join(f"{line}\n" for line in self._lines)
@@ -124,7 +128,9 @@ class TerminalLog(logging.Handler):
 def require_terminal() -> None:
     """Raise UsageError unless a person can type into this process."""
     if not sys.stdin.isatty():
-        raise UsageError("standard input is not a terminal; run this from one, not through a pipe or a script")
+        raise UsageError(
+            "standard input is not a terminal; run this from one, not through a pipe or a script"
+        )
 
 
 @contextmanager

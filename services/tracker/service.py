@@ -44,7 +44,9 @@ class TrackerService:
         except TagNotSeen as reason:
             self._lost += 1
             if self._visible:
-                _log.warning("lost the tag at frame %d of episode %s: %s", image.tick, image.episode, reason)
+                _log.warning(
+                    "lost the tag at frame %d of episode %s: %s", image.tick, image.episode, reason
+                )
             self._visible = False
             return TrackedPose.after(image, visible=False)
         self._seen += 1

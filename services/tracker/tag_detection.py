@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_CELLS: Final = 6  # Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
+_CELLS: Final = (
+    6  # Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
+)
 #: How far from where an edge is thought to be it is looked for. Further out, the next cell's edge comes in.
 _REACH_CELLS: Final = 0.5
 _MARGIN: Final = 0.12  # The ends of an edge are left out: blur rounds the corners.
@@ -22,7 +24,9 @@ def _detector() -> cv2.aruco.ArucoDetector:
     # Of cells only 3 pixels wide, the blurred rims would drown the code with OpenCV's 4 pixels and 0.13.
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
+    return cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters
+    )
 
 
 def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
@@ -37,13 +41,19 @@ def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float
     if not quads:  # then `numbers` is None
         return []
     # OpenCV counts from the centre of the first pixel.
-    found = [quad[0].astype(np.float64) for quad, one in zip(quads, numbers.ravel(), strict=True) if one == number]
+    found = [
+        quad[0].astype(np.float64)
+        for quad, one in zip(quads, numbers.ravel(), strict=True)
+        if one == number
+    ]
     for _ in range(_ROUNDS):
         found = [_meeting(*_sides(grey, corners)) for corners in found]
     return [corners + 0.5 for corners in found]
 
 
-def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sides(
+    grey: cv2.typing.MatLike, corners: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a straight line to the step from black to white along each side: its starts (4, 2), and its ends."""
     along = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(along[:, 0], along[:, 1])

@@ -40,7 +40,9 @@ class TagPose(NamedTuple):
     x_m: float
     y_m: float
     heading_rad: float
-    error_px: float  # Root mean square distance of the tag's corners from where this pose puts them.
+    error_px: (
+        float  # Root mean square distance of the tag's corners from where this pose puts them.
+    )
 
 
 def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
@@ -74,12 +76,16 @@ def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
     return TagPose(x_m, y_m, heading_rad, error_px)
 
 
-def _onto_plane(pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float) -> NDArray[np.float64]:
+def _onto_plane(
+    pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float
+) -> NDArray[np.float64]:
     """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane of a scale."""
     right, down = ((pixels - (camera.centre_x_px, camera.centre_y_px)) * metres_per_px).T
     cos = math.cos(camera.up_rad)
     sin = math.sin(camera.up_rad)
-    return np.column_stack([camera.x_m + right * sin - down * cos, camera.y_m - right * cos - down * sin])
+    return np.column_stack(
+        [camera.x_m + right * sin - down * cos, camera.y_m - right * cos - down * sin]
+    )
 
 
 def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:

@@ -20,7 +20,9 @@ class Judgement:
     answered: NDArray[np.bool_]
     right: NDArray[np.bool_]
     judged: NDArray[np.bool_]  # Those of which something is known; the others do not count at all.
-    findable: NDArray[np.bool_]  # Judged ones that have a right reference: any answer to the other ones is wrong.
+    findable: NDArray[
+        np.bool_
+    ]  # Judged ones that have a right reference: any answer to the other ones is wrong.
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,11 @@ def judge_by_poses(
         close: NDArray[np.bool_] = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m
         return close & (turn_rad <= math.radians(angle_deg))
 
-    blocks = (queries[start : start + _BLOCK, np.newaxis] for start in range(0, len(queries), _BLOCK))
+    blocks = (
+        queries[start : start + _BLOCK, np.newaxis] for start in range(0, len(queries), _BLOCK)
+    )
     findable = np.concatenate([near(block, references).any(axis=1) for block in blocks])
     right = matches.matched & near(queries, references[matches.reference])
-    return Judgement(matches.score, matches.matched, right, np.ones(len(queries), dtype=np.bool_), findable)
+    return Judgement(
+        matches.score, matches.matched, right, np.ones(len(queries), dtype=np.bool_), findable
+    )

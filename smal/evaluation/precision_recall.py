@@ -38,7 +38,9 @@ class PrecisionRecall:
         order = order[np.argsort(-judgement.score[order], kind="stable")]
         ends = np.flatnonzero(np.diff(judgement.score[order], append=-np.inf))
         right = np.cumsum((times * judgement.right)[order])[ends]
-        return cls(right / to_find, right / np.cumsum(times[order])[ends], judgement.score[order][ends])
+        return cls(
+            right / to_find, right / np.cumsum(times[order])[ends], judgement.score[order][ends]
+        )
 
     @property
     def auc(self) -> float:
@@ -81,7 +83,9 @@ def intervals_of(figures: NDArray[np.float64]) -> Intervals:
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))
 
 
-def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0) -> NDArray[np.float64]:
+def bootstrap(
+    judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0
+) -> NDArray[np.float64]:
     """Return area and recall at 100 % precision for other draws of the queries, float64 (resamples, 2).
 
     Successive queries see nearly the same: blocks of them are drawn (`block_length`), the last followed by the first
@@ -94,7 +98,9 @@ def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: 
     order = np.argsort(-judgement.score, kind="stable")
     ordered = Judgement(*(getattr(judgement, part.name)[order] for part in fields(judgement)))
     figures = np.full((resamples, 2), np.nan)
-    starts = np.random.default_rng(seed).integers(0, judged.size, (resamples, -(-judged.size // block), 1))
+    starts = np.random.default_rng(seed).integers(
+        0, judged.size, (resamples, -(-judged.size // block), 1)
+    )
     for row, begins in zip(figures, starts, strict=True):
         drawn = judged[((begins + np.arange(block)) % judged.size).ravel()[: judged.size]]
         if judgement.findable[drawn].any():

@@ -30,8 +30,12 @@ _T = TypeVar("_T")
 COLUMNS = 115
 ROWS = 44
 PATCH = 9
-SPACING_ATOMS: Final = 5.0  # Between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
-TURNED_RAD: Final = math.radians(15.0)  # Between keyframes, and heading error at which a goal is reached.
+SPACING_ATOMS: Final = (
+    5.0  # Between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
+)
+TURNED_RAD: Final = math.radians(
+    15.0
+)  # Between keyframes, and heading error at which a goal is reached.
 # How far ahead it aims, and how near goals are a mere turn; in spacings.
 LOOKAHEAD = 1.3
 TURNING = 0.2
@@ -62,11 +66,17 @@ class TeachAndRepeat:
     ValueError when a drive lacks images or odometry, or the drives show no turn or no way ahead.
     """
 
-    def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float, *, told: bool = False) -> None:
+    def __init__(
+        self, drives: Sequence[Demonstration], field_of_view_rad: float, *, told: bool = False
+    ) -> None:
         self._field = field_of_view_rad
         self._told = told
-        taught = [(_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives]
-        movements = atom_movements([odometry for _, odometry in taught], [drive.atoms for drive in drives])
+        taught = [
+            (_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives
+        ]
+        movements = atom_movements(
+            [odometry for _, odometry in taught], [drive.atoms for drive in drives]
+        )
         self._turn = abs(float(movements[Atom.LEFT, 1]))
         self._spacing = SPACING_ATOMS * float(movements[Atom.FORWARD, 0])
         if not (self._turn > 0.0 and self._spacing > 0.0):
@@ -81,7 +91,12 @@ class TeachAndRepeat:
         self._looked_rad = 0.0
         self._looking = False
         self._heading = math.nan
-        self._best: tuple[float, int, int, tuple[float, float, float]] = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
+        self._best: tuple[float, int, int, tuple[float, float, float]] = (
+            -math.inf,
+            0,
+            0,
+            (0.0, 0.0, 0.0),
+        )
 
     @property
     def done(self) -> bool:
@@ -115,19 +130,33 @@ class TeachAndRepeat:
             if distance >= LOOKAHEAD * self._spacing or abs(heading) >= TURNED_RAD:
                 arrived = distance < (LOOKAHEAD if turning else TURNING) * self._spacing
                 off = heading if arrived else math.atan2(y, x)
-                return Atom.FORWARD if abs(off) <= self._turn else Atom.LEFT if off > 0.0 else Atom.RIGHT
+                return (
+                    Atom.FORWARD
+                    if abs(off) <= self._turn
+                    else Atom.LEFT
+                    if off > 0.0
+                    else Atom.RIGHT
+                )
             self._advance(route)
         return Atom.STOP
 
-    def _route_of(self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]) -> _Route:
+    def _route_of(
+        self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]
+    ) -> _Route:
         """Pick the first frame, the last, and one after each spacing or turn."""
         keys = [0]
         for frame, pose in enumerate(odometry):
             x, y, heading = seen_from(pose, odometry[keys[-1]])
-            if math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD or frame == len(odometry) - 1:
+            if (
+                math.hypot(x, y) > self._spacing
+                or abs(heading) > TURNED_RAD
+                or frame == len(odometry) - 1
+            ):
                 keys.append(frame)
         margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
-        return _Route(keys, odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys])
+        return _Route(
+            keys, odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys]
+        )
 
     def _match(self, seen: NDArray[np.float32], taught: NDArray[np.float32]) -> tuple[float, float]:
         """Return how far left of the robot's heading the taught one is, radians, and the correlation then."""
@@ -176,7 +205,9 @@ class TeachAndRepeat:
         offs, correlations = np.array([self._match(seen, taught) for taught in nearby]).T
         # The fraction of the way from the last goal to this one that is behind the robot, by odometry and by images.
         leg = seen_from(self._goal, self._last)[:2]
-        done = float(leg @ seen_from(here, self._last)[:2]) / max(float(leg @ leg), np.finfo(float).tiny)
+        done = float(leg @ seen_from(here, self._last)[:2]) / max(
+            float(leg @ leg), np.finfo(float).tiny
+        )
         turn = 0.0
         if 0.0 <= done <= 1.0 and correlations[reach : reach + 2].max() >= RECOGNIZED:
             turn = TURN_GAIN * float((1.0 - done) * offs[reach] + done * offs[reach + 1])

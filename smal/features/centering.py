@@ -32,7 +32,9 @@ class Centering:
 
     def __post_init__(self) -> None:
         if self.mean.shape != (self.settings.size,):
-            raise ValueError(f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}")
+            raise ValueError(
+                f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}"
+            )
         # Raw features are of unit length; beyond this bound, which a damaged file may pass, squares overflow.
         if self.mean.dtype.kind != "f" or not (np.abs(self.mean) <= _LARGEST).all():
             raise ValueError("the mean of the features is not finite, or too large")
@@ -44,7 +46,9 @@ class Centering:
         count = 0
         for part in [raw] if isinstance(raw, np.ndarray) else raw:
             if part.ndim != 2 or part.shape[1] != settings.size:
-                raise ValueError(f"the mean needs features (n, {settings.size}), got the shape {part.shape}")
+                raise ValueError(
+                    f"the mean needs features (n, {settings.size}), got the shape {part.shape}"
+                )
             total += part.sum(axis=0, dtype=np.float64)
             count += len(part)
         if count == 0:
@@ -58,7 +62,9 @@ class Centering:
         finite.
         """
         if raw.ndim == 0 or raw.shape[-1] != self.settings.size:
-            raise FeaturesError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")
+            raise FeaturesError(
+                f"features must have {self.settings.size} entries, got the shape {raw.shape}"
+            )
         centred = np.asarray(raw - self.mean, dtype=np.float32)
         share = 1.0 / math.sqrt(len(self.settings.modalities))
         for where in self.settings.slices:

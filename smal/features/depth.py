@@ -27,6 +27,8 @@ def depth_descriptor(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
     row, are scaled to unit length; where nothing is in range there is no direction, but the zero vector.
     """
     half_mm = np.float32(1000.0 * HALF_M)
-    nearness = np.where(depth_mm > 0, half_mm / (half_mm + depth_mm.astype(np.float32)), np.float32(0.0))
+    nearness = np.where(
+        depth_mm > 0, half_mm / (half_mm + depth_mm.astype(np.float32)), np.float32(0.0)
+    )
     # Nearness is averaged, not depth: in a cell with a post before the sky there is no surface half way.
     return unit_length(resized(nearness, ROWS, COLUMNS))

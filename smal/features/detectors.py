@@ -23,14 +23,19 @@ class Detection(NamedTuple):
 
     label: str  # The detector's name and which thing it is: "apriltag 7".
     score: float  # How sure the detector is, 0 to 1.
-    box: tuple[float, float, float, float]  # Left, top, right, bottom: shares of the image's width and height.
+    box: tuple[
+        float, float, float, float
+    ]  # Left, top, right, bottom: shares of the image's width and height.
 
 
 def apriltags(image: NDArray[np.uint8]) -> list[Detection]:
     """Find AprilTags of the family 36h11 in an RGB image; they have their numbers."""
     corners, numbers, _ = _tags().detectMarkers(_grey(image))
     # Without any, the numbers are None.
-    return [_sign("apriltag", int(n[0]), quad[0], image) for n, quad in zip(numbers if corners else [], corners)]  # noqa: B905
+    return [
+        _sign("apriltag", int(n[0]), quad[0], image)
+        for n, quad in zip(numbers if corners else [], corners, strict=True)
+    ]
 
 
 def qr_codes(image: NDArray[np.uint8]) -> list[Detection]:
@@ -38,7 +43,9 @@ def qr_codes(image: NDArray[np.uint8]) -> list[Detection]:
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     _, texts, corners, _ = cv2.QRCodeDetector().detectAndDecodeMulti(_grey(image))
-    return [_sign("qr", text, quad, image) for text, quad in zip(texts, corners, strict=True) if text]
+    return [
+        _sign("qr", text, quad, image) for text, quad in zip(texts, corners, strict=True) if text
+    ]
 
 
 def of_boxes(file: str, boxes: NDArray[Any], rows: int, columns: int) -> list[Detection]:
@@ -79,4 +86,8 @@ def _sign(kind: str, name: object, corners: Sequence[Any], image: NDArray[np.uin
     left, top = np.min(corners, axis=0).tolist()
     right, bottom = np.max(corners, axis=0).tolist()
     rows, columns = image.shape[:2]
-    return Detection(f"{kind} {name}"[:LONGEST], 1.0, (left / columns, top / rows, right / columns, bottom / rows))
+    return Detection(
+        f"{kind} {name}"[:LONGEST],
+        1.0,
+        (left / columns, top / rows, right / columns, bottom / rows),
+    )

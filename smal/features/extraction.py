@@ -20,13 +20,17 @@ from smal.features.settings import FeatureSettings
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
-_here = threading.local()  # In each thread of `in_parallel`: the event that nobody waits for its answers any more.
+_here = (
+    threading.local()
+)  # In each thread of `in_parallel`: the event that nobody waits for its answers any more.
 
 
 class Parallel(Protocol):
     """Yields what a function makes of each item, in order, as `map` of any `concurrent.futures.Executor` does."""
 
-    def __call__(self, function: Callable[[Item], Answer], items: Iterable[Item], /) -> Iterator[Answer]:
+    def __call__(
+        self, function: Callable[[Item], Answer], items: Iterable[Item], /
+    ) -> Iterator[Answer]:
         """Begin."""
         ...
 
@@ -75,9 +79,13 @@ def extract(
         if depth_mm is None:
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
         if depth_mm.dtype != np.uint16:
-            raise ValueError(f"a depth image must be an array of uint16 in millimetres, got {depth_mm.dtype}")
+            raise ValueError(
+                f"a depth image must be an array of uint16 in millimetres, got {depth_mm.dtype}"
+            )
         if depth_mm.ndim != 2 or depth_mm.size == 0:
-            raise ValueError(f"a depth image must have the shape (height, width), got {depth_mm.shape}")
+            raise ValueError(
+                f"a depth image must have the shape (height, width), got {depth_mm.shape}"
+            )
         inputs["depth"] = np.ascontiguousarray(depth_mm)
     modalities = [modality_named(name) for name in settings.modalities]
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])

@@ -60,7 +60,9 @@ def mean_amplitudes(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the mean absolute response (filters, 4, 4) of every filter in every cell of a picture (96, 128)."""
     spectrum = fft.fft2(np.pad(picture, BORDER, mode="symmetric"))
     # One filter after the other: their responses together, 5 MB, take twice the time.
-    return np.stack([_cell_means(np.abs(fft.ifft2(spectrum * transfer))) for transfer in transfer_functions()])
+    return np.stack(
+        [_cell_means(np.abs(fft.ifft2(spectrum * transfer))) for transfer in transfer_functions()]
+    )
 
 
 def _cell_means(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:

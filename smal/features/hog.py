@@ -23,7 +23,9 @@ COLUMNS = 320
 CELL = 20
 BINS = 9
 BLOCK = 2 * CELL
-SMOOTHING_PX = 2.0  # Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
+SMOOTHING_PX = (
+    2.0  # Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
+)
 SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
 
 

@@ -20,7 +20,11 @@ MODALITIES: Final = {
     )
 }
 
-MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE", f"{onnx.BOXES}FILE")  # Names that users may give.
+MODALITY_NAMES = (
+    *MODALITIES,
+    f"{onnx.PREFIX}FILE",
+    f"{onnx.BOXES}FILE",
+)  # Names that users may give.
 
 
 def modality_named(name: str) -> Modality:

@@ -93,8 +93,12 @@ class Network:
             output = np.asarray(found[0], dtype=np.float32)
         except Exception as error:
             if run.terminate:
-                raise ValueError(f"{self.file}: an image takes more than {_LONGEST_WAIT_S:g} s") from error
-            raise ValueError(f"{self.file}: the network does not run: {_one_line(error)}") from error
+                raise ValueError(
+                    f"{self.file}: an image takes more than {_LONGEST_WAIT_S:g} s"
+                ) from error
+            raise ValueError(
+                f"{self.file}: the network does not run: {_one_line(error)}"
+            ) from error
         finally:
             end.cancel()
         if output.size == 0:
@@ -119,12 +123,18 @@ def open_network(file: str, kind: str = PREFIX) -> str:
         with os.fdopen(open_regular(Path(file)), "rb") as opened:
             size = os.fstat(opened.fileno()).st_size
             if size > LARGEST:
-                raise ValueError(f"{file}: too large for a network: {size} bytes, at most {LARGEST}")
+                raise ValueError(
+                    f"{file}: too large for a network: {size} bytes, at most {LARGEST}"
+                )
             data = opened.read(size)
     except FileNotFoundError:
-        raise ValueError(f"{file}: there is no such file for the feature modality {kind}FILE") from None
+        raise ValueError(
+            f"{file}: there is no such file for the feature modality {kind}FILE"
+        ) from None
     except OSError as error:
-        raise ValueError(f"{file}: cannot read the network's file: {error.strerror or error}") from error
+        raise ValueError(
+            f"{file}: cannot read the network's file: {error.strerror or error}"
+        ) from error
     _onnxruntime(file)
     size = _proven(file, kind, data)
     name = f"{PREFIX}{hashlib.sha256(data).hexdigest()}:{size}"
@@ -137,7 +147,12 @@ def _proven(file: str, kind: str, data: bytes) -> int:
 
     A few bytes can describe a loop without an end, or a matrix that fills all memory.
     """
-    request = {"file": str(Path(file).absolute()), "called": file, "kind": kind, "longest_s": LONGEST_S}
+    request = {
+        "file": str(Path(file).absolute()),
+        "called": file,
+        "kind": kind,
+        "longest_s": LONGEST_S,
+    }
     limits = WorkLimits.of_size(len(data), MOST_MEMORY + _COPIES * len(data))
     try:
         proven = confined("smal.features.onnx:prove", request, limits, file)
@@ -162,7 +177,9 @@ def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
     except ValueError as error:
         raise ConfinedError(str(error)) from None
     work.step("an image", request["longest_s"])
-    with suppress(ValueError):  # Noise is no picture: how long the network takes is all that counts.
+    with suppress(
+        ValueError
+    ):  # Noise is no picture: how long the network takes is all that counts.
         _run_once(network, kind, np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8))
     return {"digest": hashlib.sha256(data).hexdigest(), "size": size}
 
@@ -213,13 +230,19 @@ def onnx_modality(name: str) -> Modality:
         given_as(name)
         return _given[name].detect(image)
 
-    return Modality(f"{PREFIX}{digest}", size, "color", describe) if size else detector(f"{BOXES}{digest}", detect)
+    return (
+        Modality(f"{PREFIX}{digest}", size, "color", describe)
+        if size
+        else detector(f"{BOXES}{digest}", detect)
+    )
 
 
 def _parts(name: str) -> tuple[str, int]:
     match = _NAME.fullmatch(name)
     if match is None:
-        raise ValueError(f"a network is named by its contents, {PREFIX}SHA-256:SIZE, not {name[:100]!r}")
+        raise ValueError(
+            f"a network is named by its contents, {PREFIX}SHA-256:SIZE, not {name[:100]!r}"
+        )
     return match[1], int(match[2])
 
 
@@ -240,7 +263,9 @@ def _session(file: str, data: bytes) -> "InferenceSession":
     # Its errors are raised as well; on standard error they would be said twice.
     options.log_severity_level = 4
     # Weights beside the file would escape its fingerprint: nothing lies in a folder of the name of a file.
-    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(Path(file).absolute()))
+    options.add_session_config_entry(
+        "session.model_external_initializers_file_folder_path", str(Path(file).absolute())
+    )
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:
@@ -266,22 +291,31 @@ def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple
     if len(inputs) == 1:
         kind, shape = inputs[0]
         if kind == "tensor(float)" and len(shape) == 4:
-            batch, channels, rows, columns = (length if isinstance(length, int) else None for length in shape)
+            batch, channels, rows, columns = (
+                length if isinstance(length, int) else None for length in shape
+            )
             if batch in (None, 1) and channels == 3 and rows != 0 and columns != 0:
                 return rows or SIDE, columns or SIDE
     has = " and ".join(f"{kind} {tuple(shape)}" for kind, shape in inputs) or "no input"
-    raise ValueError(f"{file}: the network must have one input, float32 (1, 3, height, width), and has {has}")
+    raise ValueError(
+        f"{file}: the network must have one input, float32 (1, 3, height, width), and has {has}"
+    )
 
 
 def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> NDArray[np.float32]:
     if key not in meta:
         return np.array(usual, dtype=np.float32)
     try:
-        numbers = np.array([float(part) for part in re.split(r"[\s,]+", meta[key].strip(" []()"))], dtype=np.float32)
+        numbers = np.array(
+            [float(part) for part in re.split(r"[\s,]+", meta[key].strip(" []()"))],
+            dtype=np.float32,
+        )
     except ValueError:
         numbers = np.zeros(0, dtype=np.float32)
     if numbers.shape != (3,) or not np.isfinite(numbers).all():
-        raise ValueError(f"{file}: its metadata must say {key} as three numbers separated by commas, got {meta[key]!r}")
+        raise ValueError(
+            f"{file}: its metadata must say {key} as three numbers separated by commas, got {meta[key]!r}"
+        )
     return numbers
 
 

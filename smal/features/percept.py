@@ -21,6 +21,8 @@ class Percept(NamedTuple):
     detected: tuple[Detection, ...]  # What the detectors among the features find.
 
 
-def perceive(image: Picture, settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None) -> Percept:
+def perceive(
+    image: Picture, settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
+) -> Percept:
     """Return what a robot goes by of an image (height, width, 3), RGB; errors are as of `extract`."""
     return Percept(extract(image, settings, depth_mm), small(image), tuple(detect(image, settings)))

@@ -5,7 +5,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-SHAPE: Final = (60, 80)  # Rows and columns of `small`: a person who lies 5 m away takes 20 of the columns.
+SHAPE: Final = (
+    60,
+    80,
+)  # Rows and columns of `small`: a person who lies 5 m away takes 20 of the columns.
 
 
 def resized(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
@@ -14,14 +17,18 @@ def resized(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
 
     shrinks = image.shape[0] >= rows and image.shape[1] >= columns
     # Area averaging is right for shrinking only; when enlarging it would repeat pixels and invent edges.
-    return cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return cv2.resize(
+        image, (columns, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    )
 
 
 def resized_grey(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:
     """Bring an RGB image (height, width, 3) of any size to grey values (rows, columns)."""
     import cv2  # noqa: PLC0415 - see above
 
-    return np.asarray(resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), rows, columns), dtype=np.uint8)
+    return np.asarray(
+        resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), rows, columns), dtype=np.uint8
+    )
 
 
 def small(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -33,7 +33,11 @@ class FeatureSettings:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process with the names of the files of networks, which are read there."""
-        return _arrived, (type(self), self.modalities, [onnx.said(name) for name in self.modalities])
+        return _arrived, (
+            type(self),
+            self.modalities,
+            [onnx.said(name) for name in self.modalities],
+        )
 
     @classmethod
     def of(cls, modalities: Iterable[str]) -> Self:
@@ -55,7 +59,9 @@ class FeatureSettings:
         """Return the features that a model's file was learned on; ValueError where this program computes others."""
         settings = cls(tuple(meta["modalities"]))
         if settings.fingerprint != meta["feature_fingerprint"]:
-            raise ValueError("it was learned on features that this version computes differently; learn it again")
+            raise ValueError(
+                "it was learned on features that this version computes differently; learn it again"
+            )
         return settings
 
     @property
@@ -71,7 +77,10 @@ class FeatureSettings:
     @property
     def text(self) -> str:
         """The modalities as `parse` reads them; ValueError where a network's file was not given to this process."""
-        return ",".join(onnx.given_as(name) if name.startswith(onnx.PREFIX) else name for name in self.modalities)
+        return ",".join(
+            onnx.given_as(name) if name.startswith(onnx.PREFIX) else name
+            for name in self.modalities
+        )
 
     @property
     def size(self) -> int:
@@ -98,7 +107,9 @@ class FeatureSettings:
     def fingerprint(self) -> str:
         """12 hex digits naming these raw features; of a network the contents of its file count."""
         modalities = [modality_named(name) for name in self.modalities]
-        text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
+        text = json.dumps(
+            [DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]]
+        )
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -111,14 +122,18 @@ def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) ->
         raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")
     missing = [name for name in wanted.describing if name not in held.modalities]
     if missing:
-        raise ValueError(f"the features {', '.join(held.modalities)} do not hold {', '.join(missing)}")
+        raise ValueError(
+            f"the features {', '.join(held.modalities)} do not hold {', '.join(missing)}"
+        )
     if held.describing == wanted.describing:
         return raw
     where = dict(zip(held.modalities, held.slices, strict=True))
     return np.concatenate([raw[..., where[name]] for name in wanted.describing], axis=-1)
 
 
-def _arrived(kind: type[FeatureSettings], modalities: tuple[str, ...], said: Iterable[str]) -> FeatureSettings:
+def _arrived(
+    kind: type[FeatureSettings], modalities: tuple[str, ...], said: Iterable[str]
+) -> FeatureSettings:
     for name in said:
         if not onnx.is_digest(name):
             _given(name)
@@ -131,4 +146,6 @@ def _given(name: str) -> str:
         onnx.given_as(name)
         return name
     kind, colon, file = name.partition(":")
-    return onnx.open_network(file, kind + colon) if kind + colon in (onnx.PREFIX, onnx.BOXES) else name
+    return (
+        onnx.open_network(file, kind + colon) if kind + colon in (onnx.PREFIX, onnx.BOXES) else name
+    )

@@ -118,7 +118,12 @@ def confined(
     """
     factor = _factor()
     limits = WorkLimits(int(limits.memory * factor), limits.cpu_s * factor)
-    order = {"function": function, "request": request, "memory": limits.memory, "cpu_s": limits.cpu_s}
+    order = {
+        "function": function,
+        "request": request,
+        "memory": limits.memory,
+        "cpu_s": limits.cpu_s,
+    }
     # Each thread of OpenBLAS counts towards the limit of memory.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(  # noqa: S603 - our own
@@ -185,11 +190,15 @@ class _Listener:
             raise self._exceeded(f"{self._limits.memory / 2**30:.3g} GiB of memory")
         if status == -signal.SIGXCPU:
             raise self._exceeded(f"{self._cpu_s:.3g} s of processor time")
-        raise ConfinedError(f"{self._source}: reading it broke down (status {status}); the file is damaged, or hostile")
+        raise ConfinedError(
+            f"{self._source}: reading it broke down (status {status}); the file is damaged, or hostile"
+        )
 
     def _exceeded(self, bound: str) -> ConfinedError:
         raised = f"{FACTOR}={2 * _factor():g} doubles the limit"
-        return ConfinedError(f"{self._source}: reading {self._step} takes more than {bound}; if it is sound, {raised}")
+        return ConfinedError(
+            f"{self._source}: reading {self._step} takes more than {bound}; if it is sound, {raised}"
+        )
 
 
 def _factor() -> float:
@@ -212,7 +221,9 @@ def size_of(path: Path) -> int:
 
 def main() -> None:
     """Do the work that the parent orders on standard input."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process.
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C is for the parent, which ends this process.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PARENT_DIED, ctypes.c_ulong(signal.SIGKILL))
         if os.getppid() != int(sys.argv[1]):

@@ -32,10 +32,18 @@ _FIXED = struct.Struct("<8sIQ")
 _ALIGNED = 8
 _DIGEST = 32  # Bytes of the checksum.
 LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
-LARGEST_HEADER = 2**24  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
+LARGEST_HEADER = (
+    2**24
+)  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
 _MOST_AXES = 8
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Errors of a disk without room, a quota, and a limit of a process.
-_DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|u1", "|b1")}
+FULL = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+)  # Errors of a disk without room, a quota, and a limit of a process.
+_DTYPES = {
+    name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|u1", "|b1")
+}
 
 
 class ModelError(ValueError):
@@ -55,7 +63,9 @@ def one_line(error: Exception) -> str:
 def replacing(path: Path) -> Iterator[IO[bytes]]:
     """Write a file so that there is never a half-written one under its name; of a link, the file that it leads to."""
     path = path.resolve()
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+    with tempfile.NamedTemporaryFile(
+        dir=path.parent, prefix=f".{path.name}.", delete=False
+    ) as file:
         try:
             yield file
             file.flush()
@@ -76,11 +86,15 @@ def write_whole(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+def write(
+    path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> None:
     """Write a file, all of it or none; ModelError where it would be larger than what is read."""
     size = sum(array.nbytes for array in arrays.values())
     if size > LARGEST - LARGEST_HEADER:
-        raise ModelError(f"{path}: a model of {size / 1e9:.1f} GB, at most {LARGEST / 1e9:.1f} GB; learn fewer drives")
+        raise ModelError(
+            f"{path}: a model of {size / 1e9:.1f} GB, at most {LARGEST / 1e9:.1f} GB; learn fewer drives"
+        )
     parts = _parts(version, meta, arrays)
     digest = hashlib.sha256()
     with replacing(path) as file:
@@ -98,7 +112,9 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
     return digest.hexdigest()
 
 
-def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+def read(
+    file: IO[bytes], name: str, version: int
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
     """Read a file that `write` wrote, of a version of the format: what it says, its arrays, and its checksum in hex.
 
     NoModelError where the file, which errors call `name`, cannot be read, is too large, or is of another kind;
@@ -143,7 +159,9 @@ def _explained(name: str) -> Iterator[None]:
     except OSError as error:
         raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
     except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
+        raise ModelError(
+            f"{name}: the header does not describe a model: {one_line(error)}"
+        ) from error
 
 
 def _header_size(fixed: bytes, name: str, version: int) -> int:
@@ -152,13 +170,17 @@ def _header_size(fixed: bytes, name: str, version: int) -> int:
         raise NoModelError(f"{name}: not a SMAL model")
     _, found, size = _FIXED.unpack(fixed)
     if found != version:
-        raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
+        raise ModelError(
+            f"{name}: model of format {found}, this program reads format {version}; learn it again"
+        )
     if size > LARGEST_HEADER:
         raise ModelError(f"{name}: a header of {size} bytes, at most {LARGEST_HEADER} are read")
     return int(size)
 
 
-def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
+def _parts(
+    version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> list[bytes | memoryview]:
     """Return the bytes of the file one after the other, except its checksum."""
     in_order = sorted(arrays.items(), key=lambda item: -item[1].itemsize)
     stored = {name: np.ascontiguousarray(array) for name, array in in_order}
@@ -168,7 +190,11 @@ def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[A
         raise TypeError(f"arrays of this type are not stored in a model: {unknown}")
     header = json.dumps({"meta": meta, "arrays": table}, allow_nan=False).encode()
     header += b" " * (-(_FIXED.size + len(header)) % _ALIGNED)
-    return [_FIXED.pack(MAGIC, version, len(header)), header, *(array.reshape(-1).data for array in stored.values())]
+    return [
+        _FIXED.pack(MAGIC, version, len(header)),
+        header,
+        *(array.reshape(-1).data for array in stored.values()),
+    ]
 
 
 def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, NDArray[Any]]:
@@ -177,11 +203,15 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     for name, dtype, shape in table:
         if not isinstance(name, str):
             raise TypeError(f"the name of an array must be a string, got {name!r}")
-        if len(shape) > _MOST_AXES or any(type(length) is not int or not 0 <= length <= LARGEST for length in shape):
+        if len(shape) > _MOST_AXES or any(
+            type(length) is not int or not 0 <= length <= LARGEST for length in shape
+        ):
             raise ValueError(f"no shape of an array: {str(shape)[:100]}")
         kind = _DTYPES[dtype]
         count = math.prod(shape)
-        array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
+        array = (
+            np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
+        )
         arrays[name] = array.reshape(shape)
         at += array.nbytes
     if at != len(body):

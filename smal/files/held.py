@@ -14,11 +14,21 @@ from typing import IO, Final
 
 _LINUX: Final = hasattr(os, "memfd_create")
 if _LINUX:
-    from fcntl import F_ADD_SEALS, F_GET_SEALS, F_SEAL_GROW, F_SEAL_SEAL, F_SEAL_SHRINK, F_SEAL_WRITE, fcntl
+    from fcntl import (
+        F_ADD_SEALS,
+        F_GET_SEALS,
+        F_SEAL_GROW,
+        F_SEAL_SEAL,
+        F_SEAL_SHRINK,
+        F_SEAL_WRITE,
+        fcntl,
+    )
     from mmap import MAP_PRIVATE, PROT_READ
 
     _SEALS: Final = F_SEAL_SEAL | F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_WRITE
-_BLOCK: Final = 2**20  # Bytes that are copied at once: few calls, and little memory beside the copy.
+_BLOCK: Final = (
+    2**20
+)  # Bytes that are copied at once: few calls, and little memory beside the copy.
 
 Check = Callable[[memoryview], bool]
 
@@ -54,14 +64,18 @@ def held(file: IO[bytes], size: int, digest: str, check: Check) -> memoryview | 
         # Processes that start together must choose the same copy: the oldest.
         return next(filter(check, _older(name, os.fstat(descriptor))), own)
     finally:
-        os.close(descriptor)  # The map has a descriptor of its own, by which other processes find the copy.
+        os.close(
+            descriptor
+        )  # The map has a descriptor of its own, by which other processes find the copy.
 
 
 def _sealed(file: IO[bytes], size: int, descriptor: int) -> memoryview:
     with os.fdopen(descriptor, "wb", closefd=False) as copy:
         for block in _blocks(file, size):
             copy.write(block)
-        copy.truncate(size)  # A file that has become shorter meanwhile is filled up, and fails its check.
+        copy.truncate(
+            size
+        )  # A file that has become shorter meanwhile is filled up, and fails its check.
     fcntl(descriptor, F_ADD_SEALS, _SEALS)
     return _mapped(descriptor, size)
 
@@ -76,7 +90,11 @@ def _older(name: str, own: os.stat_result) -> Iterator[memoryview]:
             try:
                 found = os.fstat(descriptor)
                 older = (found.st_mtime_ns, found.st_ino) < (own.st_mtime_ns, own.st_ino)
-                if older and found.st_size == own.st_size and fcntl(descriptor, F_GET_SEALS) == _SEALS:
+                if (
+                    older
+                    and found.st_size == own.st_size
+                    and fcntl(descriptor, F_GET_SEALS) == _SEALS
+                ):
                     yield _mapped(descriptor, found.st_size)
             finally:
                 os.close(descriptor)

@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Scale vectors (..., r) to unit length; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6), dtype=np.float32)
+    return np.asarray(
+        np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6),
+        dtype=np.float32,
+    )
 
 
 def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:

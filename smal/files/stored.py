@@ -15,7 +15,9 @@ from smal.files.container import ModelError, NoModelError, open_regular
 FORMAT_VERSION = 1
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "PaperModel")}
 
-Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]  # What a file says of itself, and its arrays.
+Content = tuple[
+    dict[str, Any], dict[str, NDArray[Any]]
+]  # What a file says of itself, and its arrays.
 
 
 class Stored(ABC):
@@ -76,7 +78,9 @@ class Stored(ABC):
             if not isinstance(scheme, str) or scheme not in _KINDS:
                 raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
             file_of_kind, class_name = _KINDS[scheme]
-            kind = getattr(import_module(file_of_kind), class_name)  # The paper's is imported only for its files.
+            kind = getattr(
+                import_module(file_of_kind), class_name
+            )  # The paper's is imported only for its files.
             if not issubclass(kind, cls):
                 raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
             found: Self = kind.of_content(meta, arrays)

@@ -22,7 +22,12 @@ from smal.settings import SETTINGS
 
 
 def way_round(
-    around: Surroundings, way: Floats, turn_rad: float, step_m: float, known_m: float, error_rad: float
+    around: Surroundings,
+    way: Floats,
+    turn_rad: float,
+    step_m: float,
+    known_m: float,
+    error_rad: float,
 ) -> float | None:
     """Return how far to turn left; None to stop, if nothing leads round what stands in the way (s, 2).
 
@@ -42,7 +47,9 @@ def hit_m(around: Surroundings, way: Floats) -> float:
     return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
-def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float, known_m: float) -> float | None:
+def turn_round(
+    around: Surroundings, way: Floats, turn_rad: float, step_m: float, known_m: float
+) -> float | None:
     """Return by how much to turn, to the left, to get round to where a way (s, 2) leads; None where nothing does.
 
     Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`. Further aside of the way
@@ -62,8 +69,12 @@ def turn_round(around: Surroundings, way: Floats, turn_rad: float, step_m: float
     x, y = np.divmod(here, len(to_go_m))
     to_x, to_y = np.divmod(onwards, len(to_go_m))
     off_rad = wrapped(np.arctan2(to_y - y, to_x - x) - around.heading - turns[:, None] * turn_rad)
-    back = np.where(here == onwards, 0.0, np.maximum(np.abs(off_rad) - math.pi / 4.0, 0.0)) / turn_rad
-    left_m = np.where(leads, to_go_m[cells] + straight_m, np.inf) + step_m * (np.abs(turns)[:, None] + back)
+    back = (
+        np.where(here == onwards, 0.0, np.maximum(np.abs(off_rad) - math.pi / 4.0, 0.0)) / turn_rad
+    )
+    left_m = np.where(leads, to_go_m[cells] + straight_m, np.inf) + step_m * (
+        np.abs(turns)[:, None] + back
+    )
     best = np.unravel_index(left_m.argmin(), left_m.shape)
     return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
 
@@ -77,7 +88,10 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
     outside = np.hypot(*dense.T) > around.reach_m - 2.0 * around.cell_m
     dense = dense[: max(1, int(outside.argmax())) if outside.any() else len(dense)]
     # If something stands at the end of the way, it plans to the last free place before that.
-    dense = dense[: 1 + np.flatnonzero(around.clearance_m[around.cells(dense)] >= around.body_m).max(initial=0)]
+    dense = dense[
+        : 1
+        + np.flatnonzero(around.clearance_m[around.cells(dense)] >= around.body_m).max(initial=0)
+    ]
     track = np.full(around.clearance_m.shape, -1, dtype=np.intp)
     track[around.cells(dense)] = np.arange(len(dense))
     aside, (row, column) = distance_transform_edt(track < 0, return_indices=True)
@@ -87,11 +101,17 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
     clear_m = around.clearance_m
     body_m = around.body_m
     # A robot that stands too near to something, or too far aside, may leave.
-    leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (clear_m >= clear_m[here] - 1e-3)
+    leaves = (np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m) & (
+        clear_m >= clear_m[here] - 1e-3
+    )
     may = ((clear_m >= body_m) | leaves) & (
         aside_m <= max(SETTINGS.may_go_aside * around.radius_m, float(aside_m[here]))
     )
-    tight = np.clip((SETTINGS.room * around.radius_m - clear_m) / (SETTINGS.room * around.radius_m - body_m), 0.0, 1.0)
+    tight = np.clip(
+        (SETTINGS.room * around.radius_m - clear_m) / (SETTINGS.room * around.radius_m - body_m),
+        0.0,
+        1.0,
+    )
     cost = (
         1.0
         + SETTINGS.tight_cost * tight
@@ -106,7 +126,9 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
     costs = (cost_m[one] + cost_m[other]) / 2.0 * apart
     used = np.isfinite(costs)
     graph = sparse.csr_array((costs[used], (one[used], other[used])), shape=(may.size, may.size))
-    to_go_m, following, _ = dijkstra(graph, directed=False, indices=ends, min_only=True, return_predecessors=True)
+    to_go_m, following, _ = dijkstra(
+        graph, directed=False, indices=ends, min_only=True, return_predecessors=True
+    )
     following = np.where(following < 0, np.arange(may.size), following)
     return np.asarray(to_go_m).reshape(may.shape), np.asarray(following, dtype=np.intp)
 

@@ -31,7 +31,9 @@ STILL_RAD = math.radians(0.5)
 #: error of stereo cameras, which is 2 % at 4 m, and grows with the distance.
 DIFFERS: Final = 0.05
 DIFFERS_A_M: Final = 0.01
-SHAKES_RAD: Final = math.radians(1.5)  # How far the camera may look aside of where it sits, as on a mast that shakes.
+SHAKES_RAD: Final = math.radians(
+    1.5
+)  # How far the camera may look aside of where it sits, as on a mast that shakes.
 #: Points of an image that are compared, at most, and the fewest that prove anything.
 POINTS = 1000
 FEW = 50
@@ -44,7 +46,9 @@ FRESH: Final = 0.95
 #: Likelihood of an image that has nothing to do with the earlier ones: the robot was carried, or what it saw has moved.
 #: It is that of a mean cost of a quarter, which no true hypothesis has.
 UNRELATED: Final = math.exp(-EVIDENCE / 4.0)
-QUEUES: Final = 0.4  # Probability that a camera which hung has delayed its images, and not dropped them.
+QUEUES: Final = (
+    0.4  # Probability that a camera which hung has delayed its images, and not dropped them.
+)
 
 
 class Look(NamedTuple):
@@ -60,7 +64,9 @@ class CaptureTime:
 
     def __init__(self, mount: Mount) -> None:
         self._mount = mount
-        self._track: deque[tuple[float, NDArray[np.float64]]] = deque()  # Times and poses, the newest first.
+        self._track: deque[tuple[float, NDArray[np.float64]]] = (
+            deque()
+        )  # Times and poses, the newest first.
         self._belief = np.empty(0)  # Probability that a new image was taken at each of these.
         self._looks: deque[Look] = deque()  # The newest last.
         self._last: NDArray[np.float32] | None = None
@@ -158,7 +164,9 @@ def _points(depth_m: NDArray[np.float32], mount: Mount) -> Floats:
     up = -(row + 0.5 - rows / 2.0) / (mount.focal * columns)
     stands = np.isfinite(ahead) & (ahead > 0.0)
     stands[stands] = above_ground(mount.height_m + ahead[stands] * up[stands], ahead[stands])
-    return np.stack([ahead[stands], ahead[stands] * left[stands], ahead[stands] * up[stands]], axis=1)
+    return np.stack(
+        [ahead[stands], ahead[stands] * left[stands], ahead[stands] * up[stands]], axis=1
+    )
 
 
 def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]:
@@ -170,7 +178,9 @@ def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]
     return np.where(valid, nearest, 0.0), np.where(valid, farthest, 0.0)
 
 
-def _cost(ranges: tuple[Floats, Floats], before: Look, pose: NDArray[np.float64], mount: Mount) -> float:
+def _cost(
+    ranges: tuple[Floats, Floats], before: Look, pose: NDArray[np.float64], mount: Mount
+) -> float:
     """Return how far an image contradicts a pose, 0 to 1, by the points of an earlier one; NaN if too few are in view.
 
     A surface that recedes has another depth in the next pixel. A prediction between those of neighbours is no error.

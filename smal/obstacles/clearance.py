@@ -71,7 +71,9 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     ground = valid & ~above_ground(np.abs(up), ahead)
     # What hangs a little higher than the robot may hang lower beside what is seen of it.
     thing = valid & above_ground(up, ahead) & (up < mount.top_m + mount.radius_m)
-    hit_m = np.partition(np.where(thing, ahead, np.inf), SETTINGS.least_pixels - 1, axis=0)[SETTINGS.least_pixels - 1]
+    hit_m = np.partition(np.where(thing, ahead, np.inf), SETTINGS.least_pixels - 1, axis=0)[
+        SETTINGS.least_pixels - 1
+    ]
     top_m = np.where(thing & (ahead < hit_m + 2.0 * mount.radius_m), up, 0.0).max(axis=0)
     # From below on as long as the ground goes on: what shows nothing may stand there.
     goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= SETTINGS.gap_rows
@@ -94,12 +96,17 @@ def _tilt(ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_]) -
     most_tilt = math.tan(math.radians(SETTINGS.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
     for slope in (most_tilt, most_tilt / 3.0):
-        flat = valid & (np.abs(up - (tilt[0] + tilt[1] * across) * ahead) < SETTINGS.ground_m / 2.0 + slope * ahead)
+        flat = valid & (
+            np.abs(up - (tilt[0] + tilt[1] * across) * ahead)
+            < SETTINGS.ground_m / 2.0 + slope * ahead
+        )
         if flat.sum() < valid.size // 50:
             break
         # Far points err by more: each counts by how many of its metres it is off.
         a_metre = np.stack([np.ones(int(flat.sum())), sides[flat]])
-        tilt = np.linalg.lstsq(a_metre @ a_metre.T, a_metre @ (up[flat] / ahead[flat]), rcond=None)[0]
+        tilt = np.linalg.lstsq(a_metre @ a_metre.T, a_metre @ (up[flat] / ahead[flat]), rcond=None)[
+            0
+        ]
         tilt = tilt.clip(-most_tilt, most_tilt)
     return tilt
 
@@ -123,8 +130,12 @@ class Surroundings:
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
         self._evidence = np.zeros(self._x_m.shape, dtype=np.int8)
         self._top_m = np.zeros(self._x_m.shape, dtype=np.float32)
-        self._lasts = np.zeros(self._x_m.shape, dtype=np.float32)  # For how many looks what stands there is known.
-        self._freed = np.zeros(self._x_m.shape, dtype=np.bool_)  # Whether it was seen, twice, to be free.
+        self._lasts = np.zeros(
+            self._x_m.shape, dtype=np.float32
+        )  # For how many looks what stands there is known.
+        self._freed = np.zeros(
+            self._x_m.shape, dtype=np.bool_
+        )  # Whether it was seen, twice, to be free.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
         self._mount: Mount | None = None  # Of the last look.
@@ -134,7 +145,9 @@ class Surroundings:
     def snapshot(self) -> Self:
         """Return a copy that stays as it is, for another thread."""
         made = copy.copy(self)
-        made.__dict__ |= {name: one.copy() for name, one in self.__dict__.items() if isinstance(one, np.ndarray)}
+        made.__dict__ |= {
+            name: one.copy() for name, one in self.__dict__.items() if isinstance(one, np.ndarray)
+        }
         return made
 
     def move(self, pose: Sequence[float]) -> None:
@@ -144,7 +157,9 @@ class Surroundings:
         if self._cell not in (None, cell):
             by = self._cell[0] - cell[0], self._cell[1] - cell[1]
             grids = (self._evidence, self._top_m, self._lasts, self._freed)
-            self._evidence, self._top_m, self._lasts, self._freed = (shift(grid, by, order=0) for grid in grids)
+            self._evidence, self._top_m, self._lasts, self._freed = (
+                shift(grid, by, order=0) for grid in grids
+            )
         self._cell = cell
         self._rest = (x - cell[0] * self.cell_m, y - cell[1] * self.cell_m)
         ahead, left = self.seen_from(0.0)
@@ -153,7 +168,9 @@ class Surroundings:
         for known in ("clearance_m", "moving", "_kinds", "_wide_m"):
             self.__dict__.pop(known, None)
 
-    def look(self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount) -> bool:
+    def look(
+        self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount
+    ) -> bool:
         """Go where the wheels say, and add what a depth image shows; return whether it shows anything."""
         self.move(pose)
         self.seen = seen = None if depth_m is None else scan(depth_m, mount)
@@ -178,13 +195,17 @@ class Surroundings:
         self._freed |= evidence < -1
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
-        hidden = inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
+        hidden = (
+            inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
+        )
         evidence[hidden] = 1
         self._top_m[hidden] = seen.top_m[column[hidden]]
         self._freed[hidden] = self._freed[cells][column[hidden]]
         cells = cells[0][near], cells[1][near]
         # Through and hit in one look: at its edges a thing is both.
-        evidence[cells] = np.minimum(np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence)
+        evidence[cells] = np.minimum(
+            np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence
+        )
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
         hit = np.zeros_like(self._freed)
         hit[cells] = True
@@ -199,7 +220,9 @@ class Surroundings:
 
         What is so near that a camera does not see beside its robot is not forgotten.
         """
-        leaves = self._freed & (self._lasts >= 0.0) & (self._lasts < SETTINGS.lasts * SETTINGS.stays)
+        leaves = (
+            self._freed & (self._lasts >= 0.0) & (self._lasts < SETTINGS.lasts * SETTINGS.stays)
+        )
         self._lasts += np.where(seen, SETTINGS.lasts, np.where(leaves, -1.0, 0.0))
         self._evidence[(self._lasts < 0.0) & ~self._beside_view & self._walks] = 0
 
@@ -209,7 +232,10 @@ class Surroundings:
         if self._mount is None:
             return np.zeros(self._evidence.shape, dtype=np.bool_)
         ahead, left = self.seen_from(self._mount.ahead_m)
-        near = np.hypot(*self.seen_from(0.0)) < self._mount.ahead_m + 2.0 * self._mount.focal * self.radius_m
+        near = (
+            np.hypot(*self.seen_from(0.0))
+            < self._mount.ahead_m + 2.0 * self._mount.focal * self.radius_m
+        )
         # Half a cell may lie outside.
         return near & (2.0 * self._mount.focal * (np.abs(left) + self.cell_m / 2.0) > ahead)
 
@@ -220,14 +246,18 @@ class Surroundings:
 
     def _apart(self, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the occupied ones of some cells that are no edge of what stands in others."""
-        return self.occupied & new & ~binary_dilation(self.occupied & ~new, iterations=SETTINGS.edge)
+        return (
+            self.occupied & new & ~binary_dilation(self.occupied & ~new, iterations=SETTINGS.edge)
+        )
 
     def has_come(self, turn_rad: float) -> bool:
         """Return whether what stands first in a direction, to the left of ahead, has come where it was free."""
         ahead, left = self.seen_from(0.0)
         away_m = np.hypot(ahead, left)
         # As wide as a cell, and seen from a camera that is not in the middle.
-        there = self.occupied & (np.abs(left * math.cos(turn_rad) - ahead * math.sin(turn_rad)) < self.radius_m / 2.0)
+        there = self.occupied & (
+            np.abs(left * math.cos(turn_rad) - ahead * math.sin(turn_rad)) < self.radius_m / 2.0
+        )
         there &= ahead * math.cos(turn_rad) + left * math.sin(turn_rad) > 0.0
         first = np.where(there, away_m, np.inf).argmin()
         return bool(there.any() and self._kinds[1][0].flat[first])
@@ -283,7 +313,9 @@ class Surroundings:
         clear_m = np.full(self.occupied.shape, self.reach_m)
         for cells, sways_m in self._kinds:
             if cells.any():
-                clear_m = np.minimum(clear_m, np.asarray(distance_transform_edt(~cells)) * self.cell_m - sways_m)
+                clear_m = np.minimum(
+                    clear_m, np.asarray(distance_transform_edt(~cells)) * self.cell_m - sways_m
+                )
         return clear_m
 
     @cached_property
@@ -310,7 +342,9 @@ class Surroundings:
         x = self._rest[0] + cos * ahead - sin * left
         y = self._rest[1] + sin * ahead + cos * left
         half = self._half
-        row, column = (np.rint(one / self.cell_m).clip(-half, half).astype(np.intp) + half for one in (x, y))
+        row, column = (
+            np.rint(one / self.cell_m).clip(-half, half).astype(np.intp) + half for one in (x, y)
+        )
         return row, column
 
     def clear_m(self, turns_rad: Floats) -> Floats:
@@ -324,7 +358,9 @@ class Surroundings:
         touches_m = along - np.sqrt(np.maximum(wide_m**2 - aside**2, 0.0))
         touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
         return np.asarray(
-            np.maximum(touches_m.min(axis=1, initial=self.reach_m) - SETTINGS.margin * self.radius_m, 0.0)
+            np.maximum(
+                touches_m.min(axis=1, initial=self.reach_m) - SETTINGS.margin * self.radius_m, 0.0
+            )
         )
 
     def free_m(self, ahead: bool, bend: float = 0.0) -> float:
@@ -335,7 +371,9 @@ class Surroundings:
         """
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
-        moves_m = np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
+        moves_m = (
+            np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
+        )
         aside = left
         circle_m = math.inf
         ratio = np.ones(())

@@ -36,11 +36,15 @@ class Ground:
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
-        shaped = self.colours.dtype == np.uint8 and self.colours.ndim == 3 and self.colours.shape[2] == 3
+        shaped = (
+            self.colours.dtype == np.uint8 and self.colours.ndim == 3 and self.colours.shape[2] == 3
+        )
         if not (shaped and self.colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
             raise ValueError("the parts of what the ground looks like do not fit together")
 
-    def strange_m(self, picture: Image, keyframes: NDArray[np.intp], way: Floats, scene: Floats) -> float:
+    def strange_m(
+        self, picture: Image, keyframes: NDArray[np.intp], way: Floats, scene: Floats
+    ) -> float:
         """Return how far along a way (s, 2), ahead and left of it, a robot sees strange ground first, or infinity.
 
         `keyframes` are those about it, `scene` is a map's.
@@ -60,7 +64,9 @@ def colours_of(picture: Image) -> NDArray[np.uint8]:
     return np.asarray(np.rint(_FINE * seen), dtype=np.uint8)
 
 
-def patches(picture: Image, colours: NDArray[np.uint8], way: Floats, scene: Floats) -> tuple[Floats, Floats]:
+def patches(
+    picture: Image, colours: NDArray[np.uint8], way: Floats, scene: Floats
+) -> tuple[Floats, Floats]:
     """Return of each patch of the swept ground how far along the way it is, and how unlike all colours."""
     ahead, left = _ground(float(scene[0]), float(scene[1]))
     reach = np.hypot(*way.T).max(initial=0.0)
@@ -104,7 +110,9 @@ def _ground(field_deg: float, height: float) -> tuple[Floats, Floats]:
     rows, columns = np.mgrid[0 : SHAPE[0] : _STEP, 0 : SHAPE[1] : _STEP]
     down = rows - (SHAPE[0] - 1) / 2.0
     ahead = np.where(rows >= _HORIZON, focal * height / np.maximum(down, 1.0), math.inf)
-    return ahead, np.where(np.isfinite(ahead), ((SHAPE[1] - 1) / 2.0 - columns) * height / np.maximum(down, 1.0), 0.0)
+    return ahead, np.where(
+        np.isfinite(ahead), ((SHAPE[1] - 1) / 2.0 - columns) * height / np.maximum(down, 1.0), 0.0
+    )
 
 
 def _in_patches(cells: Floats) -> Floats:

@@ -30,11 +30,15 @@ def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np
     return following
 
 
-def learn_action_space(demonstrations: Sequence[NDArray[np.int8]], sequence_length: int) -> ActionSpace:
+def learn_action_space(
+    demonstrations: Sequence[NDArray[np.int8]], sequence_length: int
+) -> ActionSpace:
     """Collect the distinct actions of demonstrations, int8 (f,) each; ValueError for no atom or no whole sequence."""
     for atoms in demonstrations:
         if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):
-            raise ValueError(f"atoms must be {int(min(Atom))} to {int(max(Atom))}, got {sorted(set(atoms.tolist()))}")
+            raise ValueError(
+                f"atoms must be {int(min(Atom))} to {int(max(Atom))}, got {sorted(set(atoms.tolist()))}"
+            )
     each = [following_atoms(atoms, sequence_length) for atoms in demonstrations]
     if not sum(map(len, each)):
         raise ValueError(f"no demonstration has {sequence_length} frames")

@@ -27,13 +27,17 @@ def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:
     return unit / (1.0 - unit) if unit < 1.0 else np.inf
 
 
-def bound_by_lengths(longest_row: Array, longest_column: Array, lambda1: float, lambda2: float) -> Array:
+def bound_by_lengths(
+    longest_row: Array, longest_column: Array, lambda1: float, lambda2: float
+) -> Array:
     """Bound the polar of any G whose rows and columns are no longer than these.
 
     With a the longest row and b the longest column of G, the rows of U = G / a and the columns of V = G / b are in the
     unit ball, and G = s (lambda1 U + lambda2 V) for s = 1 / (lambda1 / a + lambda2 / b). So s bounds the polar.
     """
-    bound: Array = 1.0 / (lambda1 / np.maximum(longest_row, _TINY) + lambda2 / np.maximum(longest_column, _TINY))
+    bound: Array = 1.0 / (
+        lambda1 / np.maximum(longest_row, _TINY) + lambda2 / np.maximum(longest_column, _TINY)
+    )
     return bound
 
 

@@ -66,8 +66,12 @@ class DecisionMaker:
         if state is None:
             decision = PaperDecision("stop", stop)
         elif (action := int(model.policy[state])) >= 0:
-            decision = PaperDecision("action", tuple(map(Atom, model.actions[action].tolist())), state, action)
+            decision = PaperDecision(
+                "action", tuple(map(Atom, model.actions[action].tolist())), state, action
+            )
         else:
-            decision = PaperDecision("goal" if state in model.transitions.goals else "dead_end", stop, state)
+            decision = PaperDecision(
+                "goal" if state in model.transitions.goals else "dead_end", stop, state
+            )
         self._plan = deque(decision.atoms)
         return decision

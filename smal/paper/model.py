@@ -33,7 +33,9 @@ class PaperModel(Stored):
     lambda2: float
     templates: NDArray[np.float32]  # X (m, n); state j is the columns j * l and following.
     actions: NDArray[np.int8]  # (number of actions, l) atoms of every action.
-    state_streams: tuple[NDArray[np.int32], ...]  # (f_d // l,) sequences in time; they end with the last frame.
+    state_streams: tuple[
+        NDArray[np.int32], ...
+    ]  # (f_d // l,) sequences in time; they end with the last frame.
     atoms: tuple[NDArray[np.int8], ...]  # (f_d,) atom k was executed between frames k and k + 1.
     names: tuple[str, ...]  # Episode of each demonstration.
     successful: tuple[bool, ...]  # Whether it ended at the goal.
@@ -55,14 +57,21 @@ class PaperModel(Stored):
             "mean": self.mean.shape == (self.feature_settings.size,),
             "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
             "reward": self.reward.shape == (states,),
-            "policy": self.policy.shape == (states,) and _within(self.policy, -1, len(self.actions) - 1),
+            "policy": self.policy.shape == (states,)
+            and _within(self.policy, -1, len(self.actions) - 1),
             "transitions": self.transitions.sound,
             "value": self.value.shape == (states,),
-            "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery)
+            "names": len(self.names)
+            == len(self.atoms)
+            == len(self.successful)
+            == len(self.recovery)
             and all(isinstance(name, str) for name in self.names),
-            "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms]
+            "state_streams": [len(s) for s in self.state_streams]
+            == [len(a) // l for a in self.atoms]
             and all(_within(stream, 0, states - 1) for stream in self.state_streams),
-            "atoms": all(_within(atoms, min(Atom), max(Atom)) for atoms in (*self.atoms, self.actions)),
+            "atoms": all(
+                _within(atoms, min(Atom), max(Atom)) for atoms in (*self.atoms, self.actions)
+            ),
             "finite": bool(np.isfinite(self.reward).all() and np.isfinite(self.value).all()),
         }
         wrong = [name for name, fits in checks.items() if not fits]
@@ -87,7 +96,9 @@ class PaperModel(Stored):
     def content(self) -> Content:
         """Return what the file says of the model, and the arrays in it."""
         arrays = {"templates": self.templates.T} | {name: getattr(self, name) for name in _ARRAYS}
-        arrays |= {f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS}
+        arrays |= {
+            f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS
+        }
         arrays |= {name: np.concatenate(getattr(self, name)) for name in _STREAMS}
         meta = {"frames": [len(atoms) for atoms in self.atoms], "states": self.states}
         meta |= {name: getattr(self, name) for name in (*_NUMBERS, *_TUPLES)}
@@ -101,12 +112,16 @@ class PaperModel(Stored):
         length = meta["sequence_length"]
         parts = dict.fromkeys(_STREAMS, frames // length) | {"atoms": frames}
         ends = {name: np.cumsum(parts[name])[:-1] for name in _STREAMS}
-        streams: dict[str, Any] = {name: tuple(np.split(arrays[name], ends[name])) for name in _STREAMS}
+        streams: dict[str, Any] = {
+            name: tuple(np.split(arrays[name], ends[name])) for name in _STREAMS
+        }
         if [len(atoms) for atoms in streams["atoms"]] != meta["frames"]:
             raise ValueError("its demonstrations are not as long as it says")
         named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
         same: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
-        same |= {name: tuple(meta[name]) for name in _TUPLES} | {name: meta[name] for name in _NUMBERS}
+        same |= {name: tuple(meta[name]) for name in _TUPLES} | {
+            name: meta[name] for name in _NUMBERS
+        }
         return cls(
             feature_settings=FeatureSettings.of_content(meta),
             templates=arrays["templates"].T,
@@ -117,7 +132,11 @@ class PaperModel(Stored):
 
 
 def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
-    return numbers.dtype.kind == "i" and low <= int(numbers.min(initial=low)) and int(numbers.max(initial=high)) <= high
+    return (
+        numbers.dtype.kind == "i"
+        and low <= int(numbers.min(initial=low))
+        and int(numbers.max(initial=high)) <= high
+    )
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:
@@ -125,7 +144,11 @@ def _check_numbers(meta: dict[str, Any]) -> None:
     counts = ("sequence_length", "states")
     reals = ("lambda1", "lambda2", "gamma")
     wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
-    wrong += [name for name in reals if type(meta[name]) not in (int, float) or not 0.0 <= meta[name] <= _MOST]
+    wrong += [
+        name
+        for name in reals
+        if type(meta[name]) not in (int, float) or not 0.0 <= meta[name] <= _MOST
+    ]
     wrong += [] if "gamma" in wrong or meta["gamma"] < 1.0 else ["gamma"]
     if wrong:
         raise ValueError(f"not a number that a model could have: {', '.join(wrong)}")

@@ -97,7 +97,9 @@ class BlockProblem:
     def smoothing_for(self, excess: float) -> float:
         """Return the epsilon that costs about as much as the excess of the objective: 0.3 epsilon a norm, doubled."""
         p, q = self.correlations.shape
-        return float(_GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size))
+        return float(
+            _GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size)
+        )
 
 
 class Iterate(NamedTuple):
@@ -154,7 +156,9 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
     penalty = problem.lambda1 / e + problem.lambda2 / f
     descent = slopes / d - penalty * W
     # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
-    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * slopes).sum(axis=0)
+    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * slopes).sum(
+        axis=0
+    )
     squares = np.maximum(d * d - epsilon * epsilon, _ROUNDING * problem.squares)
     along_rows = np.maximum(_rows(U * W), 0.0)
     along_columns = np.maximum(problem.sums(V * W), 0.0)
@@ -178,7 +182,9 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
     return _moved(problem, now, share * direction, *norms)
 
 
-def _moved(problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array, f: Array) -> Iterate:
+def _moved(
+    problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array, f: Array
+) -> Iterate:
     """Linearise the subgradients along the step and bring them back into their balls."""
     W, alpha, B, U, V = now
     moved = W + step
@@ -186,9 +192,9 @@ def _moved(problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array,
     along = -(problem.slopes(W) * step).sum(axis=0) / (d * d)
     alpha = 1.0 / d - alpha * along
     B = moved / d - B * along
-    squares = alpha * alpha * problem.squares + (B * (problem.gram @ B - 2.0 * alpha * problem.correlations)).sum(
-        axis=0
-    )
+    squares = alpha * alpha * problem.squares + (
+        B * (problem.gram @ B - 2.0 * alpha * problem.correlations)
+    ).sum(axis=0)
     shrink = np.sqrt(np.maximum(squares, 1.0))
     U = moved / e - U * _rows(W * step) / (e * e)
     V = moved / f - V * problem.sums(W * step) / (f * f)
@@ -238,16 +244,22 @@ class _System(NamedTuple):
         scale = 1.0 / np.maximum(curvature - edges, 1e-3 * self.diagonal).ravel()
         shape = descent.shape
         sides = (descent.size,) * 2
-        system = LinearOperator(sides, lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64)
+        system = LinearOperator(
+            sides, lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64
+        )
         preconditioner = LinearOperator(sides, lambda v: v.ravel() * scale, dtype=np.float64)
-        found, failed = cg(system, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=preconditioner)
+        found, failed = cg(
+            system, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=preconditioner
+        )
         return found.reshape(shape), failed == 0
 
     def times(self, D: Array) -> Array:
         """Multiply with D (p, q)."""
         product: Array = self.problem.gram @ D / self.d + self.diagonal * D
         product -= self.of_residuals * (self.of_residuals * D).sum(axis=0)
-        product -= self.of_rows * _rows(self.of_rows * D) + self.of_columns * self.problem.sums(self.of_columns * D)
+        product -= self.of_rows * _rows(self.of_rows * D) + self.of_columns * self.problem.sums(
+            self.of_columns * D
+        )
         return product
 
 

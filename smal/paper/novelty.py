@@ -46,4 +46,6 @@ def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[
         return Match(None, 0.0, 0.0, residual, 0.0)
     best = (frames @ templates[:, state * length : (state + 1) * length]).max(axis=1)
     cosines = np.divide(best, norms, out=np.zeros(q), where=norms > 0.0)
-    return Match(state, float(weights.max()) / q, float(weights.sum()) / q, residual, float(cosines.mean()))
+    return Match(
+        state, float(weights.max()) / q, float(weights.sum()) / q, residual, float(cosines.mean())
+    )

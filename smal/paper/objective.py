@@ -22,7 +22,9 @@ def sequence_starts(rows: NDArray[np.intp], sequence_length: int) -> NDArray[np.
     return np.flatnonzero(np.diff(rows // sequence_length, prepend=-1))
 
 
-def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None) -> float:
+def s1_norm(
+    weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None
+) -> float:
     """Sum of l2 norms of weights (p, q), of each query frame and sequence (Eq. 6); of all rows, or some, ascending."""
     if sequence_length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
@@ -34,10 +36,18 @@ def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] 
 
 
 def objective(
-    templates: Matrix, query: Matrix, weights: Matrix, sequence_length: int, lambda1: float, lambda2: float
+    templates: Matrix,
+    query: Matrix,
+    weights: Matrix,
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
 ) -> float:
     """Eq. 7 at W (n, q), of X (m, n) and Y (m, q): ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}."""
     W = np.asarray(weights, dtype=np.float64)
     used = np.flatnonzero(W.any(axis=1))
-    residual = np.asarray(query, dtype=np.float64) - np.asarray(templates[:, used], dtype=np.float64) @ W[used]
+    residual = (
+        np.asarray(query, dtype=np.float64)
+        - np.asarray(templates[:, used], dtype=np.float64) @ W[used]
+    )
     return l21_norm(residual.T) + lambda1 * l21_norm(W) + lambda2 * s1_norm(W, sequence_length)

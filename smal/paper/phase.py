@@ -23,7 +23,9 @@ def phase(weights_block: NDArray[Any]) -> float:
     if largest == 0.0:
         return float(queries - 1)
     # Entry j is the weight of the shift j - (q - 1), that is of the phase j.
-    by_phase = np.array([np.trace(present / largest, -shift) for shift in range(1 - queries, length)])
+    by_phase = np.array(
+        [np.trace(present / largest, -shift) for shift in range(1 - queries, length)]
+    )
     phases = np.flatnonzero(by_phase > _NO_WEIGHT)
     middles = np.cumsum(by_phase[phases]) - by_phase[phases] / 2.0
     return float(np.interp(by_phase[phases].sum() / 2.0, middles, phases))

@@ -59,8 +59,12 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
         pair_values = reward[transitions.state] + gamma * (transitions.matrix @ value)
         best = _best_pairs(transitions, pair_values)
         # Only a real improvement changes a state's action: ties must not make it go round in circles.
-        better = (pair_values[best] - value > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
+        better = (pair_values[best] - value > _TIE * max(1.0, float(np.abs(value).max()))) & (
+            pairs >= 0
+        )
         if not better.any():
-            return Policy(np.where(best >= 0, transitions.action[best], NO_ACTION).astype(np.int32), value)
+            return Policy(
+                np.where(best >= 0, transitions.action[best], NO_ACTION).astype(np.int32), value
+            )
         pairs = np.where(better, best, pairs)
     raise RuntimeError(f"policy iteration did not end within {_MAX_ITERATIONS} improvements")

@@ -34,7 +34,9 @@ class Recognizer:
         of the wrong length, NaN or infinity raise ValueError, and the frame is not taken in.
         """
         if raw_features.ndim != 1:
-            raise ValueError(f"features of one frame must have the shape (m,), got {raw_features.shape}")
+            raise ValueError(
+                f"features of one frame must have the shape (m,), got {raw_features.shape}"
+            )
         features = self._centering.apply(raw_features)
         if self._last_tick is not None and tick != self._last_tick + 1:
             self._frames.clear()
@@ -46,4 +48,6 @@ class Recognizer:
         solution = solve(self._templates, frames.T, *self._parameters)
         match = describe_match(solution, self._templates, frames)
         gap = solution.duality_gap
-        return Recognition("unknown" if match.state is None else "recognized", tick, duality_gap=gap, **vars(match))
+        return Recognition(
+            "unknown" if match.state is None else "recognized", tick, duality_gap=gap, **vars(match)
+        )

@@ -62,8 +62,12 @@ class _Program:
         margin = sparse.csr_array((np.ones(rows), (np.arange(rows), of_state)), shape=(rows, n))
         identity = sparse.eye_array(n, format="csr")
         nothing = sparse.csr_array((n, n))
-        self.inequality = sparse.hstack([-advantage, sparse.csr_array((rows, 2 * n)), margin], format="csr")
-        self.equality = sparse.hstack([identity - gamma * P, -identity, identity, nothing], format="csr")
+        self.inequality = sparse.hstack(
+            [-advantage, sparse.csr_array((rows, 2 * n)), margin], format="csr"
+        )
+        self.equality = sparse.hstack(
+            [identity - gamma * P, -identity, identity, nothing], format="csr"
+        )
         self.margin_bound = np.where(expert >= 0, np.inf, 0.0)
 
     def solve(self, penalty: float, total: float = np.inf) -> tuple[Array, float]:

@@ -32,7 +32,10 @@ class PaperRobot:
         self.decision = PaperDecision("wait", ())
 
     def step(
-        self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
+        self,
+        image: NDArray[np.uint8],
+        odometry: Sequence[float] | None = None,
+        elapsed_s: float | None = None,
     ) -> Atom:
         """Take one image, (height, width, 3) RGB; return the atom until the next. Odometry and time do not count."""
         del odometry, elapsed_s

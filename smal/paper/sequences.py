@@ -11,4 +11,8 @@ def first_frame(frames: int, sequence_length: int) -> int:
 
 def last_frames(frames: int, sequence_length: int) -> NDArray[np.int64]:
     """Last frame of every sequence of a demonstration, int64 (f // l,)."""
-    return np.arange(first_frame(frames, sequence_length), frames, sequence_length) + sequence_length - 1
+    return (
+        np.arange(first_frame(frames, sequence_length), frames, sequence_length)
+        + sequence_length
+        - 1
+    )

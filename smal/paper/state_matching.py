@@ -49,7 +49,9 @@ class Solution:
     def block_weights(self) -> Array:
         """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
         where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)
-        return np.asarray(np.bincount(where, np.abs(self.active_weights).sum(axis=1)), dtype=np.float64)
+        return np.asarray(
+            np.bincount(where, np.abs(self.active_weights).sum(axis=1)), dtype=np.float64
+        )
 
     @property
     def best_block(self) -> int | None:
@@ -59,7 +61,12 @@ class Solution:
 
 
 def solve(
-    templates: Matrix, query: Matrix, sequence_length: int, lambda1: float, lambda2: float, tolerance: float = 1e-4
+    templates: Matrix,
+    query: Matrix,
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
+    tolerance: float = 1e-4,
 ) -> Solution:
     """Match a query sequence against template sequences: minimize Eq. 7.
 
@@ -80,7 +87,17 @@ def solve(
         raise ValueError("the query contains NaN or infinity")
     seen = np.flatnonzero(lengths > 0.0)
     if not seen.size:
-        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), sequence_length, 0.0, 0.0, 0, True, np.zeros(q))
+        return Solution(
+            np.zeros(0, np.intp),
+            np.zeros((0, q)),
+            (n, q),
+            sequence_length,
+            0.0,
+            0.0,
+            0,
+            True,
+            np.zeros(q),
+        )
     found = WorkingSet(rows, frames[seen], sequence_length, lambda1, lambda2, tolerance)
     found.grow_until_proved()
     used = np.flatnonzero(found.weights.any(axis=1))
@@ -94,10 +111,14 @@ def solve(
     )  # fmt: skip
 
 
-def _check(X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
+def _check(
+    X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, tolerance: float
+) -> None:
     """Refuse input for which Eq. 7 or its duality gap means nothing."""
     if X.ndim != 2 or not np.issubdtype(X.dtype, np.floating):
-        raise ValueError(f"templates must be a floating point matrix (m, n), got {X.dtype} {X.shape}")
+        raise ValueError(
+            f"templates must be a floating point matrix (m, n), got {X.dtype} {X.shape}"
+        )
     if Y.ndim != 2 or X.shape[0] != Y.shape[0]:
         raise ValueError(f"templates (m, n) and query (m, q) do not fit: {X.shape} and {Y.shape}")
     if not (np.issubdtype(Y.dtype, np.floating) or np.issubdtype(Y.dtype, np.integer)):
@@ -106,7 +127,13 @@ def _check(X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, to
         raise ValueError("matching needs at least one template")
     if length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {length}")
-    if not (np.isfinite([lambda1, lambda2]).all() and min(lambda1, lambda2) >= 0.0 and lambda1 + lambda2 > 0.0):
-        raise ValueError(f"lambda1 and lambda2 must be finite, not negative and not both 0, got {lambda1}, {lambda2}")
+    if not (
+        np.isfinite([lambda1, lambda2]).all()
+        and min(lambda1, lambda2) >= 0.0
+        and lambda1 + lambda2 > 0.0
+    ):
+        raise ValueError(
+            f"lambda1 and lambda2 must be finite, not negative and not both 0, got {lambda1}, {lambda2}"
+        )
     if not 1e-8 <= tolerance < 1.0:
         raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")

@@ -62,7 +62,9 @@ def learn_state_space(
         state = None
         templates = rows[: states * l].T
         if states:
-            match = describe_match(solve(templates, frames.T, l, lambda1, lambda2, tolerance), templates, frames)
+            match = describe_match(
+                solve(templates, frames.T, l, lambda1, lambda2, tolerance), templates, frames
+            )
             state = None if match.is_novel(tau) else match.state
         if state is None:
             state = states
@@ -77,4 +79,6 @@ def learn_state_space(
         if progress is not None:
             progress(len(stream), len(sequences))
     ends = np.cumsum([len(frames) // l for frames in demonstrations])[:-1]
-    return StateSpace(rows[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l)
+    return StateSpace(
+        rows[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l
+    )

@@ -21,7 +21,9 @@ class Transitions:
 
     state: NDArray[np.int32]  # (p,) with the action the pairs.
     action: NDArray[np.int32]
-    offsets: NDArray[np.int64]  # (p + 1,) successors of pair i are the entries offsets[i] to offsets[i + 1].
+    offsets: NDArray[
+        np.int64
+    ]  # (p + 1,) successors of pair i are the entries offsets[i] to offsets[i + 1].
     next_state: NDArray[np.int32]  # (t,)
     count: NDArray[np.int32]  # (t,) how often pair i led to that state; 0 for a goal that stays.
     probability: NDArray[np.float64]  # (t,) T(s, a, s'); sums to 1 over the successors of a pair.
@@ -32,7 +34,10 @@ class Transitions:
     def sound(self) -> bool:
         """Whether its parts fit together, as those of a file need not."""
         whole = (self.state, self.action, self.offsets, self.next_state, self.count, self.goals)
-        if any(part.ndim != 1 or part.dtype.kind != "i" for part in whole) or self.probability.ndim != 1:
+        if (
+            any(part.ndim != 1 or part.dtype.kind != "i" for part in whole)
+            or self.probability.ndim != 1
+        ):
             return False
         states = self.states
         steps = np.diff(self.offsets)
@@ -41,8 +46,13 @@ class Transitions:
             and len(self.next_state) == len(self.count) == len(self.probability)
             and self.offsets[0] == 0
             and self.offsets[-1] == len(self.next_state)
-            and bool((steps >= 0).all() and (self.count >= 0).all() and (self.action >= NO_ACTION).all())
-            and all(bool(((part >= 0) & (part < states)).all()) for part in (self.state, self.next_state, self.goals))
+            and bool(
+                (steps >= 0).all() and (self.count >= 0).all() and (self.action >= NO_ACTION).all()
+            )
+            and all(
+                bool(((part >= 0) & (part < states)).all())
+                for part in (self.state, self.next_state, self.goals)
+            )
             and bool(((self.probability >= 0.0) & (self.probability <= 1.0 + 1e-6)).all())
         )
 
@@ -54,7 +64,9 @@ class Transitions:
     @property
     def matrix(self) -> sparse.csr_array:
         """T, sparse (pairs, states), rows sum to 1."""
-        return sparse.csr_array((self.probability, self.next_state, self.offsets), shape=(self.pairs, self.states))
+        return sparse.csr_array(
+            (self.probability, self.next_state, self.offsets), shape=(self.pairs, self.states)
+        )
 
     @property
     def pair_counts(self) -> NDArray[np.int64]:
@@ -91,14 +103,20 @@ def learn_transitions(
     The end of a demonstration that was not successful (a recovery drive) is an ordinary state: nothing is known of what
     follows its last sequence, so that it adds no pair. Without a successful one ValueError is raised.
     """
-    ends = [int(s[-1]) for s, good in zip(state_streams, successful, strict=True) if good and s.size]
+    ends = [
+        int(s[-1]) for s, good in zip(state_streams, successful, strict=True) if good and s.size
+    ]
     if not ends:
-        raise ValueError("no successful demonstration has a whole sequence, so there is no goal to learn")
+        raise ValueError(
+            "no successful demonstration has a whole sequence, so there is no goal to learn"
+        )
     goals = np.unique(ends).astype(np.int32)
     now = np.concatenate([s[:-1] for s in state_streams])
     action = np.concatenate([a[:-1] for a in action_streams])
     then = np.concatenate([s[1:] for s in state_streams])
-    going_on = ~np.isin(now, goals)  # A goal ends the task, also where another demonstration passes.
+    going_on = ~np.isin(
+        now, goals
+    )  # A goal ends the task, also where another demonstration passes.
     moved = np.stack([now[going_on], action[going_on], then[going_on]], axis=1).astype(np.int32)
     stay = np.stack([goals, np.full_like(goals, NO_ACTION), goals], axis=1)
     distinct, often = np.unique(moved, axis=0, return_counts=True)

@@ -40,7 +40,13 @@ class WorkingSet:
     """
 
     def __init__(
-        self, rows: NDArray[np.float32], query: Array, length: int, lambda1: float, lambda2: float, tolerance: float
+        self,
+        rows: NDArray[np.float32],
+        query: Array,
+        length: int,
+        lambda1: float,
+        lambda2: float,
+        tolerance: float,
     ) -> None:
         self._rows = rows
         self._query = query
@@ -49,17 +55,25 @@ class WorkingSet:
         self._lambdas = lambda1, lambda2
         n, m = rows.shape
         q = len(query)
-        self._rounding = rounding(m + q + 2)  # On the relative error of float64 products, and sums of these.
-        self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)  # ||y_i||, rounded up.
+        self._rounding = rounding(
+            m + q + 2
+        )  # On the relative error of float64 products, and sums of these.
+        self._norms: Array = np.linalg.norm(query, axis=1) * (
+            1.0 + self._rounding
+        )  # ||y_i||, rounded up.
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.einsum("rm,rm->r", rows, rows)
-            alike = np.square(rows @ (query / self._norms[:, None]).astype(np.float32).T).sum(axis=1)
+            alike = np.square(rows @ (query / self._norms[:, None]).astype(np.float32).T).sum(
+                axis=1
+            )
         # NaN or infinity anywhere in X shows in these.
         if not np.isfinite(squares).all():
             raise ValueError("templates contain NaN or infinity, or overflow float32 products")
         underflow = m * float(np.finfo(np.float32).tiny)
         #: ||x_r||, rounded up.
-        self._lengths: Array = np.sqrt(squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow)
+        self._lengths: Array = np.sqrt(
+            squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow
+        )
 
         likely = np.argsort(-np.add.reduceat(alike, np.arange(0, n, length)), kind="stable")
         self._set = self._frames(np.sort(likely[:_FIRST]))
@@ -96,7 +110,9 @@ class WorkingSet:
                 tolerance = finest if tolerance > finest else 0.3 * tolerance
             # Add frames, and smooth as much as the violations ask for.
             excess = (1.0 - 1.0 / self._worst) * self._problem.objective(self._inner.W)
-            self._epsilon = min(max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON)
+            self._epsilon = min(
+                max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON
+            )
             self._set = np.union1d(self._set, lacking)
 
     def _frames(self, blocks: Columns) -> Columns:
@@ -129,18 +145,24 @@ class WorkingSet:
             self._set,
             self._length,
         )
-        _, here, there = np.intersect1d(self._set, self._before, assume_unique=True, return_indices=True)
+        _, here, there = np.intersect1d(
+            self._set, self._before, assume_unique=True, return_indices=True
+        )
         start = np.zeros((3, *correlations.shape))
         start[:, here] = self._start[:, there]
         start[0] /= self._weight_scale
         W, U, V = start
-        self._inner, self._epsilon, steps = minimize(self._problem, W, U, V, self._epsilon, tolerance)
+        self._inner, self._epsilon, steps = minimize(
+            self._problem, W, U, V, self._epsilon, tolerance
+        )
         W, alpha, B, U, V = self._inner
         self._before = self._set
         self._start = np.stack([W * self._weight_scale, U, V])
         self.steps += steps
         self._worst = 1.0
-        self._theta: Array = (alpha / query_scale)[:, None] * self._query  # The dual point, a row a query frame (q, m).
+        self._theta: Array = (alpha / query_scale)[
+            :, None
+        ] * self._query  # The dual point, a row a query frame (q, m).
         self._theta -= (B / template_scale).T @ self._frames_of_set
 
     def _prove(self, tolerance: float) -> Columns:
@@ -164,10 +186,16 @@ class WorkingSet:
 
     def _error(self, blocks: Columns, share: float) -> Array:
         """Bound the polar of what rounding did to products: row r of G is off by at most ||x_r|| times a share."""
-        radii = share * self._as_blocks(blocks, self._lengths[self._frames(blocks)][:, None])[:, :, 0]
-        return bound_by_lengths(radii.max(axis=1, initial=0.0), np.linalg.norm(radii, axis=1), *self._lambdas)
+        radii = (
+            share * self._as_blocks(blocks, self._lengths[self._frames(blocks)][:, None])[:, :, 0]
+        )
+        return bound_by_lengths(
+            radii.max(axis=1, initial=0.0), np.linalg.norm(radii, axis=1), *self._lambdas
+        )
 
-    def _examine(self, blocks: Columns, values: Array, rounds: int, enough: float) -> tuple[Array, Columns]:
+    def _examine(
+        self, blocks: Columns, values: Array, rounds: int, enough: float
+    ) -> tuple[Array, Columns]:
         """Bound polars by X^T Theta of frames (r, q); say which frames lack, of the worst bounds above `enough`."""
         lambda1, lambda2 = self._lambdas
         frames = self._frames(blocks)
@@ -179,7 +207,9 @@ class WorkingSet:
         _, here, there = np.intersect1d(frames, self._set, assume_unique=True, return_indices=True)
         guess[here] = self._inner.U[there]
         shaped = self._as_blocks(blocks, values)
-        bounds, V = polar_bounds(shaped, lambda1, lambda2, self._as_blocks(blocks, guess), rounds, enough)
+        bounds, V = polar_bounds(
+            shaped, lambda1, lambda2, self._as_blocks(blocks, guess), rounds, enough
+        )
         self._worst = max(self._worst, float(bounds.max(initial=1.0)))
         outside = np.flatnonzero(bounds > enough)
         most = max(_FIRST, np.unique(self._set // self._length).size)
@@ -195,10 +225,14 @@ class WorkingSet:
         norms = np.linalg.norm(self._query - weights.T @ self._frames_of_set, axis=1)
         reach = self._norms + self._lengths[self._set] @ np.abs(weights)
         residuals = norms * (1.0 + self._rounding) + rounding(self._set.size + 2) * reach
-        penalty = self._lambdas[0] * l21_norm(weights) + self._lambdas[1] * s1_norm(weights, self._length, self._set)
+        penalty = self._lambdas[0] * l21_norm(weights) + self._lambdas[1] * s1_norm(
+            weights, self._length, self._set
+        )
         objective = float(residuals.sum()) + penalty
         columns = np.linalg.norm(self._theta, axis=1)
-        value = float(np.einsum("im,im->", self._theta, self._query)) - self._rounding * float(columns @ self._norms)
+        value = float(np.einsum("im,im->", self._theta, self._query)) - self._rounding * float(
+            columns @ self._norms
+        )
         bound = value / max(largest_polar, float(columns.max()) * (1.0 + self._rounding), 1.0)
         bound *= 1.0 - rounding(weights.size + self._length + residuals.size + _OPERATIONS)
         self.lower_bound = max(bound, self.lower_bound)
@@ -216,7 +250,9 @@ class WorkingSet:
         rows = np.linalg.norm(weights, axis=1, keepdims=True)
         columns = np.sqrt(problem.sums(np.square(weights)))
         for share in (1e-2, 1e-3, 1e-4):
-            kept = (rows > share * rows.max(initial=0.0)) & (columns > share * columns.max(initial=0.0))
+            kept = (rows > share * rows.max(initial=0.0)) & (
+                columns > share * columns.max(initial=0.0)
+            )
             candidate = np.where(kept, weights, 0.0)
             if problem.objective(candidate) <= ceiling:
                 return candidate

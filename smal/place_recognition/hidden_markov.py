@@ -17,7 +17,18 @@ from smal.features.extraction import still_wanted
 Array = NDArray[np.float32]
 Seen = NDArray[Any]
 
-SPEEDS: Final = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # References to one query, or backwards.
+SPEEDS: Final = (
+    0.0,
+    0.5,
+    0.75,
+    1.0,
+    1.25,
+    1.5,
+    2.0,
+    2.5,
+    3.0,
+    4.0,
+)  # References to one query, or backwards.
 #: Probabilities with each query: that the speed stays; that who is slow stops, and who stands does so still (stops that
 #: can be seen are left out beforehand, so that who seems to stand is rather nowhere); of a jump to anywhere; that no
 #: reference shows it any more, or one shows it again; and that none shows the first one.
@@ -48,7 +59,9 @@ class Chain:
     def first(self) -> Array:
         """Return the belief before the first query."""
         states = self._move.shape[0] - 1
-        return np.append(np.full(states, (1.0 - _FIRST_NONE) / states), _FIRST_NONE).astype(np.float32)
+        return np.append(np.full(states, (1.0 - _FIRST_NONE) / states), _FIRST_NONE).astype(
+            np.float32
+        )
 
     def ahead(self, belief: Array) -> Array:
         """Return the belief, of sum 1, at the next query, before it is seen."""
@@ -102,10 +115,14 @@ def _moved(references: int, advance: float) -> sparse.dia_array:
     """Return the matrix that moves a distribution over references; what lies beyond them is lost."""
     whole = math.floor(advance)
     shares = np.array([whole + 1 - advance, advance - whole])
-    return sparse.dia_array((np.repeat(shares, references).reshape(2, -1), (-whole, -whole - 1)), (references,) * 2)
+    return sparse.dia_array(
+        (np.repeat(shares, references).reshape(2, -1), (-whole, -whole - 1)), (references,) * 2
+    )
 
 
-def smoothed(chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]) -> Iterator[tuple[int, Array, float]]:
+def smoothed(
+    chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]
+) -> Iterator[tuple[int, Array, float]]:
     """Yield each query, the probabilities of the references (n,) given all queries, and of none: forward-backward.
 
     Of what was seen, (q, n), `ratios` says what the likelihood ratios are, here against elsewhere. The last comes

@@ -39,7 +39,11 @@ class Matches:
     def above(self, threshold: float) -> Self:
         """Return the matches with a score above a threshold; the others are none."""
         sure = self.matched & (self.score > threshold)
-        return replace(self, reference=np.where(sure, self.reference, NONE), score=np.where(sure, self.score, 0.0))
+        return replace(
+            self,
+            reference=np.where(sure, self.reference, NONE),
+            score=np.where(sure, self.score, 0.0),
+        )
 
     def surest(self, precision: float) -> Self:
         """Return as many of the surest matches as have this precision, by scores that are probabilities."""
@@ -62,7 +66,9 @@ class Matches:
 def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
     """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
     if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
-        raise ValueError(f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}")
+        raise ValueError(
+            f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}"
+        )
     for name, features in (("references", references), ("queries", queries)):
         # A sum is not finite if an entry is not, and takes no memory of the features' size.
         if not np.isfinite(features.sum(dtype=np.float64)):

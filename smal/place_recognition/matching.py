@@ -13,7 +13,9 @@ from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, check_features, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 
-Frames = Iterable[NDArray[Any]]  # Images in order, uint8 (height, width, 3), or features of all, (n, m).
+Frames = Iterable[
+    NDArray[Any]
+]  # Images in order, uint8 (height, width, 3), or features of all, (n, m).
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,14 @@ def match(
     asked = known if queries is None else _raw(queries, settings, parallel)
     check_features(known, asked)
     if not way.any_features and (settings != way.features or known.shape[1] != settings.size):
-        raise ValueError(f"the method {method} has its own features, {', '.join(way.features.modalities)}")
+        raise ValueError(
+            f"the method {method} has its own features, {', '.join(way.features.modalities)}"
+        )
     if features is None and known.shape[1] != settings.size:
         settings = _Given(size=known.shape[1])
-    chosen = MatchSettings(settings, way.length, tolerance, lag, loops=queries is None, parallel=parallel)
+    chosen = MatchSettings(
+        settings, way.length, tolerance, lag, loops=queries is None, parallel=parallel
+    )
     return way.match(known, asked, chosen, ignore)
 
 

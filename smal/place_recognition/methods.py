@@ -46,11 +46,15 @@ class Method:
     features: FeatureSettings
     way: Match
     length: int = 1
-    any_features: bool = True  # Whether it works with others than its own, and with windows of other lengths.
+    any_features: bool = (
+        True  # Whether it works with others than its own, and with windows of other lengths.
+    )
     any_length: bool = True
     probable: bool = False  # Whether scores are probabilities of being right; then it takes a tolerance and a lag.
 
-    def match(self, references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+    def match(
+        self, references: Features, queries: Features, settings: MatchSettings, progress: Progress
+    ) -> Matches:
         """Match raw features (n, m) and (q, m); of fewer than `length` of either it finds no match."""
         # A traverse without frames has no mean to be centred by.
         if min(len(references), len(queries)) < settings.length:
@@ -59,29 +63,52 @@ class Method:
         return self.way(references, queries, settings, progress)
 
 
-def _smal(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+def _smal(
+    references: Features, queries: Features, settings: MatchSettings, progress: Progress
+) -> Matches:
     if settings.loops:
         centred = (Centering.fit(references, settings.features).apply(references),) * 2
     else:
-        centred = centre_traverses(references, queries, settings.features, causal=settings.lag is not None)
-    return match_places(*centred, settings.tolerance, settings.lag, progress, settings.parallel, loops=settings.loops)
+        centred = centre_traverses(
+            references, queries, settings.features, causal=settings.lag is not None
+        )
+    return match_places(
+        *centred,
+        settings.tolerance,
+        settings.lag,
+        progress,
+        settings.parallel,
+        loops=settings.loops,
+    )
 
 
-def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+def _nearest(
+    references: Features, queries: Features, settings: MatchSettings, progress: Progress
+) -> Matches:
     centred = centre_traverses(references, queries, settings.features)
     return match_nearest_sequence(*centred, settings.length, progress)
 
 
-def _seqslam(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    return match_seqslam(references.astype(np.float32), queries.astype(np.float32), settings.length, progress)
+def _seqslam(
+    references: Features, queries: Features, settings: MatchSettings, progress: Progress
+) -> Matches:
+    return match_seqslam(
+        references.astype(np.float32), queries.astype(np.float32), settings.length, progress
+    )
 
 
-def _paper(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+def _paper(
+    references: Features, queries: Features, settings: MatchSettings, progress: Progress
+) -> Matches:
     mean = Centering.fit(references, settings.features)
-    return match_as_in_the_paper(mean.apply(references), mean.apply(queries), settings.length, progress)
+    return match_as_in_the_paper(
+        mean.apply(references), mean.apply(queries), settings.length, progress
+    )
 
 
-FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))  # It changes little with light and season.
+FEATURES = FeatureSettings.of(
+    ("color", "hog", "gist", "thumbnail")
+)  # It changes little with light and season.
 
 METHODS: Final = {
     "smal": Method(

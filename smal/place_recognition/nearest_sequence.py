@@ -9,7 +9,10 @@ from smal.place_recognition.matches import Matches, Progress, check_features, ig
 
 
 def match_nearest_sequence(
-    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    length: int,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match each query (q, m) with the end of the reference sequence (n, m) that has the largest mean product.
 

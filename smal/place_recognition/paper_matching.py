@@ -14,7 +14,10 @@ LAMBDA_SCALE: Final = 0.1  # a in lambda1 = lambda2 = a sqrt(l), as in learning.
 
 
 def match_as_in_the_paper(
-    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    length: int,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
 

@@ -23,7 +23,9 @@ from smal.place_recognition.hidden_markov import Array, Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 Levels = NDArray[np.uint16]  # How far queries stand out at references, in steps of z.
-Best = tuple[int, float, float]  # A reference, how probable it is within the tolerance, and how probable none.
+Best = tuple[
+    int, float, float
+]  # A reference, how probable it is within the tolerance, and how probable none.
 
 #: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
 #: many queries as that counts.
@@ -64,13 +66,18 @@ class TraversePart(NamedTuple):
     def blocks(self) -> "list[TraversePart]":
         """Return it in pieces."""
         begins = range(0, len(self.queries), _BLOCK)
-        return [TraversePart(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None)) for begin in begins]
+        return [
+            TraversePart(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None))
+            for begin in begins
+        ]
 
 
 class Evidence:
     """The likelihood ratio of a query, here against elsewhere, for each z, of the part of the query that is new."""
 
-    def __init__(self, mean: float = _MEAN, spread: float = _SPREAD, correlation: float = _CORRELATION) -> None:
+    def __init__(
+        self, mean: float = _MEAN, spread: float = _SPREAD, correlation: float = _CORRELATION
+    ) -> None:
         ratio = log_ratio(_normal((GRID - mean) / spread) / spread, _normal(GRID))
         new = (1.0 - correlation) / (1.0 + correlation)
         said = np.clip(new * np.interp(_LEVELS, GRID, ratio), -_MOST_SAID, _MOST_SAID)
@@ -84,8 +91,12 @@ class Evidence:
         believed = float(there.sum(dtype=np.float64))
         total = float(np.einsum("ij,ij", there, z))
         mean = (total + prior * _MEAN) / (believed + prior)
-        scatter = float(np.einsum("ij,ij,ij", there, z, z)) - 2.0 * mean * total + believed * mean**2
-        spread = max(math.sqrt(max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)), _LEAST_SPREAD)
+        scatter = (
+            float(np.einsum("ij,ij,ij", there, z, z)) - 2.0 * mean * total + believed * mean**2
+        )
+        spread = max(
+            math.sqrt(max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)), _LEAST_SPREAD
+        )
         off = z[np.arange(len(z)), there.argmax(axis=1)] - mean
         usual = prior * spread**2
         correlation = float(off[1:] @ off[:-1] + _CORRELATION * usual) / float(off @ off + usual)
@@ -99,7 +110,9 @@ class Evidence:
 class Places:
     """References (n, m), centred, of frames that stops are left out of; a loop leads to those so far ``apart``."""
 
-    def __init__(self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None) -> None:
+    def __init__(
+        self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None
+    ) -> None:
         self.chain = Chain(len(references))
         self._references = references
         self._apart = apart
@@ -114,23 +127,33 @@ class Places:
             z = part.queries[begin : begin + _BLOCK] @ self._references.T
             for row, level in zip(z, levels[begin : begin + _BLOCK], strict=True):
                 row[:] = over(row, float(row.mean()), float(row.std()))
-                place = np.rint((row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0])))
+                place = np.rint(
+                    (row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0]))
+                )
                 level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
         if self._apart is not None:
             for query, level in enumerate(levels, part.first):
                 level[max(query - self._apart + 1, 0) :] = _NEVER
         return levels
 
-    def answers(self, evidence: Evidence, part: TraversePart, levels: Levels | None = None) -> list[Best]:
+    def answers(
+        self, evidence: Evidence, part: TraversePart, levels: Levels | None = None
+    ) -> list[Best]:
         """Return the best answers to the queries of a part that are its own, in order, by all of its queries."""
         levels = self.levels(part) if levels is None else levels
-        found = [self.best(there, none) for _, there, none in smoothed(self.chain, levels, evidence.of)][::-1]
+        found = [
+            self.best(there, none) for _, there, none in smoothed(self.chain, levels, evidence.of)
+        ][::-1]
         return found[part.own]
 
     def best(self, there: Array, none: float) -> Best:
         """Return the frame that a query most probably shows, how probably one within the tolerance, and none."""
         best = there.argmax()
-        return int(self._frames[best]), float(there[self._first[best] : self._end[best]].sum(dtype=float)), none
+        return (
+            int(self._frames[best]),
+            float(there[self._first[best] : self._end[best]].sum(dtype=float)),
+            none,
+        )
 
 
 def match_places(
@@ -197,7 +220,11 @@ def alike(references: Array, cosine: float) -> int:
 
 
 def _smoothed(
-    places: Places, part: Callable[..., TraversePart], count: int, progress: Progress, parallel: Parallel
+    places: Places,
+    part: Callable[..., TraversePart],
+    count: int,
+    progress: Progress,
+    parallel: Parallel,
 ) -> Iterator[Best]:
     """Yield the best answers to so many queries, each by those before and after it."""
     learned = _stretches(part, count)
@@ -239,7 +266,11 @@ def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
 
 
 def _followed(
-    places: Places, part: Callable[..., TraversePart], frames: NDArray[np.intp], lag: int, progress: Progress
+    places: Places,
+    part: Callable[..., TraversePart],
+    frames: NDArray[np.intp],
+    lag: int,
+    progress: Progress,
 ) -> Iterator[Best]:
     """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
     recent = deque[tuple[int, Array, Array]]()

@@ -11,7 +11,13 @@ from scipy.spatial.distance import cdist
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.nearest_sequence import sums_along
 
-VELOCITIES: Final = (0.8, 0.9, 1.0, 1.1, 1.2)  # The paper's velocities, reference frames to one query frame.
+VELOCITIES: Final = (
+    0.8,
+    0.9,
+    1.0,
+    1.1,
+    1.2,
+)  # The paper's velocities, reference frames to one query frame.
 #: Half of the paper's R_window: contrast is enhanced among so many references before and after, and the second best
 #: trajectory ends further away.
 HALF_WINDOW: Final = 5
@@ -21,7 +27,10 @@ _NOISE: Final = 1e-5  # A standard deviation below this share of the mean differ
 
 
 def match_seqslam(
-    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress = ignore
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    length: int,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match each query with the end of the straight trajectory that differs least from it and its predecessors.
 

@@ -12,11 +12,17 @@ from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
 
-PRIOR_FRAMES: Final = 5  # As many frames that look like the references in the mean are counted among the queries.
+PRIOR_FRAMES: Final = (
+    5  # As many frames that look like the references in the mean are counted among the queries.
+)
 
 
 def centre_traverses(
-    references: NDArray[Any], queries: NDArray[Any], settings: FeatureSettings, *, causal: bool = False
+    references: NDArray[Any],
+    queries: NDArray[Any],
+    settings: FeatureSettings,
+    *,
+    causal: bool = False,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean of those up to it."""
     known = Centering.fit(references, settings)
@@ -27,5 +33,7 @@ def centre_traverses(
         return known.apply(references), Centering(mean.astype(np.float32), settings).apply(queries)
     for seen, query in enumerate(queries, start=1):
         total += query
-        asked[seen - 1] = Centering((total / (seen + PRIOR_FRAMES)).astype(np.float32), settings).apply(query)
+        asked[seen - 1] = Centering(
+            (total / (seen + PRIOR_FRAMES)).astype(np.float32), settings
+        ).apply(query)
     return known.apply(references), asked

@@ -170,7 +170,9 @@ class Search(Behaviour):
     Before it has arrived, the robot goes up to what it sees as near as where the ways ended.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround) -> None:
+    def __init__(
+        self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround
+    ) -> None:
         self._config = chassis.config
         self._taught = taught
         self._chassis = chassis
@@ -205,12 +207,16 @@ class Search(Behaviour):
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        return self._act_on_view(now.seen, sure) or (self._look_on(now.belief) if self.arrived else None)
+        return self._act_on_view(now.seen, sure) or (
+            self._look_on(now.belief) if self.arrived else None
+        )
 
     def _sure(self, now: Situation) -> bool:
         """Return whether the robot is near the goal, and was followed or has looked around to know that."""
         followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
-        return (followed or self._look.done) and now.at_goal * (1.0 - now.belief.lost) > self._config.arrived
+        return (followed or self._look.done) and now.at_goal * (
+            1.0 - now.belief.lost
+        ) > self._config.arrived
 
     def _act_on_view(self, seen: Glimpse | None, sure: bool) -> Intent | None:
         """Say that it is found where it is near in view, or go up to it."""
@@ -223,7 +229,11 @@ class Search(Behaviour):
         beside = sure and about_as_near
         if (self.arrived and about_as_near) or (beside and seen.near > 1.0):
             return self._say("found")
-        if seen.left is not None and (self.arrived or beside) and self._neared_s < self._config.goal_s:
+        if (
+            seen.left is not None
+            and (self.arrived or beside)
+            and self._neared_s < self._config.goal_s
+        ):
             return self._go_up_to(seen.left)
         return None
 
@@ -233,7 +243,9 @@ class Search(Behaviour):
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
-        self._ends = self._mission.route.ends_near(belief, 2.0 * self._config.goal_s * self._taught.speed)
+        self._ends = self._mission.route.ends_near(
+            belief, 2.0 * self._config.goal_s * self._taught.speed
+        )
         self._neared_s = 0.0
         self._searched_s = 0.0
 
@@ -276,7 +288,11 @@ class Blind(Behaviour):
 
     def propose(self, now: Situation) -> Intent | None:
         """Stand, unless looking around may help."""
-        return Intent("blind", STANDS, now.heading_rad) if now.unseen and (self._look.done or not now.sees) else None
+        return (
+            Intent("blind", STANDS, now.heading_rad)
+            if now.unseen and (self._look.done or not now.sees)
+            else None
+        )
 
 
 class Follow(Behaviour):
@@ -322,7 +338,9 @@ class Wait:
     Only a robot with odometry that turns on the spot goes round things.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround) -> None:
+    def __init__(
+        self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround
+    ) -> None:
         self._config = chassis.config
         self._taught = taught
         self._chassis = chassis
@@ -396,7 +414,9 @@ class Wait:
         taught = self._taught
         way = self._mission.route.way_ahead(belief, self._chassis.lookahead, around.reach_m)
         step_m = self._chassis.speed * taught.tick_s
-        return way_round(around, way, taught.turn_rad, step_m, taught.correlation_length, heading_rad)
+        return way_round(
+            around, way, taught.turn_rad, step_m, taught.correlation_length, heading_rad
+        )
 
     def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
         """Slow down before ground that looks strange, and stand before it; what is sought is not in the way."""
@@ -405,7 +425,10 @@ class Wait:
             return intent
         if now.strange < self._config.stops_s * self._chassis.speed:
             # It turns to its way, and looks there before it waits.
-            aside = abs(intent.heading_rad) > math.radians(SETTINGS.spacing_deg) and not self._chassis.car
+            aside = (
+                abs(intent.heading_rad) > math.radians(SETTINGS.spacing_deg)
+                and not self._chassis.car
+            )
             return replace(intent, pace=0.0) if aside else self._wait(now)
         near = now.strange < self._config.slows_s * self._chassis.speed
         return replace(intent, pace=self._config.slowly) if near else intent

@@ -48,7 +48,9 @@ def cost_to_go(
     leads = (visual_map.key_goals == goal) & ~np.isin(of, [*tried])
     goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & leads)
     source, target = visual_map.stitched.T
-    steps = np.diff([visual_map.arc[visual_map.keyframes], np.unwrap(visual_map.key_poses[:, 2])])[:, on]
+    steps = np.diff([visual_map.arc[visual_map.keyframes], np.unwrap(visual_map.key_poses[:, 2])])[
+        :, on
+    ]
     aside = visual_map.stitch_offsets[:, :2]
     turned = visual_map.stitch_offsets[:, 2]
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.

@@ -70,7 +70,9 @@ class Planner:
         The planner's numbers.
     """
 
-    def __init__(self, visual_map: VisualMap, goal: str | None = None, config: PlannerConfig = PLANNER_CONFIG) -> None:
+    def __init__(
+        self, visual_map: VisualMap, goal: str | None = None, config: PlannerConfig = PLANNER_CONFIG
+    ) -> None:
         self._taught = visual_map
         self._config = config
         self._chassis = Chassis.of(visual_map, config)
@@ -137,7 +139,9 @@ class Planner:
         """
         taught = self._taught
         # A robot without decisions stands after a while: it has not gone on turning since.
-        elapsed_s = min(taught.tick_s if elapsed_s is None else elapsed_s, self._config.stands_after_s)
+        elapsed_s = min(
+            taught.tick_s if elapsed_s is None else elapsed_s, self._config.stands_after_s
+        )
         delay_s = min(delay_s, self._config.stands_after_s)
         now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
         for behaviour in self._behaviours:
@@ -146,7 +150,9 @@ class Planner:
         proposals = (behaviour.propose(now) for behaviour in self._behaviours)
         intent = self._wait.instead_of(next(one for one in proposals if one is not None), now)
         self._doing = intent.kind
-        return Decision(intent.kind, intent.heading_rad, self._steering.steer(intent, elapsed_s, delay_s))
+        return Decision(
+            intent.kind, intent.heading_rad, self._steering.steer(intent, elapsed_s, delay_s)
+        )
 
     def _situation(
         self,
@@ -165,7 +171,11 @@ class Planner:
         mean = complex((weights * np.exp(1j * directions)).sum()) / max(float(weights.sum()), 1e-12)
         leads = route.leads[belief.keyframes]
         # Beside or beyond the end by more than views change over, it is not at it.
-        at_end = leads & (to_end < taught.correlation_length) & (left_to_go < 0.5 * taught.speed * taught.tick_s)
+        at_end = (
+            leads
+            & (to_end < taught.correlation_length)
+            & (left_to_go < 0.5 * taught.speed * taught.tick_s)
+        )
         has_way = route.has_way(belief)
         return Situation(
             belief=belief,
@@ -180,7 +190,9 @@ class Planner:
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,
-            clear=has_way and belief.lost <= 0.5 and abs(mean) >= math.cos(math.radians(self._config.wide_deg)),
+            clear=has_way
+            and belief.lost <= 0.5
+            and abs(mean) >= math.cos(math.radians(self._config.wide_deg)),
             at_goal=float(belief.weights @ (leads & (to_end < self._config.goal_s * taught.speed))),
             at_end=float(belief.weights @ at_end) > 0.5,
             unseen=belief.unseen > self._config.blind_s * taught.speed,

@@ -103,7 +103,9 @@ class Route:
         direction = np.where(near, aim_turned, np.arctan2(y, x))
         last_ahead, last_left, _ = seen_from(taught.poses[end - 1], taught.poses[key]).T
         return Aims(
-            wrapped(direction - turned), taught.arc[end - 1] - along, np.hypot(last_ahead - ahead, last_left - left)
+            wrapped(direction - turned),
+            taught.arc[end - 1] - along,
+            np.hypot(last_ahead - ahead, last_left - left),
         )
 
     def way_ahead(self, belief: Belief, lookahead: float, reach: float) -> Floats:
@@ -111,7 +113,9 @@ class Route:
         best = belief.weights.argmax()
         here = belief.keyframes[best]
         along = np.arange(lookahead, lookahead + reach, max(lookahead / 4.0, reach / 100.0))
-        return way_from(self.taught, self.guide[here], placed(belief.offsets[best], self.offset[here]), along)
+        return way_from(
+            self.taught, self.guide[here], placed(belief.offsets[best], self.offset[here]), along
+        )
 
     def ends_near(self, belief: Belief, distance: float) -> frozenset[int]:
         """Return the drives that end where the robot probably is, and those that end within a distance of there."""
@@ -148,12 +152,16 @@ class Route:
         return int(self.guide[belief.keyframes[belief.weights.argmax()]])
 
 
-def _guides(taught: VisualMap, to_go_s: Floats, following: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
+def _guides(
+    taught: VisualMap, to_go_s: Floats, following: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], Floats]:
     """Return for each keyframe the one whose drive is to be followed there, and its own pose as seen from that one."""
     guide = np.arange(len(following))
     offset = np.zeros((len(following), 3))
     stitch = {(one, other): k for k, (one, other) in enumerate(taught.stitched.tolist())}
-    for start in np.argsort(to_go_s).tolist():  # Each one's follower is nearer to the goal, so it comes first.
+    for start in np.argsort(
+        to_go_s
+    ).tolist():  # Each one's follower is nearer to the goal, so it comes first.
         then = int(following[start])
         if (start, then) in stitch:
             guide[start] = guide[then]

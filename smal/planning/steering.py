@@ -61,7 +61,9 @@ class Chassis(NamedTuple):
     @classmethod
     def of(cls, taught: VisualMap, config: PlannerConfig) -> "Chassis":
         """Return the chassis with which a map was taught."""
-        return cls(taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements), config)
+        return cls(
+            taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements), config
+        )
 
     @property
     def lookahead(self) -> float:
@@ -72,7 +74,9 @@ class Chassis(NamedTuple):
         """Return where velocities (v,) lead in a time: ahead, left, turned (v, 3)."""
         turned = np.asarray(angular) * self.turn_rad_s * time_s
         chord = linear * self.speed * time_s * np.sinc(turned / 2.0 / np.pi)
-        return np.stack([chord * np.cos(turned / 2.0), chord * np.sin(turned / 2.0), turned], axis=-1)
+        return np.stack(
+            [chord * np.cos(turned / 2.0), chord * np.sin(turned / 2.0), turned], axis=-1
+        )
 
     def turn(self, side: float) -> Motion:
         """Return the motion that turns to a side, 1 for left and -1 for right; a car drives slowly in a bend."""
@@ -89,15 +93,25 @@ class Chassis(NamedTuple):
         shares = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(-1.0, 1.0, 41))
         linear, angular = (share.ravel() for share in shares)
         # A robot that stands sees nothing new.
-        can = (linear > 0.0) & (np.abs(angular) <= linear) if self.car else linear + np.abs(angular) >= 0.25
+        can = (
+            (linear > 0.0) & (np.abs(angular) <= linear)
+            if self.car
+            else linear + np.abs(angular) >= 0.25
+        )
         linear = linear[can]
         angular = angular[can]
         ends = placed(self.arc(linear, angular, self.config.lookahead_s), self.arc(*last, delay_s))
         x, y, _ = np.moveaxis(seen_from(np.pad(aims, ((0, 0), (0, 1))), ends[:, None]), -1, 0)
         left_s = np.hypot(x, y) / self.speed
         # Near its aim a robot need not turn to it any more.
-        turn_s = np.abs(np.arctan2(y, x)) / self.turn_rad_s * np.minimum(left_s / (self.config.lookahead_s / 2.0), 1.0)
-        cost_s = (left_s + turn_s) @ weights / weights.sum() + self.config.restless_s * np.abs(angular - last[1])
+        turn_s = (
+            np.abs(np.arctan2(y, x))
+            / self.turn_rad_s
+            * np.minimum(left_s / (self.config.lookahead_s / 2.0), 1.0)
+        )
+        cost_s = (left_s + turn_s) @ weights / weights.sum() + self.config.restless_s * np.abs(
+            angular - last[1]
+        )
         best = int(cost_s.argmin())
         return float(linear[best]), float(angular[best])
 
@@ -137,7 +151,12 @@ class Steering:
     def _motion(self, intent: Intent, elapsed_s: float, delay_s: float) -> Motion:
         if intent.motion is not None:
             return intent.motion
-        if intent.stepwise or intent.directions is None or intent.weights is None or self._chassis.speed <= 0.0:
+        if (
+            intent.stepwise
+            or intent.directions is None
+            or intent.weights is None
+            or self._chassis.speed <= 0.0
+        ):
             return self._step(intent.heading_rad - self.underway_rad(delay_s), elapsed_s)
         return self._chassis.best(intent.directions, intent.weights, self.motion, delay_s)
 

@@ -30,7 +30,9 @@ from smal.sought.word import Word, area, best
 _CODES = 32
 _BESIDE = 128
 _SOUGHT = 24
-Box = tuple[float, float, float, float]  # Left, top, right, bottom: shares of a view's width and height.
+Box = tuple[
+    float, float, float, float
+]  # Left, top, right, bottom: shares of a view's width and height.
 _FEWEST: Final = 8  # Cells that are the least to be looked for.
 _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
 
@@ -51,7 +53,9 @@ class Taught:
     left_s: NDArray[np.float64]
     ends: bool  # Whether it ends before what is sought.
     box: Box | None = None  # Where that is in its last view, if somebody has drawn it.
-    detected: Sequence[Sequence[Detection]] = ()  # What detectors find in each keyframe; nothing without any.
+    detected: Sequence[
+        Sequence[Detection]
+    ] = ()  # What detectors find in each keyframe; nothing without any.
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:
@@ -59,7 +63,12 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
 
     Each drive's last `Settings.approach_s` are its approach, at most its last third; the rest is the way before.
     """
-    way = [(d, k) for d, one in enumerate(drives) for k in range(len(one.pictures)) if k not in _approach(one)]
+    way = [
+        (d, k)
+        for d, one in enumerate(drives)
+        for k in range(len(one.pictures))
+        if k not in _approach(one)
+    ]
     way = [way[k] for k in evenly(len(way), SETTINGS.explaining)]
     if len(way) < 4:
         return None
@@ -72,27 +81,39 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         """Codes of the way that are not of the neighbourhood of one of its views."""
         return np.asarray(~beside[number][of])
 
-    unlike = in_parallel(lambda k: nearest(cells_of(pictures[k], 2), codes[elsewhere(k)]), range(len(pictures)))
+    unlike = in_parallel(
+        lambda k: nearest(cells_of(pictures[k], 2), codes[elsewhere(k)]), range(len(pictures))
+    )
     new = np.concatenate([one.ravel() for one in unlike])
     new = new[np.isfinite(new)]
     if not new.size:
         return None
     stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
-    each = in_parallel(lambda one: list(_patches(one, codes, stands_out)), [one for one in drives if one.ends])
+    each = in_parallel(
+        lambda one: list(_patches(one, codes, stands_out)), [one for one in drives if one.ends]
+    )
     patches = [patch for some in each for patch in some]
     patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
     if not patches:
         return None
-    others = np.concatenate([codes, *(_spread(cells[~mask], _BESIDE, codes) for cells, mask, _ in patches)])
+    others = np.concatenate(
+        [codes, *(_spread(cells[~mask], _BESIDE, codes) for cells, mask, _ in patches)]
+    )
     sought = [cells[mask] for cells, mask, _ in patches]
     sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
     sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, mask, _ in patches]) // 2
     sizes = np.maximum(sizes, _LEAST)
     chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
-    rest = [np.concatenate([*sought[:k], *sought[k + 1 :]]) for k in range(len(sought)) if len(sought) > 1]
+    rest = [
+        np.concatenate([*sought[:k], *sought[k + 1 :]])
+        for k in range(len(sought))
+        if len(sought) > 1
+    ]
     without_it = zip(patches, rest, strict=False)
-    left_out = list(in_parallel(lambda one: speaking(one[0].cells[::2, ::2], one[1], others, far), without_it))
+    left_out = list(
+        in_parallel(lambda one: speaking(one[0].cells[::2, ::2], one[1], others, far), without_it)
+    )
     found = [best_window(one, windows) for one in left_out]
     every = np.concatenate(sought)
     added = others[len(codes) :]
@@ -115,7 +136,11 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     large = np.sqrt(sums / (size or 1.0))
     far_off = lows / (low or 1.0)
     small = (large > 0.0) & (large < 0.5)
-    if abs(low) < SETTINGS.low or not small.any() or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean():
+    if (
+        abs(low) < SETTINGS.low
+        or not small.any()
+        or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean()
+    ):
         low = 0.0
     codes_of = every.astype(np.float16), others.astype(np.float16)
     return Sight(*codes_of, windows, far, ratio, size, low) if size > 0.0 else None
@@ -139,13 +164,21 @@ def learn_word(drives: Sequence[Taught]) -> Word | None:
     words: list[tuple[float, Word]] = []
     for label in sorted({found.label for each in last for found in each}):
         scores = [np.array([best(view, label)[0] for view in one.detected]) for one in drives]
-        here = np.concatenate([each[_approach(one)] for one, each in zip(drives, scores, strict=True)])
-        shows = [_shows(one, each, here.mean() / 2.0) for one, each in zip(drives, scores, strict=True)]
-        elsewhere = np.concatenate([each[:first] for first, each in zip(shows, scores, strict=True)])
+        here = np.concatenate(
+            [each[_approach(one)] for one, each in zip(drives, scores, strict=True)]
+        )
+        shows = [
+            _shows(one, each, here.mean() / 2.0) for one, each in zip(drives, scores, strict=True)
+        ]
+        elsewhere = np.concatenate(
+            [each[:first] for first, each in zip(shows, scores, strict=True)]
+        )
         ratio = _ratio(here, elsewhere) if elsewhere.size else None
         if ratio is not None:
             of_it = [[found for found in each if found.label == label] for each in last]
-            told = sum(float(np.interp(found.score, SCORES, ratio)) for each in of_it for found in each)
+            told = sum(
+                float(np.interp(found.score, SCORES, ratio)) for each in of_it for found in each
+            )
             size = float(np.median([area(each[-1]) for each in of_it if each]))
             words.append((told, Word(label, size, ratio)))
     return max(words, key=lambda each: (each[0], each[1].size))[1] if words else None
@@ -177,7 +210,9 @@ def _lasting(patches: list[_Patch]) -> list[_Patch]:
     found = []
     for k, (cells, mask, last) in enumerate(patches):
         if len(patches) > 1:
-            inside, beside = (np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides))
+            inside, beside = (
+                np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides)
+            )
             lasts = mask.copy()
             lasts[mask] = nearest(cells[mask], inside) < nearest(cells[mask], beside)
             if lasts.sum() < _FEWEST:
@@ -204,7 +239,11 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
         new = nearest(cells, codes)
         if not len(known):
             new_here = new > stands_out
-            mask = _piece(new_here, new - stands_out, middle) if one.box is None else _drawn(one.box, new_here)
+            mask = (
+                _piece(new_here, new - stands_out, middle)
+                if one.box is None
+                else _drawn(one.box, new_here)
+            )
             if mask is None:
                 return
         else:
@@ -236,7 +275,9 @@ def _piece(
 
     count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
     away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)
-    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * np.exp(-0.5 * (away**2).sum(axis=1))
+    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * np.exp(
+        -0.5 * (away**2).sum(axis=1)
+    )
     sums[stats[:, cv2.CC_STAT_AREA] < _FEWEST] = 0.0
     sums[0] = 0.0
     return np.asarray(labels == sums.argmax()) if sums.max() > 0.0 else None
@@ -253,7 +294,9 @@ def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.i
     return codes, np.array(of, dtype=np.intp)
 
 
-def _spread(cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]) -> NDArray[np.float32]:
+def _spread(
+    cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Return the cells that are furthest from codes and from each other, one after another (Gonzalez 1985)."""
     away = nearest(cells, codes)
     taken = []

@@ -60,9 +60,13 @@ class Sight:
 
     sought: Codes  # Cells (n, 27) of what is sought, and (m, 27) of all else that was taught.
     others: Codes
-    windows: NDArray[np.int32]  # (s, 2), rows and columns that it took, in cells of every second row and column.
+    windows: NDArray[
+        np.int32
+    ]  # (s, 2), rows and columns that it took, in cells of every second row and column.
     far: float  # Distance from which two cells are not alike at all.
-    log_ratio: NDArray[np.float64]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    log_ratio: NDArray[
+        np.float64
+    ]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
     size: float  # Cells that spoke for it where the ways ended.
     #: How far below the middle of the view it was there, as a share of the height, above is negative; 0 where this does
     #: not tell how near it is.
@@ -84,11 +88,16 @@ class Sight:
             "far": 1e-6 < self.far < 1e3,
             "size": 0.0 < self.size < 1e4,
             "low": -0.5 <= self.low <= 0.5,
-            "log_ratio": self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all()),
+            "log_ratio": self.log_ratio.shape == SCORES.shape
+            and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
-        if wrong or not all(one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()):
-            raise ValueError(f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}")
+        if wrong or not all(
+            one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()
+        ):
+            raise ValueError(
+                f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}"
+            )
 
     def says(self, picture: Image) -> Said | None:
         """Return what a small picture says; None where nothing shows."""
@@ -104,11 +113,15 @@ class Sight:
         return Said(log_ratio, max(near, found.low / self.low) if self.low else near, found.left)
 
 
-def speaking(cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float) -> NDArray[np.float32]:
+def speaking(
+    cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float
+) -> NDArray[np.float32]:
     """Return how much each cell speaks for what is sought, 0 to 1."""
     ours = nearest(cells, sought)
     theirs = nearest(cells, others)
-    speaks: NDArray[np.float32] = np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
+    speaks: NDArray[np.float32] = (
+        np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
+    )
     return speaks
 
 
@@ -117,7 +130,12 @@ def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Wind
     total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
     best = Window(0.0, 0.0, 0.0)
     for rows, columns in windows.tolist():
-        inside = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
+        inside = (
+            total[rows:, columns:]
+            - total[:-rows, columns:]
+            - total[rows:, :-columns]
+            + total[:-rows, :-columns]
+        )
         mean = float(inside.max()) / (rows * columns)
         if mean > best.score:
             row, column = divmod(int(inside.argmax()), inside.shape[1])
@@ -128,7 +146,9 @@ def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Wind
     return best._replace(score=min(best.score, 1.0))
 
 
-def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+def content_of_sights(
+    sights: Mapping[str, Sight],
+) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Return what a file says of the sights of goals, and the arrays in it."""
     said = []
     arrays = dict[str, NDArray[Any]]()
@@ -138,7 +158,9 @@ def content_of_sights(sights: Mapping[str, Sight]) -> tuple[list[dict[str, Any]]
     return said, arrays
 
 
-def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]) -> dict[str, Sight]:
+def sights_of_content(
+    said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]
+) -> dict[str, Sight]:
     """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     found = {}
     for number, one in enumerate(said):

@@ -20,7 +20,9 @@ class Glimpse(NamedTuple):
 
     probability: float  # Of being in view.
     near: float  # Distance from it where the taught ways ended, over the distance now; 0 where it is not in view.
-    left: float | None = None  # Of the middle of the view, as a share of its width, -0.5 to 0.5; none if it is hidden.
+    left: float | None = (
+        None  # Of the middle of the view, as a share of its width, -0.5 to 0.5; none if it is hidden.
+    )
 
 
 class Witness:
@@ -35,7 +37,9 @@ class Witness:
         """Forget everything, for a new episode."""
         self._said = deque[tuple[float, Said]]()
 
-    def look(self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()) -> Glimpse:
+    def look(
+        self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()
+    ) -> Glimpse:
         """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
         said = self._says(picture, detected)
         near = 0.0

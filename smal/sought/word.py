@@ -22,14 +22,20 @@ class Word:
 
     label: str
     size: float  # Of its box where the ways ended, share of the view.
-    log_ratio: NDArray[np.float64]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    log_ratio: NDArray[
+        np.float64
+    ]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
         label: object = self.label
         fits = self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all())
-        if not (isinstance(label, str) and len(label) <= LONGEST and 0.0 < self.size <= 1.0 and fits):
-            raise ValueError(f"the parts of what a detector says do not fit together: {str(label)[:LONGEST]!r}")
+        if not (
+            isinstance(label, str) and len(label) <= LONGEST and 0.0 < self.size <= 1.0 and fits
+        ):
+            raise ValueError(
+                f"the parts of what a detector says do not fit together: {str(label)[:LONGEST]!r}"
+            )
 
     def says(self, detections: Iterable[Detection]) -> Said:
         """Return what is said by what is found in one view."""
@@ -54,13 +60,17 @@ def best(detections: Iterable[Detection], label: str) -> tuple[float, Detection 
     return max(scores, key=lambda each: each[0], default=(0.0, None))
 
 
-def content_of_words(words: Mapping[str, Word]) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+def content_of_words(
+    words: Mapping[str, Word],
+) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
     """Return what a file says of the words on goals, and the arrays in it."""
     said = [{"goal": goal, "label": one.label, "size": one.size} for goal, one in words.items()]
     return said, {f"word {number}": one.log_ratio for number, one in enumerate(words.values())}
 
 
-def words_of_content(said: Sequence[dict[str, Any]], arrays: dict[str, NDArray[Any]]) -> dict[str, Word]:
+def words_of_content(
+    said: Sequence[dict[str, Any]], arrays: dict[str, NDArray[Any]]
+) -> dict[str, Word]:
     """Take the words on goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     return {
         str(one["goal"]): Word(one["label"], one["size"], arrays.pop(f"word {number}"))

@@ -73,9 +73,13 @@ class TaughtFrames:
         across = poses[:, None, :2] - poses[None, :, :2]
         heading = np.unwrap(poses[:, 2]) if self.car else poses[:, 2]
         turned = heading[:, None] - heading[None, :]
-        return np.hypot(across[..., 0], across[..., 1]), np.abs(turned if self.car else wrapped(turned))
+        return np.hypot(across[..., 0], across[..., 1]), np.abs(
+            turned if self.car else wrapped(turned)
+        )
 
-    def pairs(self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]) -> list[_Pair]:
+    def pairs(
+        self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
+    ) -> list[_Pair]:
         """Find for each frame the next one of its drive whose way and turn from it are wanted."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
@@ -93,7 +97,10 @@ class TaughtFrames:
 
 
 def _best(
-    images: Sequence[Image], describe: Describe, guesses: Sequence[tuple[Scene, float]], pairs: Sequence[_Pair]
+    images: Sequence[Image],
+    describe: Describe,
+    guesses: Sequence[tuple[Scene, float]],
+    pairs: Sequence[_Pair],
 ) -> tuple[Scene, float]:
     """Return the scene and the length of the steps' unit by which first views of pairs predict the second ones best."""
     some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
@@ -101,7 +108,9 @@ def _best(
 
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
-        views = describe(scene.warp(image, *(unit * part for part in step)) for image, _, step in seen)
+        views = describe(
+            scene.warp(image, *(unit * part for part in step)) for image, _, step in seen
+        )
         return float(sum(y @ view for (_, y, _), view in zip(seen, views, strict=True)))
 
     # OpenCV lets go of the interpreter's lock.
@@ -123,22 +132,32 @@ def fit_camera(frames: TaughtFrames) -> Camera:
     cameras = [Camera.of_field(field) for field in SETTINGS.fields_deg]
     cameras += [Camera.of_field(field, "equidistant") for field in SETTINGS.wide_fields_deg]
     return frames.best(
-        [_far(one) for one in cameras], [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least]
+        [_far(one) for one in cameras],
+        [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least],
     ).camera
 
 
 def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
     """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best."""
-    steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(SETTINGS.tells_scene_deg)))
+    steps = frames.pairs(
+        lambda way, turn: (way > 0.5 * length) & (turn < math.radians(SETTINGS.tells_scene_deg))
+    )
     if not steps:
         return Scene(camera, length / 3.0, length * 4.0)
     heights = [length * share for share in SETTINGS.heights]
-    scene = frames.best([Scene(camera, h, h * far) for h in heights for far in SETTINGS.distances], steps)
-    return frames.best([replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps)
+    scene = frames.best(
+        [Scene(camera, h, h * far) for h in heights for far in SETTINGS.distances], steps
+    )
+    return frames.best(
+        [replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps
+    )
 
 
 def turn_of_views(
-    images: Sequence[Image], atoms: Sequence[NDArray[np.int8]], cameras: Sequence[Camera], describe: Describe
+    images: Sequence[Image],
+    atoms: Sequence[NDArray[np.int8]],
+    cameras: Sequence[Camera],
+    describe: Describe,
 ) -> tuple[Camera, float] | None:
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
@@ -154,8 +173,12 @@ def turn_of_views(
     guesses = [(_far(camera), turn_rad) for camera in cameras for turn_rad in _TURNS_RAD]
     found = None
     for _ in range(2):
-        count = 1 if found is None else max(1, round(math.radians(SETTINGS.tells_turn_deg) / found[1]))
-        same = np.flatnonzero(np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count)
+        count = (
+            1 if found is None else max(1, round(math.radians(SETTINGS.tells_turn_deg) / found[1]))
+        )
+        same = np.flatnonzero(
+            np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count
+        )
         if not same.size:
             break
         turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
@@ -188,7 +211,9 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         ways.append(apart[same])
         cosines.append(alike[same])
         distant.append(alike[apart >= 0.1 * apart.max()])
-        curves.append(some[np.argwhere(np.triu(near & ~same & (turned < math.radians(SETTINGS.overlap_deg))))])
+        curves.append(
+            some[np.argwhere(np.triu(near & ~same & (turned < math.radians(SETTINGS.overlap_deg))))]
+        )
     if not ways:
         raise ValueError("the robot does not move in any demonstration")
     if blind:
@@ -203,14 +228,18 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     reach = float(way.max())
     while True:
         if not (way[way <= reach] > 0.0).any():
-            raise ValueError("between two images of the demonstrations nothing stays alike: frames are too far apart")
+            raise ValueError(
+                "between two images of the demonstrations nothing stays alike: frames are too far apart"
+            )
         edges = np.linspace(0.0, reach, 100)
         within = way <= reach
         where = np.digitize(way[within], edges[1:-1])
         count = np.bincount(where, minlength=99)
         full = count > 0
         mean = np.bincount(where, cosine[within], minlength=99)[full] / count[full]
-        length = _half_way(((edges[:-1] + edges[1:]) / 2.0)[full], mean, count[full], 1.0, unrelated)
+        length = _half_way(
+            ((edges[:-1] + edges[1:]) / 2.0)[full], mean, count[full], 1.0, unrelated
+        )
         # On a long way it is within the first few steps: look closer.
         if length > 0.1 * reach:
             return length, unrelated
@@ -260,7 +289,11 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
 
 
 def _half_way(
-    far: NDArray[np.float64], cosines: NDArray[Any], counts: NDArray[Any], best: float, unrelated: float
+    far: NDArray[np.float64],
+    cosines: NDArray[Any],
+    counts: NDArray[Any],
+    best: float,
+    unrelated: float,
 ) -> float:
     """Return how far it is to where cosines are half way from the best one to that of unrelated views.
 
@@ -297,9 +330,13 @@ def likelihood_of_views(
     for k in evenly(count, SETTINGS.most_frames // 4).tolist():
         compared = scale(sample @ own[k])
         steps = seen_from(poses, poses[k])
-        far = (drives == drives[k]) & (np.hypot(steps[:, 0], steps[:, 1]) > SETTINGS.elsewhere * length)
+        far = (drives == drives[k]) & (
+            np.hypot(steps[:, 0], steps[:, 1]) > SETTINGS.elsewhere * length
+        )
         elsewhere.append(over(places[far[some]] @ own[k], *compared).ravel())
-        beside = [other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]]
+        beside = [
+            other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]
+        ]
         for other in beside:
             turn = STRAIGHT - round(math.degrees(steps[other, 2]) / STEP_DEG)
             if 0 <= turn < TURNS_DEG.size:
@@ -315,7 +352,10 @@ def likelihood_of_views(
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
-    ways = [float(np.hypot(*np.diff(poses[drives == one, :2], axis=0).T).sum()) for one in np.unique(drives)]
+    ways = [
+        float(np.hypot(*np.diff(poses[drives == one, :2], axis=0).T).sum())
+        for one in np.unique(drives)
+    ]
     independent = sum((way / length) ** 2 / 2.0 for way in ways)
     apart = np.concatenate(elsewhere)
     if not apart.size:

@@ -31,12 +31,18 @@ class Demonstration:
     name: str  # Its episode.
     #: (f, m) raw features (`smal.features.extract`), without dropped frames; rows may be read when they are wanted.
     features: NDArray[np.float32] | Sequence[NDArray[np.float32]]
-    atoms: NDArray[np.int8]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
+    atoms: NDArray[
+        np.int8
+    ]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
     successful: bool = True  # Whether it ended at the goal.
     recovery: bool = False  # Whether it began off the route, to show the way back to it.
-    images: Sequence[Image] | None = None  # RGB; read when they are wanted. The map of views is made of them.
+    images: Sequence[Image] | None = (
+        None  # RGB; read when they are wanted. The map of views is made of them.
+    )
     odometry: NDArray[np.float64] | None = None  # (f, 3) x, y and heading in radians by the wheels.
-    episode: str = ""  # Which drive it is a part of, where frames between parts were lost; its name if empty.
+    episode: str = (
+        ""  # Which drive it is a part of, where frames between parts were lost; its name if empty.
+    )
     goal: str = USUAL_GOAL
     camera: Camera | None = None  # Estimated from the images if not given.
     #: (f,) how fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does;
@@ -53,19 +59,31 @@ class Demonstration:
             )
         frames = len(self.atoms)
         if self.images is not None and len(self.images) != frames:
-            raise ValueError(f"demonstration {self.name}: {len(self.images)} images for {frames} frames")
+            raise ValueError(
+                f"demonstration {self.name}: {len(self.images)} images for {frames} frames"
+            )
         if re.fullmatch(GOAL_NAME, self.goal) is None:
             said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
             raise ValueError(f"demonstration {self.name}: {said}")
-        if self.ahead is not None and not (self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()):
-            raise ValueError(f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1")
+        if self.ahead is not None and not (
+            self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()
+        ):
+            raise ValueError(
+                f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1"
+            )
         if self.odometry is not None and self.odometry.shape != (frames, 3):
-            raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
+            raise ValueError(
+                f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames"
+            )
 
     @property
     def rows(self) -> NDArray[np.float32]:
         """All its features at once, (f, m)."""
-        return self.features if isinstance(self.features, np.ndarray) else np.stack(list(every(self.features)))
+        return (
+            self.features
+            if isinstance(self.features, np.ndarray)
+            else np.stack(list(every(self.features)))
+        )
 
 
 def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
@@ -79,7 +97,9 @@ def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
             )
 
 
-def every(arrays: NDArray[Any] | Sequence[NDArray[Any]], parallel: Parallel = in_parallel) -> Iterable[NDArray[Any]]:
+def every(
+    arrays: NDArray[Any] | Sequence[NDArray[Any]], parallel: Parallel = in_parallel
+) -> Iterable[NDArray[Any]]:
     """Yield arrays one after the other; those that are made when they are asked for are made on every core."""
     return parallel(call, tasks_of(arrays, range(len(arrays))))
 
@@ -99,7 +119,11 @@ class Made(Sequence[Any]):
 
     def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
         chosen = range(self._count)[index]
-        return self.task(chosen)() if isinstance(chosen, int) else Made(len(chosen), lambda k: self.task(chosen[k]))
+        return (
+            self.task(chosen)()
+            if isinstance(chosen, int)
+            else Made(len(chosen), lambda k: self.task(chosen[k]))
+        )
 
 
 def task_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], number: int) -> Task:
@@ -107,7 +131,9 @@ def task_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], number: int) -> Task:
     return arrays.task(number) if isinstance(arrays, Made) else partial(np.asarray, arrays[number])
 
 
-def tasks_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], numbers: Sequence[int]) -> Sequence[Task]:
+def tasks_of(
+    arrays: NDArray[Any] | Sequence[NDArray[Any]], numbers: Sequence[int]
+) -> Sequence[Task]:
     """Return what makes some of them; nothing is read before it is asked for."""
     return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
 
@@ -123,7 +149,9 @@ def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:
     return Made(int(ends[-1]), of)
 
 
-def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple[str, ...], Demonstration]]:
+def drives_to_goals(
+    demonstrations: Iterable[Demonstration],
+) -> list[tuple[tuple[str, ...], Demonstration]]:
     """Return the drives that reached their goal and have images, each with the names of its parts.
 
     Parts of one drive are put together: by its wheels the robot knows how far it went between them. Without odometry

@@ -40,7 +40,9 @@ class Followed:
     keyframes: NDArray[np.intp]  # (f,) the likeliest one.
     offsets: NDArray[np.float64]  # (f, 3) from there: ahead, left, turned left in radians.
     sure: NDArray[np.float64]  # (f,) probability of being within a correlation length of there.
-    says: NDArray[np.float64]  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
+    says: NDArray[
+        np.float64
+    ]  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
     #: (f,) logarithm of how much likelier the view was, after all before it, than a view of elsewhere.
     evidence: NDArray[np.float64]
     arrived: int  # Frame at which a robot would have said that it had arrived; f if none.
@@ -83,11 +85,15 @@ def follow(model: Model, run: Demonstration) -> Followed:
         key = int(summary.keyframes[0])
         pose = taught.key_poses[key]
         apart = np.hypot(*(taught.key_poses[summary.keyframes, :2] - pose[:2]).T)
-        near = (taught.key_drives[summary.keyframes] == taught.key_drives[key]) & (apart < taught.correlation_length)
+        near = (taught.key_drives[summary.keyframes] == taught.key_drives[key]) & (
+            apart < taught.correlation_length
+        )
         components = taught.described(model.centering.apply(raw))
         z = over(np.array(belief.cosine), *scale(taught.sample @ components))
         sure = (1.0 - belief.lost) * float(summary.weights @ near)
-        rows.append((key, *summary.offsets[0], sure, float(taught.likelihood.of(z)), belief.evidence))
+        rows.append(
+            (key, *summary.offsets[0], sure, float(taught.likelihood.of(z)), belief.evidence)
+        )
     key, ahead, left, turned, sure, says, evidence = np.array(rows).T
     offsets = np.stack([ahead, left, turned], axis=1)
     return Followed(key.astype(np.intp), offsets, sure, says, evidence, arrived)
@@ -109,9 +115,14 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
         for frame in np.flatnonzero(followed.sure > PLANNER_CONFIG.arrived).tolist():
             key = int(followed.keyframes[frame])
             offset = followed.offsets[frame]
-            seen.setdefault(key, []).append(taught.described(model.centering.apply(run.features[frame])))
+            seen.setdefault(key, []).append(
+                taught.described(model.centering.apply(run.features[frame]))
+            )
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
-            if followed.says[frame] < usual / 2.0 and off < nearest.get(key, (SETTINGS.look_from,))[0]:
+            if (
+                followed.says[frame] < usual / 2.0
+                and off < nearest.get(key, (SETTINGS.look_from,))[0]
+            ):
                 nearest[key] = off, run, frame, offset
     if not nearest:
         return model
@@ -119,7 +130,10 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     views = np.concatenate([taught.views, np.stack(list(looks))])
     of = np.append(taught.looks, sorted(nearest))
     full = np.flatnonzero(np.bincount(of) == SETTINGS.looks).tolist()
-    rows = [_least(views, np.append(key, len(taught.keyframes) + np.flatnonzero(of == key)), seen[key]) for key in full]
+    rows = [
+        _least(views, np.append(key, len(taught.keyframes) + np.flatnonzero(of == key)), seen[key])
+        for key in full
+    ]
     grown = replace(
         taught,
         views=np.delete(views, rows, axis=0),
@@ -133,11 +147,16 @@ def _usually_says(taught: VisualMap) -> float:
     some = np.flatnonzero(np.diff(taught.key_drives) == 0)
     some = some[evenly(some.size, SETTINGS.most_frames)]
     views, after = (unpacked(taught.views[keys, 1, STRAIGHT]) for keys in (some, some + 1))
-    z = [over(one @ other, *scale(taught.sample @ other)) for one, other in zip(views, after, strict=True)]
+    z = [
+        over(one @ other, *scale(taught.sample @ other))
+        for one, other in zip(views, after, strict=True)
+    ]
     return float(np.median(taught.likelihood.of(np.array(z))))
 
 
-def _look(model: Model, run: Demonstration, frame: int, offset: NDArray[np.float64]) -> NDArray[np.int8]:
+def _look(
+    model: Model, run: Demonstration, frame: int, offset: NDArray[np.float64]
+) -> NDArray[np.int8]:
     """Return the virtual views (3, turns, r) of a keyframe as a frame shows it that was taken beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
@@ -147,11 +166,14 @@ def _look(model: Model, run: Demonstration, frame: int, offset: NDArray[np.float
     return packed(model.centering.apply(raw) @ taught.basis).reshape(taught.views.shape[1:])
 
 
-def _least(views: NDArray[np.int8], rows: NDArray[np.intp], seen: Sequence[NDArray[np.float32]]) -> int:
+def _least(
+    views: NDArray[np.int8], rows: NDArray[np.intp], seen: Sequence[NDArray[np.float32]]
+) -> int:
     """Return the row without which these views lose least, of several the oldest; the first, taught one stays."""
     cosines = np.einsum("lptr,fr->flpt", unpacked(views[rows]), np.stack(seen)).max(axis=(2, 3))
     lost = [
-        float((cosines.max(axis=1) - np.delete(cosines, one, axis=1).max(axis=1)).sum()) for one in range(1, len(rows))
+        float((cosines.max(axis=1) - np.delete(cosines, one, axis=1).max(axis=1)).sum())
+        for one in range(1, len(rows))
     ]
     return int(rows[1 + int(np.argmin(lost))])
 
@@ -164,10 +186,14 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
     for run in runs:
         before = follow(old, run)
         after = follow(new, run)
-        poses = dead_reckoning(run.atoms, taught.movements) if run.odometry is None else run.odometry
+        poses = (
+            dead_reckoning(run.atoms, taught.movements) if run.odometry is None else run.odometry
+        )
         way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
         parts = max(int(way / (SETTINGS.mended * taught.correlation_length)), 1)
-        gains += [float(part.mean()) for part in np.array_split(after.evidence - before.evidence, parts)]
+        gains += [
+            float(part.mean()) for part in np.array_split(after.evidence - before.evidence, parts)
+        ]
         # Said where the way goes on for longer than twice the way within which a goal is near.
         too_early = [
             float(np.hypot(*(poses[min(one.arrived, len(poses) - 1), :2] - poses[-1, :2])))
@@ -178,12 +204,16 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
     count = len(gains)
     least = -math.inf
     if count > 1:
-        least = float(np.mean(gains) - stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count))
+        least = float(
+            np.mean(gains) - stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count)
+        )
     return Verdict(count, float(np.mean(gains)), least, false_goals)
 
 
 def lived(
-    model: Model, runs: Sequence[Demonstration], progress: Callable[[int, int], None] = lambda _done, _total: None
+    model: Model,
+    runs: Sequence[Demonstration],
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Model, Verdict]:
     """Learn from every second run (`whole_runs`), compare by the others, and return the model that is better.
 
@@ -191,7 +221,9 @@ def lived(
     or their features or goals are not the model's.
     """
     if len(runs) < 2:
-        raise ValueError("it takes two runs or more that ended at the goal: one half teaches, the other half judges")
+        raise ValueError(
+            "it takes two runs or more that ended at the goal: one half teaches, the other half judges"
+        )
     check_features(runs, model.feature_settings.size)
     numbers = iter(range(len(runs)))
 

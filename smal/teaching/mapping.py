@@ -76,7 +76,9 @@ def learn(
     features = FeatureSettings() if features is None else features
     check_features(demonstrations, features.size)
     if features.needs != {"color"}:
-        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
+        raise ValueError(
+            "views from where nobody drove have no depth: a map is of color images alone"
+        )
     if not (math.isfinite(tick_s) and tick_s > 0.0):
         raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
     whole = drives_to_goals(demonstrations)
@@ -84,18 +86,24 @@ def learn(
         raise ValueError("no drive reached the goal and has images")
     taught = [drive for _, drive in whole]
     rows = (row[None] for one in taught for row in every(one.features, parallel))
-    centering = Centering.fit(_told(progress, "frames", rows, sum(len(one.atoms) for one in taught)), features)
+    centering = Centering.fit(
+        _told(progress, "frames", rows, sum(len(one.atoms) for one in taught)), features
+    )
     frames = _frames(taught, centering, tick_s)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
     for drive, (names, _) in enumerate(whole):
         extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
         if np.hypot(*extent) < length / SETTINGS.views_a_length:
-            raise ValueError(f"demonstration {names[0]}: the robot hardly moves in it; leave it out")
+            raise ValueError(
+                f"demonstration {names[0]}: the robot hardly moves in it; leave it out"
+            )
     aside = SETTINGS.aside * length
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length)
-    views, basis = _make_views(frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel)
+    views, basis = _make_views(
+        frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel
+    )
     likelihood, correlation = likelihood_of_views(frames, keyframes, views, length)
     visual_map = VisualMap(
         poses=frames.poses,
@@ -143,7 +151,9 @@ def fit(
     >>> linear, angular = robot.step(image)  # doctest: +SKIP
     """
     features = FeatureSettings() if features is None else features
-    return learn(demonstrations_of(drives, features, goals, camera), features, tick_s, parallel=parallel)
+    return learn(
+        demonstrations_of(drives, features, goals, camera), features, tick_s, parallel=parallel
+    )
 
 
 def demonstrations_of(
@@ -155,7 +165,9 @@ def demonstrations_of(
     """Return drives with what describes their images, made when it is wanted; see `fit`."""
 
     def described(images: Sequence[Image]) -> Made:
-        return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
+        return Made(
+            len(images), lambda frame: partial(_extracted, task_of(images, frame), features)
+        )
 
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     return [
@@ -191,7 +203,9 @@ def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float
         return centering.apply(np.stack([features[frame] for frame in some]))
 
     describe = partial(_described, centering)
-    ways = [np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None]
+    ways = [
+        np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None
+    ]
     odometry = len(ways) == len(taught)
     if odometry:
         movements = atom_movements(ways, atoms)
@@ -200,10 +214,14 @@ def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float
         usual = cameras[0], math.radians(SETTINGS.usual_turn_deg_s) * tick_s
         camera, turn_rad = turn_of_views(images, atoms, cameras, describe) or usual
         ahead = _ahead_in_turns(taught)
-        movements = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
+        movements = np.array(
+            [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
+        )
         ways = [dead_reckoning(one, movements) for one in atoms]
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
-    return TaughtFrames(images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera)
+    return TaughtFrames(
+        images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera
+    )
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
@@ -211,14 +229,21 @@ def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
 
     What is not told is none, but where nothing else would move the robot.
     """
-    told = [one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)] for one in taught if one.ahead is not None]
+    told = [
+        one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)]
+        for one in taught
+        if one.ahead is not None
+    ]
     if any(map(len, told)):
         return float(np.median(np.concatenate(told)))
     return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
 
 
 def _seen(
-    images: Sequence[Image], mapped: VisualMap, boxes: Sequence[Box | None], features: FeatureSettings
+    images: Sequence[Image],
+    mapped: VisualMap,
+    boxes: Sequence[Box | None],
+    features: FeatureSettings,
 ) -> tuple[dict[str, Sight], dict[str, Word], Ground]:
     """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view.
 
@@ -270,12 +295,18 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     return Ground(colours, max(extreme(scores), SETTINGS.least_strange))
 
 
-def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:
+def _choose_keyframes(
+    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+) -> NDArray[np.int32]:
     """Take the first and last frame of each drive, and all that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
     for frame in np.flatnonzero(leads_on(poses, drives, length)):
-        if ends[frame] or ends[frame + 1] or not shows_same(poses[frame, None], poses[chosen[-1]], length)[0]:
+        if (
+            ends[frame]
+            or ends[frame + 1]
+            or not shows_same(poses[frame, None], poses[chosen[-1]], length)[0]
+        ):
             chosen.append(int(frame))
     return np.array(chosen, dtype=np.int32)
 
@@ -292,7 +323,9 @@ def _maps_of(scene: Scene, aside: float, shape: tuple[int, ...]) -> list[Maps]:
 
 def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> NDArray[np.float32]:
     seen = image()
-    return _described(centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2])))
+    return _described(
+        centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2]))
+    )
 
 
 def _in_components(
@@ -301,7 +334,9 @@ def _in_components(
     return packed(rows_of(of) @ basis)
 
 
-def _told(progress: Progress, stage: str, made: Iterable[T], total: int, done: int = 0) -> Iterator[T]:
+def _told(
+    progress: Progress, stage: str, made: Iterable[T], total: int, done: int = 0
+) -> Iterator[T]:
     """Yield what is made, and tell how much of it is there."""
     for number, one in enumerate(made, done + 1):
         progress(stage, number, total)
@@ -325,7 +360,9 @@ def _make_views(
     others = [frame for frame in keyframes.tolist() if frame not in made]
     further = parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others))
     further = _told(progress, "views", further, keyframes.size, len(made))
-    views = np.empty((keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8)
+    views = np.empty(
+        (keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8
+    )
     for key, frame in enumerate(keyframes.tolist()):
         row = _in_components(basis, made.pop, frame) if frame in made else next(further)
         views[key] = row.reshape(views.shape[1:])
@@ -336,10 +373,14 @@ def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the leading principal components of rows (s, m), (m, r), those of much variance made smaller."""
     products = sample @ sample.T
     # All components take three times as long.
-    values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1])
+    values, vectors = eigh(
+        products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1]
+    )
     kept = values > 1e-6 * values[-1]
     values = values[kept][::-1]
     vectors = vectors[:, kept][:, ::-1]
     # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
-    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + SETTINGS.whitened)).astype(np.float32)
+    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + SETTINGS.whitened)).astype(
+        np.float32
+    )
     return basis

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from smal.movement import Atom, Movement
 
 
-def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
+def atom_movements(
+    poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]
+) -> NDArray[np.float64]:
     """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
     It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
@@ -20,9 +22,13 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
     it turns.
     """
     each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
-    most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0)
+    most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(
+        np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0
+    )
     turns = [Atom.LEFT, Atom.RIGHT]
-    spot = (np.abs(each[:, turns, 0]) < 0.1 * np.abs(each[:, [Atom.FORWARD], 0])) & (each[:, turns, 1] != 0.0)
+    spot = (np.abs(each[:, turns, 0]) < 0.1 * np.abs(each[:, [Atom.FORWARD], 0])) & (
+        each[:, turns, 1] != 0.0
+    )
     most[:, turns] -= np.where(spot.any(axis=0) & ~spot, np.inf, 0.0)
     return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
 
@@ -36,11 +42,16 @@ def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[
     since = np.arange(made.size) - np.maximum.accumulate(np.where(starts, np.arange(made.size), 0))
     longest = {atom: since[made == atom].max(initial=0) for atom in (Atom.LEFT, Atom.RIGHT)}
     found = {atom: told[(made == atom) & (2 * since >= longest.get(atom, 0))] for atom in Atom}
-    table = np.array([np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()])
+    table = np.array(
+        [np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()]
+    )
     if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
         found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]
         table[Atom.FORWARD, 0] = np.median(bends[:, 0]) if len(bends) else 0.0
-    for one, other, mirror in ((Atom.LEFT, Atom.RIGHT, (1.0, -1.0)), (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0))):
+    for one, other, mirror in (
+        (Atom.LEFT, Atom.RIGHT, (1.0, -1.0)),
+        (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0)),
+    ):
         for this, opposite in ((one, other), (other, one)):
             if not len(found[this]) and len(found[opposite]):
                 table[this] = table[opposite] * mirror

@@ -64,12 +64,17 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
         some = np.unique(np.concatenate([visual_map.likely(view)[0] for view in own]))
         views = unpacked(visual_map.views[some])
         together = (views.reshape(-1, own.shape[1]) @ own.T).reshape(*views.shape[:3], -1)
-        for here, (view, cosines) in enumerate(zip(own, np.moveaxis(together, -1, 0), strict=True), start):
+        for here, (view, cosines) in enumerate(
+            zip(own, np.moveaxis(together, -1, 0), strict=True), start
+        ):
             sample = visual_map.sample @ view
             for drive, first in zip(*np.unique(drives[some], return_index=True), strict=True):
                 there = cosines[first : first + np.count_nonzero(drives[some] == drive)]
                 k, p, t = map(int, np.unravel_index(there.argmax(), there.shape))
-                if visual_map.likelihood.mixed(ANY_DAY, standing_out(there[k, p, t], sample), 1.0) > 1.0:
+                if (
+                    visual_map.likelihood.mixed(ANY_DAY, standing_out(there[k, p, t], sample), 1.0)
+                    > 1.0
+                ):
                     best[here, drive] = some[first + k]
                     left = (_peak(there[k, :, t], p) - 1.0) * visual_map.aside
                     turned = math.radians((_peak(there[k, p], t) - STRAIGHT) * STEP_DEG)
@@ -96,7 +101,9 @@ def _runs(visual_map: VisualMap, best: _Indices, one: int, other: int) -> list[_
     there = best[here, other]
     back = np.where(there >= 0, best[there, one], -1)
     mutual = (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
-    goes_on = mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= SETTINGS.advance)
+    goes_on = (
+        mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= SETTINGS.advance)
+    )
     runs = np.split(here, np.flatnonzero(~goes_on) + 1)
     return [run for run in runs if run.size > SETTINGS.views_a_length]
 
@@ -107,7 +114,12 @@ def _reachable(
     """Return those runs to which both drives lead from the longest one, as the wheels tell."""
     kept: list[_Indices] = []
     for run in sorted(runs, key=len, reverse=True):
-        pairs = [(known, new) for other in kept for known in (other[0], other[-1]) for new in (run[0], run[-1])]
+        pairs = [
+            (known, new)
+            for other in kept
+            for known in (other[0], other[-1])
+            for new in (run[0], run[-1])
+        ]
         apart = [_off(visual_map, there, robot, *pair) for pair in pairs]
         # From the nearest stretch, where the least of drifting has happened.
         if not apart or min(apart)[1] < SETTINGS.trusted:
@@ -134,13 +146,17 @@ def _off(
         turns += float(np.abs(wrapped(steps[:, 2])).sum())
     # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
     heading = math.sqrt(
-        math.radians(SETTINGS.drift_deg) ** 2 * way / length + (noise.turn * turns) ** 2 + math.radians(STEP_DEG) ** 2
+        math.radians(SETTINGS.drift_deg) ** 2 * way / length
+        + (noise.turn * turns) ** 2
+        + math.radians(STEP_DEG) ** 2
     )
     distance = math.hypot(noise.pace * way, heading * float(np.hypot(*by_one[:2])), length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)
 
 
-def _joined(visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArray[np.float64]) -> list[_Stitch]:
+def _joined(
+    visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArray[np.float64]
+) -> list[_Stitch]:
     """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
 
     Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
@@ -158,7 +174,9 @@ def _joined(visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArr
         turns = robot[near, 2] - poses[near, 2]
         turn = turns[0] + np.mean(wrapped(turns - turns[0]))
         # A rigid movement of the axes: where their origin goes, by each stitch.
-        moved = placed(seen_from(poses[near], np.array([*poses[k, :2], 0.0])), np.array([0.0, 0.0, turn]))
+        moved = placed(
+            seen_from(poses[near], np.array([*poses[k, :2], 0.0])), np.array([0.0, 0.0, turn])
+        )
         pose = np.append(np.mean(robot[near, :2] - moved[:, :2], axis=0), poses[k, 2] + turn)
         beside = others[(others >= there[near].min()) & (others <= there[near].max())]
         nearest = int(beside[np.hypot(*(poses[beside] - pose)[:, :2].T).argmin()])

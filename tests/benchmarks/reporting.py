@@ -55,7 +55,9 @@ class Parser(argparse.ArgumentParser):
 def say(flags: argparse.Namespace, results: dict[str, Any], text: str) -> None:
     """Write the results where ``--json`` wants them, and print their tables."""
     if flags.json is not None:
-        written = json.dumps({"quick": flags.quick, "machine": machine(), **results}, indent=2, allow_nan=False)
+        written = json.dumps(
+            {"quick": flags.quick, "machine": machine(), **results}, indent=2, allow_nan=False
+        )
         with replacing(flags.json) as file:
             file.write(written.encode() + b"\n")
         text += f"\nresults: {flags.json}\n"
@@ -101,7 +103,12 @@ def used(pid: int) -> tuple[float, float]:
 def verdict(target: str, measured: float, limit: float, unit: str = "") -> Record:
     """Compare with what is promised."""
     text = "met" if measured <= limit else "not met"
-    return {"target": target, "measured": measured, "limit": f"at most {limit:g}{unit}", "verdict": text}
+    return {
+        "target": target,
+        "measured": measured,
+        "limit": f"at most {limit:g}{unit}",
+        "verdict": text,
+    }
 
 
 def machine() -> Record:

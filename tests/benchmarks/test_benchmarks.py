@@ -25,7 +25,8 @@ def test_large_traverses_are_measured(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.system
 @pytest.mark.parametrize(
-    ("flags", "ways", "targets"), [(["--secure"], ["open", "secure"] * 2, 2), (["--flood"], ["alone", "flooded"], 1)]
+    ("flags", "ways", "targets"),
+    [(["--secure"], ["open", "secure"] * 2, 2), (["--flood"], ["alone", "flooded"], 1)],
 )
 def test_the_bus_is_measured(
     flags: list[str], ways: list[str], targets: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -42,7 +43,9 @@ def test_the_bus_is_measured(
     assert str(file) in capsys.readouterr().out
 
 
-TINY = recognition.Plan(n=40, lengths=(1, 5), features=64, queries=2, repetitions=1, peers=((20, 5),))
+TINY = recognition.Plan(
+    n=40, lengths=(1, 5), features=64, queries=2, repetitions=1, peers=((20, 5),)
+)
 
 
 def test_recognition_is_measured(

@@ -24,10 +24,17 @@ def main(name: str, flags: list[str]) -> None:
         target.run(data)
 
     with tempfile.TemporaryDirectory() as corpus:
-        for number, data in enumerate([*target.seeds(), *(path.read_bytes() for path in crashers_of(name))]):
+        for number, data in enumerate(
+            [*target.seeds(), *(path.read_bytes() for path in crashers_of(name))]
+        ):
             (Path(corpus) / str(number)).write_bytes(data)
         # An input that takes longer, or a process that grows larger, is a finding.
-        limits = ["-timeout=10", "-rss_limit_mb=1024", f"-max_len={LONGEST_INPUT}", f"-artifact_prefix={kept}/"]
+        limits = [
+            "-timeout=10",
+            "-rss_limit_mb=1024",
+            f"-max_len={LONGEST_INPUT}",
+            f"-artifact_prefix={kept}/",
+        ]
         atheris.Setup([sys.argv[0], *limits, *flags, corpus], run)
         atheris.Fuzz()
 

@@ -53,17 +53,23 @@ def image_payload(jpeg: bytes | None = None) -> bytes:
     """Return a recorded image of 8 by 8 pixels, or of other bytes."""
     if jpeg is None:
         jpeg = cv2.imencode(".jpg", np.full((8, 8, 3), 200, np.uint8))[1].tobytes()
-    return bytes(CompressedImage(frame_id="camera/jpeg", data=jpeg, format="jpeg").SerializeToString())
+    return bytes(
+        CompressedImage(frame_id="camera/jpeg", data=jpeg, format="jpeg").SerializeToString()
+    )
 
 
 def image_of_size(pixels: int) -> bytes:
     """Return a small image that says that it has so many rows and columns."""
     jpeg = CompressedImage.FromString(image_payload()).data
-    at = jpeg.index(b"\xff\xc0") + 5  # after the marker of the frame, its length and the bits of a sample
+    at = (
+        jpeg.index(b"\xff\xc0") + 5
+    )  # after the marker of the frame, its length and the bits of a sample
     return image_payload(jpeg[:at] + pixels.to_bytes(2, "big") * 2 + jpeg[at + 4 :])
 
 
-def recording(compression: CompressionType = CompressionType.NONE, *, finished: bool = True) -> bytes:
+def recording(
+    compression: CompressionType = CompressionType.NONE, *, finished: bool = True
+) -> bytes:
     """Return an episode of two frames, the second without features; with one schema, a short one."""
     started = event("e", 0, "started")
     ended = event("e", 1, "ended", "found")
@@ -78,7 +84,9 @@ def recording(compression: CompressionType = CompressionType.NONE, *, finished: 
     for topic, tick, payload in told:
         if topic not in channels:
             metadata = {"robot": "rescuebot", "episode": "e"}
-            channels[topic] = writer.register_channel(f"smal/rescuebot/{topic}", "json", schema, metadata)
+            channels[topic] = writer.register_channel(
+                f"smal/rescuebot/{topic}", "json", schema, metadata
+            )
         writer.add_message(channels[topic], tick, payload, tick, tick)
         writer.flush()
     if finished:
@@ -89,7 +97,10 @@ def recording(compression: CompressionType = CompressionType.NONE, *, finished: 
 def leftover() -> bytes:
     """Return what a recorder leaves that is killed."""
     writer = EpisodeWriter.begin(scratch(), event("left", 0, "started"))
-    for message in (event("e", 0, "started"), *(one("e", k) for k in range(13) for one in (observation, applied))):
+    for message in (
+        event("e", 0, "started"),
+        *(one("e", k) for k in range(13) for one in (observation, applied)),
+    ):
         writer.write(message)
     try:
         writer.flush()
@@ -155,7 +166,9 @@ def model_bytes(model: Model | PaperModel) -> bytes:
     return (scratch() / "seed.smal").read_bytes()[:-CHECKSUM_BYTES]
 
 
-def with_parts(data: bytes, change: Callable[[dict[str, Any], dict[str, np.ndarray]], None]) -> bytes:
+def with_parts(
+    data: bytes, change: Callable[[dict[str, Any], dict[str, np.ndarray]], None]
+) -> bytes:
     """Return a model's file with another header or other arrays."""
     path = file_of(data + hashlib.sha256(data).digest(), "x.smal")
     with path.open("rb") as file:
@@ -184,7 +197,12 @@ def _example(schema: dict[str, Any]) -> Any:
             return [_example(item) for item in items]
         case {"items": item}:
             return [_example(item)]
-    plain = {"string": "drive-1", "integer": max(1, schema.get("minimum", 1)), "number": 0.5, "boolean": True}
+    plain = {
+        "string": "drive-1",
+        "integer": max(1, schema.get("minimum", 1)),
+        "number": 0.5,
+        "boolean": True,
+    }
     return plain.get(schema.get("type", "object"), {})
 
 

@@ -84,8 +84,13 @@ def check_line(error: BaseException | str) -> None:
 
 def _message_seeds() -> list[bytes]:
     golden = json.loads(GOLDEN.read_text())
-    whole = [bytes([number]) + bytes.fromhex(golden[cls.__name__]["hex"]) for number, cls in enumerate(_MESSAGES)]
-    return whole + [bytes([number]) + encode(EXAMPLES[cls])[:40] for number, cls in enumerate(_MESSAGES)]
+    whole = [
+        bytes([number]) + bytes.fromhex(golden[cls.__name__]["hex"])
+        for number, cls in enumerate(_MESSAGES)
+    ]
+    return whole + [
+        bytes([number]) + encode(EXAMPLES[cls])[:40] for number, cls in enumerate(_MESSAGES)
+    ]
 
 
 def _message(data: bytes) -> bool:
@@ -124,7 +129,13 @@ def _request(data: bytes) -> bool:
 
 def _sample_seeds() -> list[bytes]:
     return [
-        b"\n".join([f"smal/{message.robot}/{message.topic_name}".encode(), encoding_of(cls).encode(), encode(message)])
+        b"\n".join(
+            [
+                f"smal/{message.robot}/{message.topic_name}".encode(),
+                encoding_of(cls).encode(),
+                encode(message),
+            ]
+        )
         for cls, message in EXAMPLES.items()
     ]
 
@@ -158,7 +169,9 @@ def _recording(data: bytes) -> bool:
     assert any(episode.frames for episode in recording.episodes)
     for episode in recording.episodes:
         # As teaching does: vectors of another size are as good as none.
-        episode.features = {tick: v for tick, v in episode.features.items() if v().shape == (FEATURES,)}
+        episode.features = {
+            tick: v for tick, v in episode.features.items() if v().shape == (FEATURES,)
+        }
         assert sum(piece.ticks.size for piece in episode.pieces()) <= len(episode.features)
     return True
 
@@ -236,7 +249,10 @@ def _model(data: bytes) -> bool:
         return False
     assert all(line.isprintable() for line in lines(model, path.name, len(data)))
     if not isinstance(model, Model):
-        assert model.templates.shape == (model.feature_settings.size, model.states * model.sequence_length)
+        assert model.templates.shape == (
+            model.feature_settings.size,
+            model.states * model.sequence_length,
+        )
         return True
     assert np.isfinite(Ways(model.mapped).poses).all()
     views = Filter(model.mapped, model.centering)
@@ -250,7 +266,11 @@ def _model(data: bytes) -> bool:
 
 def _world_seeds() -> list[bytes]:
     yard = (WORLDS_FOLDER / "yard.osm").read_text()
-    return [yard.encode(), yard.replace('"smal:role"', '"note"').encode(), re.sub(r"<bounds[^>]*>", "", yard).encode()]
+    return [
+        yard.encode(),
+        yard.replace('"smal:role"', '"note"').encode(),
+        re.sub(r"<bounds[^>]*>", "", yard).encode(),
+    ]
 
 
 def _world_file_seeds() -> list[bytes]:
@@ -266,12 +286,31 @@ def _world(data: bytes, name: str) -> bool:
         check_line(error)
         return False
     x_min, y_min, x_max, y_max = world.place.bounds
-    assert all(x_min <= one.x <= x_max and y_min <= one.y <= y_max for one in (world.start, world.victim))
+    assert all(
+        x_min <= one.x <= x_max and y_min <= one.y <= y_max for one in (world.start, world.victim)
+    )
     return True
 
 
 def _name_seeds() -> list[bytes]:
-    parts = ("b.smal", "a", "in", "up", "etc", "fifo", "loop", ".", "..", "", " ", "~", "ä", "x" * 300, "\0", "\\")
+    parts = (
+        "b.smal",
+        "a",
+        "in",
+        "up",
+        "etc",
+        "fifo",
+        "loop",
+        ".",
+        "..",
+        "",
+        " ",
+        "~",
+        "ä",
+        "x" * 300,
+        "\0",
+        "\\",
+    )
     return [b"b.smal", *("/".join(pair).encode() for pair in itertools.product(parts, repeat=2))]
 
 
@@ -318,7 +357,9 @@ class Imported:
 
     def run(self, data: bytes) -> bool:
         """Import the source with these files."""
-        for name, part in zip(self.files, [*data.split(b"\n\x1e\n"), *[b""] * len(self.files)], strict=False):
+        for name, part in zip(
+            self.files, [*data.split(b"\n\x1e\n"), *[b""] * len(self.files)], strict=False
+        ):
             (self.made[0] / name).write_bytes(part)
         return _import(self.form, self.made[0])
 
@@ -329,7 +370,9 @@ def _import(form: Format, source: Path) -> bool:
     tally = Tally()
     out.mkdir(exist_ok=True)
     try:
-        report = importer.run(ImportJob(format=form, path=str(source), folder=str(out), robot="burger"), tally)
+        report = importer.run(
+            ImportJob(format=form, path=str(source), folder=str(out), robot="burger"), tally
+        )
     except ImportFailure as error:
         check_line(error)
         return False
@@ -344,7 +387,11 @@ def _import(form: Format, source: Path) -> bool:
 def _bag_seeds() -> list[bytes]:
     """Return bags of a third of a second: inputs are to be small."""
     found = []
-    for kind, sqlite, packed in (("mcap", False, False), ("mcap", False, True), ("db3", True, False)):
+    for kind, sqlite, packed in (
+        ("mcap", False, False),
+        ("mcap", False, True),
+        ("db3", True, False),
+    ):
         folder = inputs.scratch() / f"{kind}{packed}"
         if not folder.exists():
             sources.rosbag2(folder, sqlite=sqlite, packed=packed, hundredths=31, raw=None)
@@ -353,10 +400,14 @@ def _bag_seeds() -> list[bytes]:
 
 
 def _bag(data: bytes) -> bool:
-    return _import("rosbag2", inputs.file_of(data, f"bag.{'db3' if data.startswith(b'SQLite') else 'mcap'}"))
+    return _import(
+        "rosbag2", inputs.file_of(data, f"bag.{'db3' if data.startswith(b'SQLite') else 'mcap'}")
+    )
 
 
-_TUB = Imported("donkeycar", partial(sources.donkeycar, rate_hz=10.0), ("manifest.json", "catalog_0.catalog"))
+_TUB = Imported(
+    "donkeycar", partial(sources.donkeycar, rate_hz=10.0), ("manifest.json", "catalog_0.catalog")
+)
 _TABLE = Imported("folder", partial(sources.csv_folder, rate_hz=10.0), ("drive.csv",))
 _DATASET = Imported("lerobot", partial(sources.lerobot, version="v2.1", video=False, episodes=1, fps=10),
                     ("meta/info.json", "meta/episodes.jsonl"))  # fmt: skip

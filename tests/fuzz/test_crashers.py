@@ -66,7 +66,7 @@ def changed(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
     for at in range(draw(st.integers(1, 3))):
         if values and at == 0 and draw(st.booleans()):
             begin, end = draw(st.sampled_from(values)).span()
-    instead = draw(st.sampled_from(ODD))
+            instead = draw(st.sampled_from(ODD))
         else:
             begin = draw(st.integers(0, len(data)))
             instead = draw(st.binary(max_size=8))
@@ -117,7 +117,9 @@ def test_a_model_whose_header_says_nonsense_is_refused_or_bears_use(
         ("mean", None),
         ("views", None),
     ],
-    ids=lambda value: f"{value.dtype}{value.shape}" if isinstance(value, np.ndarray) else str(value),
+    ids=lambda value: (
+        f"{value.dtype}{value.shape}" if isinstance(value, np.ndarray) else str(value)
+    ),
 )
 def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray | None) -> None:
     def change(_meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:

@@ -19,11 +19,15 @@ def main() -> None:
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--rate", type=int, default=15)
     parser.add_argument("--runs", type=int, default=10)
-    parser.add_argument("--until-found", action="store_true", help="one search that finds it is enough")
+    parser.add_argument(
+        "--until-found", action="store_true", help="one search that finds it is enough"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--model", type=Path, help="of another drive, in place of one of this day")
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--clock-offset", type=float, default=0.0, help="seconds of the robot's clock ahead of ours")
+    parser.add_argument(
+        "--clock-offset", type=float, default=0.0, help="seconds of the robot's clock ahead of ours"
+    )
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
     seen = {"size": (width, height), "rate": options.rate, "clock_offset": options.clock_offset}
@@ -43,12 +47,17 @@ def main() -> None:
             record = person.run(options.seed + k, max_ticks=3000)
             outcomes[record.outcome] += 1
             told = {
-                key: value for key, value in person.detail.items() if key.startswith(("camera", "refused", "robot"))
+                key: value
+                for key, value in person.detail.items()
+                if key.startswith(("camera", "refused", "robot"))
             }
             print(k, record.outcome, record.ticks, "frames", json.dumps(told), flush=True)
             if options.until_found and record.outcome == "found":
                 break
-    print(f"{options.world}, {options.dialect}: found {outcomes['found']} of {outcomes.total()}", dict(outcomes))
+    print(
+        f"{options.world}, {options.dialect}: found {outcomes['found']} of {outcomes.total()}",
+        dict(outcomes),
+    )
 
 
 if __name__ == "__main__":

@@ -34,9 +34,12 @@ WATCHDOG_S = 0.2
 HEADER = "std_msgs/Header header\n"
 # As https://github.com/ros-drivers/ackermann_msgs has it.
 STEERING = "".join(
-    f"float32 {name}\n" for name in ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+    f"float32 {name}\n"
+    for name in ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
 )
-OLDEST_S = 0.5  # As controllers of ros2_control do: a stamped velocity that is older is not carried out.
+OLDEST_S = (
+    0.5  # As controllers of ros2_control do: a stamped velocity that is older is not carried out.
+)
 
 
 def now_s() -> float:
@@ -47,7 +50,9 @@ def now_s() -> float:
 def opened(mode: str, endpoint: str) -> zenoh.Session:
     config = zenoh.Config()
     config.insert_json5("mode", json.dumps(mode))
-    config.insert_json5("listen/endpoints" if mode == "router" else "connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5(
+        "listen/endpoints" if mode == "router" else "connect/endpoints", json.dumps([endpoint])
+    )
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "true")  # as rmw_zenoh does
     if mode == "client":
@@ -65,7 +70,10 @@ class Ros:
         self.types = get_typestore(Stores.ROS2_HUMBLE if options.humble else Stores.ROS2_JAZZY)
         for name, text in (
             ("irobot_create_msgs/msg/HazardDetection", f"{HEADER}uint8 type"),
-            ("irobot_create_msgs/msg/HazardDetectionVector", f"{HEADER}HazardDetection[] detections"),
+            (
+                "irobot_create_msgs/msg/HazardDetectionVector",
+                f"{HEADER}HazardDetection[] detections",
+            ),
             ("ackermann_msgs/msg/AckermannDrive", STEERING),
             ("ackermann_msgs/msg/AckermannDriveStamped", f"{HEADER}AckermannDrive drive"),
         ):
@@ -88,7 +96,9 @@ class Ros:
             escaped = type_name.replace("/", "§")
             return topic, f"@/{zid}/@ros2_lv/{kind}/{topic.replace('/', '§')}/{escaped}/:::"
         self.count += 1
-        digest = "TypeHashNotSupported" if self.options.humble else self.types.hash_rihs01(type_name)
+        digest = (
+            "TypeHashNotSupported" if self.options.humble else self.types.hash_rihs01(type_name)
+        )
         kept = f"{package}::msg::dds_::{name}_/{digest}"
         mangled = "%" + topic.replace("/", "%")
         return (
@@ -107,7 +117,9 @@ class Ros:
             cached = {"cache": zenoh.ext.CacheConfig(max_samples=1), "publisher_detection": True}
             publisher = zenoh.ext.declare_advanced_publisher(self.session, key, **cached)
         else:
-            publisher = self.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+            publisher = self.session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.DROP
+            )
         self._alive(token)
         digest = xxhash.xxh3_128(token.encode()).intdigest()
         gid = struct.pack("<QQ", digest % 2**64, digest >> 64)
@@ -119,7 +131,9 @@ class Ros:
                 values = (zenoh.ext.Int64(next(numbers)), zenoh.ext.Int64(time.time_ns()), gid)
                 attachment = zenoh.ext.z_serialize(values)
             message = ros_message(self.types, type_name, fields)
-            publisher.put(bytes(self.types.serialize_cdr(message, type_name)), attachment=attachment)
+            publisher.put(
+                bytes(self.types.serialize_cdr(message, type_name)), attachment=attachment
+            )
 
         return publish
 
@@ -203,7 +217,12 @@ class Base:
                 time.sleep(max(0.0, self.due_s - now_s()))
                 while self.due_s <= now_s():
                     self.step()
-                    log.write(json.dumps([self.due_s, self.pose.x, self.pose.y, *self.moves, self.order[2]]) + "\n")
+                    log.write(
+                        json.dumps(
+                            [self.due_s, self.pose.x, self.pose.y, *self.moves, self.order[2]]
+                        )
+                        + "\n"
+                    )
                     self.due_s += STEP_S
                 ahead, turn = self.moves
                 half = self.odometry.heading / 2
@@ -213,9 +232,17 @@ class Base:
                 }
                 speeds = {"linear": {"x": ahead}, "angular": {"z": turn}}
                 roll(header=ros.header("odom"), pose={"pose": where}, twist={"twist": speeds})
-                feel(header=ros.header("imu_link"), angular_velocity={"z": turn}, linear_acceleration={"z": 9.81})
+                feel(
+                    header=ros.header("imu_link"),
+                    angular_velocity={"z": turn},
+                    linear_acceleration={"z": 9.81},
+                )
                 if number % 2 == 0:
-                    found = [{"header": ros.header("bump"), "type": 1}] if self.truth["collided"] else []
+                    found = (
+                        [{"header": ros.header("bump"), "type": 1}]
+                        if self.truth["collided"]
+                        else []
+                    )
                     warn(header=ros.header("base_link"), detections=found)
 
 
@@ -225,7 +252,9 @@ class Noise:
     focal_px = 50.0
 
     def __init__(self, width: int, height: int) -> None:
-        self._picture = np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
+        self._picture = np.random.default_rng(1).integers(
+            0, 256, (height, width, 3), dtype=np.uint8
+        )
 
     def render(self, _pose: Pose) -> np.ndarray:
         return self._picture
@@ -240,7 +269,11 @@ def see(options: SimpleNamespace, ros: Ros) -> None:
 
     width, height = options.size
     world = load_world(options.world)
-    camera = SceneCamera(world, CameraSettings(width, height)) if options.renders else Noise(width, height)
+    camera = (
+        SceneCamera(world, CameraSettings(width, height))
+        if options.renders
+        else Noise(width, height)
+    )
     truth = Truth(Path(options.truth))
     raw = options.encoding != "jpeg"
     show = ros.publisher(
@@ -263,11 +296,18 @@ def see(options: SimpleNamespace, ros: Ros) -> None:
             rows, step = encoded(image, options.encoding)
             show(header=header, **size, encoding=options.encoding, step=step, data=rows)
         else:
-            _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+            _, jpeg = cv2.imencode(
+                ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85]
+            )
             show(header=header, format="rgb8; jpeg compressed bgr8", data=jpeg.ravel())
         truth["frames"] += 1
         if number % options.rate == 0:
-            tell(header=header, **size, d=[], k=[focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0])
+            tell(
+                header=header,
+                **size,
+                d=[],
+                k=[focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0],
+            )
 
 
 def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
@@ -277,7 +317,11 @@ def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
         pairs = (yuv[:, 0::2, 1:] + yuv[:, 1::2, 1:]) // 2
         rows = np.stack([pairs[..., 0], yuv[:, 0::2, 0], pairs[..., 1], yuv[:, 1::2, 0]], axis=-1)
     else:
-        rows = {"rgb8": image, "bgr8": image[..., ::-1], "mono8": cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)}[encoding]
+        rows = {
+            "rgb8": image,
+            "bgr8": image[..., ::-1],
+            "mono8": cv2.cvtColor(image, cv2.COLOR_RGB2GRAY),
+        }[encoding]
     flat = np.asarray(rows, dtype=np.uint8).reshape(image.shape[0], -1)
     padded = np.pad(flat, ((0, 0), (0, 4)))
     return padded.ravel(), padded.shape[1]

@@ -19,7 +19,16 @@ from schemas import topics
 from schemas.base import Message
 from schemas.motion import Pose as PoseMessage
 from schemas.observation import Observation
-from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
+from schemas.rpc import (
+    ArmRequest,
+    EndRequest,
+    LoadReply,
+    LoadRequest,
+    Nothing,
+    ResetReply,
+    ResetRequest,
+    Status,
+)
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
@@ -85,7 +94,11 @@ class Field:
         robot = self.robot
         drive = self.world.robot.drive
         raw = robot.encoding != "jpeg"
-        camera = ("camera/image_raw", "Image") if raw else ("camera/image_raw/compressed", "CompressedImage")
+        camera = (
+            ("camera/image_raw", "Image")
+            if raw
+            else ("camera/image_raw/compressed", "CompressedImage")
+        )
         told: dict[str, Any] = {
             "preset": "generic", "name": "fake", "router": self.endpoint, "dialect": robot.dialect,
             "distribution": "humble" if robot.humble else "jazzy", "speed_m_s": drive.speed_m_s,
@@ -107,7 +120,9 @@ class Field:
         """Carry the robot somewhere, as a person does; wait until its camera sees that."""
         self.truth.put(pose.x, pose.y, pose.heading)
         frames = self.truth["frames"]
-        until(lambda: self.truth["was_put"] == self.truth["put"] and self.truth["frames"] > frames + 3)
+        until(
+            lambda: self.truth["was_put"] == self.truth["put"] and self.truth["frames"] > frames + 3
+        )
 
     def begin_at(self, seed: int, purpose: str) -> Pose:
         """Carry it to where the simulator would begin an episode."""
@@ -120,7 +135,9 @@ class Field:
         """Whether the victim is near, and in view."""
         x = self.truth["x"]
         y = self.truth["y"]
-        near = math.hypot(self.world.victim.x - x, self.world.victim.y - y) <= self.world.scale.found_m
+        near = (
+            math.hypot(self.world.victim.x - x, self.world.victim.y - y) <= self.world.scale.found_m
+        )
         return near and self.truth["victim"] >= VISIBLE_FRACTION
 
     @property
@@ -166,19 +183,27 @@ class Person:
 
     def _drive(self, observation: Observation) -> Message | None:
         truth = self.place.truth
-        pose = PoseMessage.after(observation, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"])
+        pose = PoseMessage.after(
+            observation, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"]
+        )
         self.expert.see(pose)
         return self.expert.handle(observation)
 
     def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:
         """Drive to the victim once, and have that recorded."""
         start = self.place.begin_at(seed, "drive")
-        route = tuple((float(x), float(y)) for x, y in plan_route(self.place.world, (start.x, start.y)))
+        route = tuple(
+            (float(x), float(y)) for x, y in plan_route(self.place.world, (start.x, start.y))
+        )
         seen = {"route": route, "found_m": self.place.world.scale.found_m}
-        request = ResetRequest(seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000)
+        request = ResetRequest(
+            seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000
+        )
         with recording(self.client.node.bus, folder, "--folder"):
             return self._run(
-                request, lambda reply: self.expert.begin(reply.model_copy(update=seen)), lambda: self.expert.arrived
+                request,
+                lambda reply: self.expert.begin(reply.model_copy(update=seen)),
+                lambda: self.expert.arrived,
             )
 
     def load(self, model: Path) -> None:
@@ -239,11 +264,24 @@ def day_with(robot: Robot) -> Iterator[tuple[Field, Person]]:
         # Nobody sits at a console in a test.
         stacked.enter_context(pytest.MonkeyPatch.context()).setenv("SMAL_ATTENDED", "false")
         place = stacked.enter_context(robot_for(robot))
-        settings = {"robot": flags(ros2_config=place.config()), "console": flags(console="127.0.0.1:0")}
+        settings = {
+            "robot": flags(ros2_config=place.config()),
+            "console": flags(console="127.0.0.1:0"),
+        }
         # What another day has learned lies beside this one.
-        settings |= {name: flags(root=folder.parent.resolve()) for name in ("recorder", "recognition", "policy")}
+        settings |= {
+            name: flags(root=folder.parent.resolve())
+            for name in ("recorder", "recognition", "policy")
+        }
         modules = {"robot": "services.ros2"}
-        plan = StackPlan(stack_services(), "fake", free_endpoint(), settings, logs=folder / "logs", modules=modules)
+        plan = StackPlan(
+            stack_services(),
+            "fake",
+            free_endpoint(),
+            settings,
+            logs=folder / "logs",
+            modules=modules,
+        )
         stack = stacked.enter_context(Stack(plan))
         client = EpisodeClient("person", stack.settings)
         stacked.callback(client.close)

@@ -23,7 +23,10 @@ from services.ros2.senses import Senses
 from tests.services.robot.line import Clock
 
 ROS = Messages("jazzy")
-PICTURE = np.kron(np.random.default_rng(1).integers(0, 255, (6, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
+PICTURE = np.kron(
+    np.random.default_rng(1).integers(0, 255, (6, 8, 3), dtype=np.uint8),
+    np.ones((8, 8, 1), np.uint8),
+)
 CAMERA = "/camera/image_raw/compressed"
 ODOM = "/odom"
 SCAN = "/scan"
@@ -72,7 +75,11 @@ class Rig:
     """
 
     def __init__(
-        self, folder: Path, scan: str = "stop_m: 0.4, blind_m: 0.1", stops: str = "", preset: str = "generic"
+        self,
+        folder: Path,
+        scan: str = "stop_m: 0.4, blind_m: 0.1",
+        stops: str = "",
+        preset: str = "generic",
     ) -> None:
         path = folder / "mine.yaml"
         path.write_text(
@@ -92,14 +99,20 @@ class Rig:
         if self.echoes:
             self.senses.echoed(self.clock.now_s)
         kind = self.senses.inputs[topic].type_name
-        stamped = {} if kind == messages.BOOL else {"header": header(self.clock.now_s if at_s is None else at_s)}
+        stamped = (
+            {}
+            if kind == messages.BOOL
+            else {"header": header(self.clock.now_s if at_s is None else at_s)}
+        )
         self.senses.take(topic, ROS.write(kind, stamped | fields))
 
     def picture(self, at_s: float | None = None, data: bytes | None = None) -> None:
         jpeg = cv2.imencode(".jpg", PICTURE)[1].tobytes() if data is None else data
         self.says(CAMERA, at_s, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
 
-    def wheels(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0, at_s: float | None = None) -> None:
+    def wheels(
+        self, x: float = 0.0, y: float = 0.0, heading: float = 0.0, at_s: float | None = None
+    ) -> None:
         turned = {"z": math.sin(heading / 2), "w": math.cos(heading / 2)}
         self.says(ODOM, at_s, pose={"pose": {"position": {"x": x, "y": y}, "orientation": turned}})
 
@@ -110,10 +123,17 @@ class Rig:
         ranges[5] = 0.05  # a part of the robot
         self.scans(ranges, at_s)
 
-    def scans(self, ranges: Sequence[float] | NDArray[np.float32], at_s: float | None = None, **fields: float) -> None:
+    def scans(
+        self,
+        ranges: Sequence[float] | NDArray[np.float32],
+        at_s: float | None = None,
+        **fields: float,
+    ) -> None:
         """Have the scanner tell some ranges: all around, from ahead to the left, unless the fields say otherwise."""
         told = {"angle_max": math.tau, "angle_increment": math.tau / max(1, len(ranges))}
-        self.says(SCAN, at_s, **(told | {"range_min": 0.02, "range_max": 12.0} | fields), ranges=ranges)
+        self.says(
+            SCAN, at_s, **(told | {"range_min": 0.02, "range_max": 12.0} | fields), ranges=ranges
+        )
 
     def hazards(self, *numbers: int, at_s: float | None = None) -> None:
         self.says(HAZARDS, at_s, detections=[{"type": number} for number in numbers])
@@ -134,7 +154,12 @@ class Rig:
     def passes(self, seconds: float, *silent: str, **others: Any) -> None:
         """Have time pass, and then all but the silent ones be heard."""
         self.clock.now_s += seconds
-        takes = {"wheels": self.wheels, "scan": self.scan, "hazards": self.hazards, "picture": self.picture}
+        takes = {
+            "wheels": self.wheels,
+            "scan": self.scan,
+            "hazards": self.hazards,
+            "picture": self.picture,
+        }
         for name, take in takes.items():
             if name not in silent:
                 take(**others)

@@ -36,8 +36,12 @@ def test_shares_become_velocities(rig: Rig) -> None:
     assert rig.air.robot_s == pytest.approx(rig.clock.now_s + AHEAD_S)
 
 
-@pytest.mark.parametrize(("silent", "topic"), [("wheels", "/odom"), ("scan", "/scan"), ("hazards", "/hazards")])
-def test_who_must_be_heard_and_is_silent_stands_the_robot(rig: Rig, silent: str, topic: str) -> None:
+@pytest.mark.parametrize(
+    ("silent", "topic"), [("wheels", "/odom"), ("scan", "/scan"), ("hazards", "/hazards")]
+)
+def test_who_must_be_heard_and_is_silent_stands_the_robot(
+    rig: Rig, silent: str, topic: str
+) -> None:
     rig.begun()
     for _ in range(60):
         rig.passes(0.01, silent)
@@ -69,11 +73,15 @@ def test_a_button_that_speaks_only_of_changes_must_have_spoken_once(tmp_path: Pa
 def test_a_base_that_nobody_reaches_is_told_to_stand(rig: Rig) -> None:
     rig.begun().air.lack = "nobody subscribes to /cmd_vel"
     assert not rig.may_go("forward")
-    with pytest.raises(ServiceError, match=r"^base: nobody subscribes to /cmd_vel; does tcp/\S+ reach it"):
+    with pytest.raises(
+        ServiceError, match=r"^base: nobody subscribes to /cmd_vel; does tcp/\S+ reach it"
+    ):
         rig.body.begin(BEGIN)
 
 
-def test_why_it_stands_is_logged_once_and_when_that_is_over(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_why_it_stands_is_logged_once_and_when_that_is_over(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level("INFO", "ros2")
     rig.begun().air.lack = "no connection to tcp/robot:7447"
     for lack in (rig.air.lack, rig.air.lack, None, None):
@@ -119,7 +127,9 @@ def test_hazards_forbid_what_would_make_them_worse(
     assert rig.ways() == allowed
     assert rig.body.look(1).contact == touched
     if "forward" not in allowed:
-        with pytest.raises(ServiceError, match=r"must not go forward: .* it stands until it is armed again"):
+        with pytest.raises(
+            ServiceError, match=r"must not go forward: .* it stands until it is armed again"
+        ):
             rig.body.drive(KEYS["forward"])
         assert rig.air.sent[-1] == (0.0, 0.0)
 
@@ -135,7 +145,9 @@ def test_hazards_forbid_what_would_make_them_worse(
         (0.05, 0, "forward backward left right"),
     ],
 )
-def test_something_near_forbids_to_go_there(rig: Rig, metres: float, degrees: int, allowed: str) -> None:
+def test_something_near_forbids_to_go_there(
+    rig: Rig, metres: float, degrees: int, allowed: str
+) -> None:
     rig.begun().scan(metres, math.radians(degrees))
     assert rig.ways() == allowed
 
@@ -176,7 +188,9 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
     assert rig.body.detail()["odometry_leaps"] == 1
 
 
-def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone_in_it_counts() -> None:
+def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone_in_it_counts() -> (
+    None
+):
     track = WheelTrack(0.2, 0.6, 0.25)
     track.add(0.0, 1.0, 0.0, 0.0)
     assert track.add(0.5, 1.1, 0.0, 0.3).ahead_m == pytest.approx(0.1, rel=0.05)
@@ -189,7 +203,9 @@ def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone
 
 
 @given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
-def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[float, float]], turned: float) -> None:
+def test_a_track_is_the_same_from_wherever_the_wheels_count(
+    steps: list[tuple[float, float]], turned: float
+) -> None:
     one = WheelTrack(1.0, 10.0, 0.25)
     other = WheelTrack(1.0, 10.0, 0.25)
     x = y = heading = 0.0
@@ -200,7 +216,11 @@ def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[fl
         heading = math.remainder(heading + turn, math.tau)
         cos = math.cos(turned)
         sin = math.sin(turned)
-        there = 7.0 + x * cos - y * sin, -3.0 + x * sin + y * cos, math.remainder(heading + turned, math.tau)
+        there = (
+            7.0 + x * cos - y * sin,
+            -3.0 + x * sin + y * cos,
+            math.remainder(heading + turned, math.tau),
+        )
         told = one.add(number / 10, x, y, heading), other.add(number / 10, *there)
     assert (told[0].x_m, told[0].y_m) == pytest.approx((x, y), abs=1e-9)
     assert (told[1].x_m, told[1].y_m) == pytest.approx((x, y), abs=1e-6)
@@ -210,10 +230,14 @@ def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[fl
 def test_reads_raw_pixels(encoding: str) -> None:
     data, step = encoded(PICTURE, encoding)
     fields = {"height": 48, "width": 64, "encoding": encoding, "step": step, "data": data}
-    got = decode_jpeg(picture(ROS.read(messages.IMAGE, ROS.write(messages.IMAGE, fields)))).astype(int)
+    got = decode_jpeg(picture(ROS.read(messages.IMAGE, ROS.write(messages.IMAGE, fields)))).astype(
+        int
+    )
     assert got.shape == (48, 64, 3)
     if encoding == "mono8":
-        assert np.abs(got[..., 0] - cv2.cvtColor(PICTURE, cv2.COLOR_RGB2GRAY).astype(int)).max() < 16
+        assert (
+            np.abs(got[..., 0] - cv2.cvtColor(PICTURE, cv2.COLOR_RGB2GRAY).astype(int)).max() < 16
+        )
     else:  # yuv422 is 16 to 235 of 0 to 255 where it is taken for video: the middle is what matters
         assert np.corrcoef(got.ravel(), PICTURE.ravel())[0, 1] > 0.95
 
@@ -229,19 +253,30 @@ def test_reads_raw_pixels(encoding: str) -> None:
     ],
 )
 def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: str) -> None:
-    told = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": PICTURE.ravel()} | fields
+    told = {
+        "height": 48,
+        "width": 64,
+        "encoding": "rgb8",
+        "step": 192,
+        "data": PICTURE.ravel(),
+    } | fields
     with pytest.raises(MessageError, match=line):
         picture(SimpleNamespace(**told))
 
 
 def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:
-    with pytest.raises(ServiceError, match=r"no picture has come from /camera/\S+; does tcp/.* fit\?$"):
+    with pytest.raises(
+        ServiceError, match=r"no picture has come from /camera/\S+; does tcp/.* fit\?$"
+    ):
         rig.body.begin(BEGIN)
     rig.picture()
     with pytest.raises(ServiceError, match=r"nothing has come from /odom; does"):
         rig.body.begin(BEGIN)
     rig.passes(0.01)
-    wishes = ({"kidnap_tick": 3}, "it cannot be carried away"), ({"world": "campus"}, "no world and no variation")
+    wishes = (
+        ({"kidnap_tick": 3}, "it cannot be carried away"),
+        ({"world": "campus"}, "no world and no variation"),
+    )
     for wish, said in (*wishes, ({"variation": "evening"}, "no world and no variation")):
         with pytest.raises(ServiceError, match=said):
             rig.body.begin(BEGIN.model_copy(update=wish))

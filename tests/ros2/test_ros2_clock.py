@@ -28,7 +28,9 @@ def fresh(rig: Rig) -> bool:
     st.floats(-1e6, 1e6),
     st.lists(st.tuples(st.floats(0.001, 0.2), st.floats(0.0, 0.2)), min_size=2, max_size=50),
 )
-def test_age_is_at_least_the_delay_and_at_most_the_round_trip(ahead: float, trips: list[tuple[float, float]]) -> None:
+def test_age_is_at_least_the_delay_and_at_most_the_round_trip(
+    ahead: float, trips: list[tuple[float, float]]
+) -> None:
     """The first of a pair is the delay of the link to here; the second is the way of an echo there, and its wait."""
     clock = StampedClock()
     least = math.inf
@@ -84,12 +86,18 @@ def test_robot_stands_when_no_echo_comes_back(tmp_path: Path) -> None:
     rig.known()
     assert not rig.may_go("forward")
     assert rig.body.detail()["camera_age_s"] is None
-    with pytest.raises(ServiceError, match=r"^base: the age of messages is unknown: the robot.s router"):
+    with pytest.raises(
+        ServiceError, match=r"^base: the age of messages is unknown: the robot.s router"
+    ):
         rig.body.begin(BEGIN)
 
 
 # The link hangs for a while, and what was sent meanwhile comes when it is over; the clock is set at some frame.
-@given(st.lists(st.tuples(st.integers(1, 15), st.integers(0, 40)), max_size=4), st.integers(0, 100), st.floats(-9, 9))
+@given(
+    st.lists(st.tuples(st.integers(1, 15), st.integers(0, 40)), max_size=4),
+    st.integers(0, 100),
+    st.floats(-9, 9),
+)
 @example([(15, 30)], 20, -1.3)
 @example([(15, 30)], 20, 3.0)
 def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_to_be_new(
@@ -105,7 +113,9 @@ def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_t
     for number in range(first + 60):
         made_s = number * FRAME_S
         arrived_s = freed.get(number, number) * FRAME_S + 0.005
-        told = clock.made_s(made_s + (by_s if number >= set_at else 0.0), arrived_s, arrived_s - made_s)
+        told = clock.made_s(
+            made_s + (by_s if number >= set_at else 0.0), arrived_s, arrived_s - made_s
+        )
         if told is not None and clock.known:
             assert told <= made_s + 0.005 + MAX_AGE_S + DRIFT * made_s + 1e-6
             assert told <= arrived_s + 1e-6
@@ -138,7 +148,9 @@ def test_a_frame_that_comes_late_after_the_clock_was_set_back_is_not_new(rig: Ri
         assert not fresh(rig)
         assert not rig.may_go("forward")
         rig.clock.now_s += 0.1
-    with pytest.raises(ServiceError, match=r"^base: how the clock of /camera\S+ stands is learned; that takes 2 s$"):
+    with pytest.raises(
+        ServiceError, match=r"^base: how the clock of /camera\S+ stands is learned; that takes 2 s$"
+    ):
         rig.body.begin(BEGIN)
 
 

@@ -18,9 +18,13 @@ from tests.command import run_smal
 def test_a_preset_needs_only_what_nobody_else_knows(preset: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\n")
-    with pytest.raises(UsageError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"):
+    with pytest.raises(
+        UsageError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"
+    ):
         read_config(path)
-    path.write_text(f"preset: {preset}\nwatchdog_s: 0.2\nnamespace: /robot1\ncamera: {{latency_s: 0.12}}\n")
+    path.write_text(
+        f"preset: {preset}\nwatchdog_s: 0.2\nnamespace: /robot1\ncamera: {{latency_s: 0.12}}\n"
+    )
     config = read_config(path)
     assert config.watchdog_s + config.braking_s <= STAND_WITHIN_S
     assert config.camera.latency_s == 0.12
@@ -39,20 +43,38 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
     [
         ("preset: turtlebot5\n", "preset: known are donkeycar, generic, turtlebot3, turtlebot4"),
         (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
-        ("watchdog_s: 0.2\n", "lacks name, speed_m_s, turn_rate_rad_s, braking_s, camera; a preset has"),
-        ("preset: generic\nwatchdog_s: 0.5\n", "base: after the silence of this process it would move for 0.70 s"),
+        (
+            "watchdog_s: 0.2\n",
+            "lacks name, speed_m_s, turn_rate_rad_s, braking_s, camera; a preset has",
+        ),
+        (
+            "preset: generic\nwatchdog_s: 0.5\n",
+            "base: after the silence of this process it would move for 0.70 s",
+        ),
         (BASE + "speed_m_s: fast\n", "speed_m_s: 'fast' must be a valid number"),
         (BASE + "speed_m_s: .nan\n", "speed_m_s: nan must be"),
         ("preset: generic\nwatchdog_s: .inf\n", "watchdog_s: inf must be a finite number"),
         (BASE + "camera: {topic: 'a b'}\n", "camera.topic: 'a b' must match pattern"),
         (BASE + "dialect: dds\n", "dialect: 'dds' must be 'rmw_zenoh' or 'zenoh-bridge-ros2dds'"),
         (BASE + "namespace: robot1\n", "namespace: 'robot1' must match pattern"),
-        (BASE + "router: robot.local\n", "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>"),
+        (
+            BASE + "router: robot.local\n",
+            "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>",
+        ),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
-        (BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n", "scan: nothing would stop it, as blind_m is 0.3 m"),
+        (
+            BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n",
+            "scan: nothing would stop it, as blind_m is 0.3 m",
+        ),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: 'x' must be"),
-        (BASE + "velocity: {wheelbase_m: 0.3}\n", "radius_m: what takes AckermannDrive has a least radius"),
-        (BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n", "velocity: wheelbase_m belongs to an"),
+        (
+            BASE + "velocity: {wheelbase_m: 0.3}\n",
+            "radius_m: what takes AckermannDrive has a least radius",
+        ),
+        (
+            BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n",
+            "velocity: wheelbase_m belongs to an",
+        ),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
         ("a: [\n", "no YAML in line"),
@@ -73,7 +95,9 @@ def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Pat
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.binary(max_size=60))
-def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(
+    tmp_path: Path, data: bytes
+) -> None:
     path = tmp_path / "mine.yaml"
     path.write_bytes(data)
     with pytest.raises(UsageError) as caught:
@@ -88,7 +112,9 @@ def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, 
         (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
     ],
 )
-def test_smal_up_says_what_is_wrong_before_anything_starts(flags: tuple[str, ...], line: str) -> None:
+def test_smal_up_says_what_is_wrong_before_anything_starts(
+    flags: tuple[str, ...], line: str
+) -> None:
     done = run_smal("up", *flags)
     assert done.returncode == 2
     assert line in done.stderr

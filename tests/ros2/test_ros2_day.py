@@ -6,12 +6,28 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system, pytest.mark.timeout(1500)]
+pytestmark = [
+    pytest.mark.rendering,
+    pytest.mark.zenoh,
+    pytest.mark.system,
+    pytest.mark.timeout(1500),
+]
 
 
 def test_taught_once_it_finds_the_victim(near: Path, tmp_path: Path) -> None:
     """At least once in three searches; the others are for a machine that is too busy for a real robot."""
-    command = [sys.executable, "-m", "tests.ros2.day", "--world", str(near), "--runs", "3", "--until-found"]
-    done = subprocess.run([*command, "--folder", str(tmp_path)], capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "tests.ros2.day",
+        "--world",
+        str(near),
+        "--runs",
+        "3",
+        "--until-found",
+    ]
+    done = subprocess.run(
+        [*command, "--folder", str(tmp_path)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "rmw_zenoh: found 1 of" in done.stdout.splitlines()[-1], done.stdout

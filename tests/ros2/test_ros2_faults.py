@@ -28,7 +28,10 @@ pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
 #: How long a fault lasts: what is frozen for longer than Zenoh's links take to notice, which is 2 s.
 FAULT_S = {"kill": 1.0, "freeze": 2.5}
 AHEAD_S = 3600.0  # By how much the robot's clock is ahead of ours.
-DIALECTS = ("rmw_zenoh of humble, stamped", "zenoh-bridge-ros2dds")  # A day of rmw_zenoh of jazzy is another test.
+DIALECTS = (
+    "rmw_zenoh of humble, stamped",
+    "zenoh-bridge-ros2dds",
+)  # A day of rmw_zenoh of jazzy is another test.
 #: What is harmed, and how; most is the same in all dialects. A link that is down is a black hole, as a frozen one.
 HARMS = {
     DIALECTS[0]: [*((part, harm) for part in ("robot", "router", "camera") for harm in ("kill", "freeze")),
@@ -52,14 +55,29 @@ class Driven:
     def start(self) -> None:
         """Start the service."""
         with (self.place.robot.folder / "robot.log").open("ab") as log:
-            command = [sys.executable, "-m", "services.ros2", "--router", self.endpoint, "--robot", "fake"]
-            command += ["--attended", "false", "--ros2-config", str(self.place.robot.folder / "fake.yaml")]
+            command = [
+                sys.executable,
+                "-m",
+                "services.ros2",
+                "--router",
+                self.endpoint,
+                "--robot",
+                "fake",
+            ]
+            command += [
+                "--attended",
+                "false",
+                "--ros2-config",
+                str(self.place.robot.folder / "fake.yaml"),
+            ]
             self.robot = subprocess.Popen(command, stdout=log, stderr=log)
 
     def answer(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
         """Answer a frame."""
         if self.drives:
-            self.bus.publish(Command.after(decode(Odometry, payload, encoding), source="expert", atom="left"))
+            self.bus.publish(
+                Command.after(decode(Odometry, payload, encoding), source="expert", atom="left")
+            )
 
     @property
     def detail(self) -> dict[str, object]:
@@ -76,7 +94,9 @@ class Driven:
             return False
         with suppress(RpcError):
             if detail["emergency_stop"]:
-                self.bus.call("robot", "arm", ArmRequest(stop=int(str(detail["emergency_stop"]))), Nothing)
+                self.bus.call(
+                    "robot", "arm", ArmRequest(stop=int(str(detail["emergency_stop"]))), Nothing
+                )
             if detail["episode"] is None:
                 request = ResetRequest(seed=1, driver="expert", mode="realtime", max_ticks=100_000)
                 self.bus.call("robot", "reset", request, ResetReply)
@@ -87,7 +107,9 @@ class Driven:
 
 
 @pytest.fixture(scope="module", params=DIALECTS)
-def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
+def driven(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Driven]:
     """Have a robot that turns on the spot."""
     folder = tmp_path_factory.mktemp("ros2")
     humble = "humble" in request.param
@@ -115,7 +137,9 @@ def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
             one.robot.wait()
 
 
-def test_the_base_stands_in_time_and_drives_again(driven: Driven, lost_s: Callable[[float], float]) -> None:
+def test_the_base_stands_in_time_and_drives_again(
+    driven: Driven, lost_s: Callable[[float], float]
+) -> None:
     for part, harm in HARMS[driven.dialect]:
         until(driven.moves)
         assert driven.robot is not None
@@ -123,7 +147,9 @@ def test_the_base_stands_in_time_and_drives_again(driven: Driven, lost_s: Callab
         pid = pids.get(part) or driven.place.children[part].pid
         began_s = now_s()
         os.kill(pid, signal.SIGKILL if harm == "kill" else signal.SIGSTOP)
-        time.sleep(FAULT_S[harm])  # the fault lasts; that the wheels stand until its end is what is to be seen
+        time.sleep(
+            FAULT_S[harm]
+        )  # the fault lasts; that the wheels stand until its end is what is to be seen
         ended_s = now_s()
         steps = [step for step in driven.place.steps(began_s) if step[0] <= ended_s]
         if harm == "freeze":
@@ -135,7 +161,9 @@ def test_the_base_stands_in_time_and_drives_again(driven: Driven, lost_s: Callab
             driven.place.children[part].wait()
             driven.place.start(part)
         moved = [step[0] - began_s for step in steps if step[3] or step[4]]
-        assert len(steps) > FAULT_S[harm] / 0.02 / 2, f"{part} {harm}: its log says what the wheels did"
+        assert len(steps) > FAULT_S[harm] / 0.02 / 2, (
+            f"{part} {harm}: its log says what the wheels did"
+        )
         assert max(moved, default=0.0) <= STAND_WITHIN_S + lost_s(began_s), f"{part} {harm}"
         until(driven.moves)
 
@@ -144,7 +172,8 @@ def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven:
     until(driven.moves)
     heard: list[Odometry] = []
     driven.bus.subscribe(
-        topics.ODOMETRY, lambda payload, encoding, _: heard.append(decode(Odometry, payload, encoding))
+        topics.ODOMETRY,
+        lambda payload, encoding, _: heard.append(decode(Odometry, payload, encoding)),
     )
     until(lambda: heard)
     base = driven.place.children["base"]
@@ -161,7 +190,9 @@ def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven:
     until(driven.moves)
 
 
-def test_a_driver_that_is_silent_is_noticed(driven: Driven, lost_s: Callable[[float], float]) -> None:
+def test_a_driver_that_is_silent_is_noticed(
+    driven: Driven, lost_s: Callable[[float], float]
+) -> None:
     until(driven.moves)
     driven.drives = False
     began_s = now_s()
@@ -172,7 +203,9 @@ def test_a_driver_that_is_silent_is_noticed(driven: Driven, lost_s: Callable[[fl
     until(driven.moves)
 
 
-def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(driven: Driven) -> None:
+def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(
+    driven: Driven,
+) -> None:
     detail = driven.detail
     wanted = "TwistStamped" if driven.place.robot.humble else "Twist"
     assert detail["velocity_type"] == f"geometry_msgs/msg/{wanted}"

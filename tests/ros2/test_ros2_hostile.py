@@ -22,13 +22,25 @@ from services.ros2 import messages
 from tests.ros2.rig import ROS, Rig, header
 
 HEADER = Message(robot="r", episode="e", tick=0, stamp_ns=0)
-NUMBERS = st.floats() | st.floats(-10, 10) | st.sampled_from([0.0, 1e6, -1e6, 1e300, math.inf, math.nan])
+NUMBERS = (
+    st.floats() | st.floats(-10, 10) | st.sampled_from([0.0, 1e6, -1e6, 1e300, math.inf, math.nan])
+)
 VECTORS = st.fixed_dictionaries(dict.fromkeys("xyz", NUMBERS))
 TURNS = st.fixed_dictionaries(dict.fromkeys("xyzw", NUMBERS))
 SIZES = st.integers(0, 9) | st.integers(0, 2**32 - 1)
-LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+LIMITS = (
+    "angle_min",
+    "angle_max",
+    "angle_increment",
+    "time_increment",
+    "scan_time",
+    "range_min",
+    "range_max",
+)
 SINGLES = st.floats(width=32)
-SIDES = st.tuples(st.integers(1, 10), st.sampled_from([1, 3073, 4096, 4097, 65500])).flatmap(st.permutations)
+SIDES = st.tuples(st.integers(1, 10), st.sampled_from([1, 3073, 4096, 4097, 65500])).flatmap(
+    st.permutations
+)
 #: By type: fields of wild numbers.
 FIELDS: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     messages.COMPRESSED_IMAGE: SIDES.map(
@@ -38,11 +50,18 @@ FIELDS: dict[str, st.SearchStrategy[dict[str, Any]]] = {
         {"height": SIZES, "width": SIZES, "k": NUMBERS.map(lambda number: np.full(9, number))}
     ),
     messages.ODOMETRY: st.fixed_dictionaries(
-        {"pose": st.fixed_dictionaries({"pose": st.fixed_dictionaries({"position": VECTORS, "orientation": TURNS})})}
+        {
+            "pose": st.fixed_dictionaries(
+                {"pose": st.fixed_dictionaries({"position": VECTORS, "orientation": TURNS})}
+            )
+        }
     ),
-    messages.IMU: st.fixed_dictionaries({"angular_velocity": VECTORS, "linear_acceleration": VECTORS}),
+    messages.IMU: st.fixed_dictionaries(
+        {"angular_velocity": VECTORS, "linear_acceleration": VECTORS}
+    ),
     messages.LASER_SCAN: st.fixed_dictionaries(
-        dict.fromkeys(LIMITS, SINGLES) | {"ranges": st.lists(SINGLES, max_size=40).map(lambda ranges: ranges * 9)}
+        dict.fromkeys(LIMITS, SINGLES)
+        | {"ranges": st.lists(SINGLES, max_size=40).map(lambda ranges: ranges * 9)}
     ),
     messages.HAZARDS: st.lists(st.integers(0, 255), max_size=3).map(
         lambda numbers: {"detections": [{"type": number} for number in numbers]}
@@ -59,9 +78,13 @@ def said(draw: st.DrawFn, rig: Rig) -> tuple[str, bytes]:
     if draw(st.booleans()):
         return topic, draw(st.binary(max_size=300))
     at_s = rig.clock.now_s + draw(st.sampled_from([0.0, 0.0, 0.0, 1.0, -1.3, -3.0, 1e6, -1e6]))
-    made = ROS.write(name, draw(FIELDS[name]) | ({} if name == messages.BOOL else {"header": header(at_s)}))
+    made = ROS.write(
+        name, draw(FIELDS[name]) | ({} if name == messages.BOOL else {"header": header(at_s)})
+    )
     at = draw(st.integers(0, len(made)))
-    return topic, draw(st.just(made) | st.just(made[:at] + draw(st.binary(max_size=8)) + made[at + 8 :]))
+    return topic, draw(
+        st.just(made) | st.just(made[:at] + draw(st.binary(max_size=8)) + made[at + 8 :])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +92,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("hostile")
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None
+)
 @given(st.data())
 def test_whatever_it_says_there_is_a_frame_that_can_be_sent_and_a_command_that_is_one(
     folder: Path, data: st.DataObject

@@ -23,7 +23,13 @@ MOST_M = 12.0
 STEP = math.tau / 360
 #: The scanner of a TurtleBot 3: LDS-01, 0 where nothing comes back; and LDS-02, which leaves some beams out as well.
 LDS_01 = {"angle_max": math.tau, "angle_increment": STEP, "range_min": 0.12, "range_max": 3.5}
-LDS_02 = {"angle_min": 0.01, "angle_max": 6.26, "angle_increment": 6.25 / 240, "range_min": 0.0, "range_max": 100.0}
+LDS_02 = {
+    "angle_min": 0.01,
+    "angle_max": 6.26,
+    "angle_increment": 6.25 / 240,
+    "range_min": 0.0,
+    "range_max": 100.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +45,9 @@ def after(rig: Rig, ranges: object, **fields: float) -> Rig:
 
 
 @pytest.mark.parametrize(
-    "value", [-INF, NAN, 0.0, 0.01, 0.05, -1.0, 12.1, 65.533, 1e30], ids=lambda value: f"all {value}"
+    "value",
+    [-INF, NAN, 0.0, 0.01, 0.05, -1.0, 12.1, 65.533, 1e30],
+    ids=lambda value: f"all {value}",
 )
 def test_a_scanner_that_sees_nothing_is_no_free_way(rig: Rig, value: float) -> None:
     assert after(rig, [value] * 360).ways() == "left right"
@@ -54,7 +62,9 @@ WRONG: list[dict[str, float]] = [
 
 
 @pytest.mark.parametrize("fields", WRONG, ids=str)
-def test_what_cannot_be_a_scan_is_refused_and_no_free_way(rig: Rig, fields: dict[str, float]) -> None:
+def test_what_cannot_be_a_scan_is_refused_and_no_free_way(
+    rig: Rig, fields: dict[str, float]
+) -> None:
     refused = rig.senses.refused[SCAN]
     assert after(rig, [5.0] * 360, **fields).ways() == "left right"
     assert rig.senses.refused[SCAN] == refused + 1
@@ -71,8 +81,12 @@ def test_scan_is_refused_when_its_count_contradicts_its_angles(rig: Rig, beams: 
 
 
 @pytest.mark.parametrize("value", [-INF, NAN, 0.0, -1.0, 1e-30, 0.01, 12.1], ids=str)
-@pytest.mark.parametrize(("middle", "others"), [(0, "backward left right"), (180, "forward left right")])
-def test_only_the_way_is_closed_when_its_beams_are_invalid(rig: Rig, value: float, middle: int, others: str) -> None:
+@pytest.mark.parametrize(
+    ("middle", "others"), [(0, "backward left right"), (180, "forward left right")]
+)
+def test_only_the_way_is_closed_when_its_beams_are_invalid(
+    rig: Rig, value: float, middle: int, others: str
+) -> None:
     """All other gates are open: the invalid beams alone close the way."""
     ranges = np.full(360, 5.0, np.float32)
     ranges[np.arange(middle - 10, middle + 11) % 360] = value
@@ -87,7 +101,9 @@ def test_few_beams_are_no_free_way(rig: Rig, beams: int) -> None:
 @st.composite
 def scans(draw: st.DrawFn) -> tuple[list[float], dict[str, float]]:
     """Make scans of scanners that are more or less broken."""
-    value = st.sampled_from([0.0, -INF, INF, NAN, 0.05, 0.3, STOP_M, 5.0, MOST_M, 13.0]) | st.floats(width=32)
+    value = st.sampled_from(
+        [0.0, -INF, INF, NAN, 0.05, 0.3, STOP_M, 5.0, MOST_M, 13.0]
+    ) | st.floats(width=32)
     beams = draw(st.sampled_from([120, 360]) | st.integers(0, 400))
     ranges = [draw(st.sampled_from([5.0, 5.0, INF, INF, 0.0, NAN]))] * beams
     for _ in range(draw(st.integers(0, 3))):
@@ -96,8 +112,14 @@ def scans(draw: st.DrawFn) -> tuple[list[float], dict[str, float]]:
         ranges[begin : begin + size] = [draw(value)] * len(ranges[begin : begin + size])
     begin = draw(st.floats(-4, 4, width=32))
     turn = draw(st.sampled_from([6.2, 6.2, -6.2]) | st.floats(-7, 7))
-    fields = {"angle_min": begin, "angle_max": begin + turn, "angle_increment": turn / max(1, beams - 1)}
-    wrong = st.dictionaries(st.sampled_from([*fields, "range_min", "range_max"]), st.floats(width=32), max_size=1)
+    fields = {
+        "angle_min": begin,
+        "angle_max": begin + turn,
+        "angle_increment": turn / max(1, beams - 1),
+    }
+    wrong = st.dictionaries(
+        st.sampled_from([*fields, "range_min", "range_max"]), st.floats(width=32), max_size=1
+    )
     return ranges, fields | draw(st.just({}) | wrong)
 
 
@@ -128,7 +150,9 @@ def test_only_a_scan_that_tells_of_the_whole_way_that_it_is_free_makes_it_free(
     st.integers(60, 720),
     st.floats(-math.pi, math.pi),
     st.sampled_from([-1, 1]),
-    st.lists(st.sampled_from([INF, MOST_M, STOP_M]) | st.floats(0.5, 11.5), min_size=1, max_size=20),
+    st.lists(
+        st.sampled_from([INF, MOST_M, STOP_M]) | st.floats(0.5, 11.5), min_size=1, max_size=20
+    ),
 )
 def test_where_all_beams_say_so_the_way_is_free(
     rig: Rig, beams: int, begin: float, sense: int, values: list[float]
@@ -189,6 +213,9 @@ def test_what_is_too_near_to_be_measured_is_near(rig: Rig) -> None:
     ranges = [5.0] * 360
     ranges[3] = -INF
     after(rig, ranges)
-    with pytest.raises(ServiceError, match=r"something is 0\.00 m ahead \(/scan\); it stands until it is armed again"):
+    with pytest.raises(
+        ServiceError,
+        match=r"something is 0\.00 m ahead \(/scan\); it stands until it is armed again",
+    ):
         rig.body.drive(KEYS["forward"])
     assert rig.may_go("backward")

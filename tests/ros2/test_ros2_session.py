@@ -48,7 +48,9 @@ class Place:
     def start_robot(self) -> Callable[[bool], None]:
         """Start the robot's process; return what says whether its button is pressed."""
         options = {"humble": False, "clock_offset": 0.0}
-        robot = Ros("robot", SimpleNamespace(endpoint=self.endpoint, dialect=self.dialect, **options))
+        robot = Ros(
+            "robot", SimpleNamespace(endpoint=self.endpoint, dialect=self.dialect, **options)
+        )
         say = robot.publisher("button", BOOL, latched=self.latched)
         self.robot = robot
         return lambda pressed: say(data=pressed)
@@ -84,12 +86,16 @@ def stack() -> Iterator[ExitStack]:
 
 
 @pytest.fixture(params=["rmw_zenoh", "zenoh-bridge-ros2dds"])
-def make(request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack) -> Callable[[bool], Place]:
+def make(
+    request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack
+) -> Callable[[bool], Place]:
     """Return what makes a place, whose button's last word is kept or not."""
     return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
 
 
-def test_age_is_at_least_the_delay_when_a_link_is_late(make: Callable[[bool], Place], stack: ExitStack) -> None:
+def test_age_is_at_least_the_delay_when_a_link_is_late(
+    make: Callable[[bool], Place], stack: ExitStack
+) -> None:
     """The link is late from the first picture on; the least delay counted as none, so pictures were 0.0 s old."""
     place = make(False)
     place.start_robot()
@@ -135,7 +141,9 @@ def released(senses: Senses) -> bool:
     return not unheard(senses) and senses.forbids("left") is None
 
 
-def test_a_button_that_was_pressed_before_we_came_is_seen(make: Callable[[bool], Place], stack: ExitStack) -> None:
+def test_a_button_that_was_pressed_before_we_came_is_seen(
+    make: Callable[[bool], Place], stack: ExitStack
+) -> None:
     place = make(True)
     say = place.start_robot()
     say(True)
@@ -222,13 +230,27 @@ def test_a_car_is_told_its_speed_and_its_steering_angle(
     eventually(lambda: place.session.lacks() is None)
     left_rad = math.atan(0.3 / 0.6)
     # To the left, the same in backing, straight on, and standing.
-    for ahead_m_s, turn_rad_s, angle_rad in ((0.6, 1, left_rad), (-0.6, 1, -left_rad), (0.6, 0, 0), (0, 0, 0)):
+    for ahead_m_s, turn_rad_s, angle_rad in (
+        (0.6, 1, left_rad),
+        (-0.6, 1, -left_rad),
+        (0.6, 0, 0),
+        (0, 0, 0),
+    ):
         expected = pytest.approx((ahead_m_s, angle_rad), rel=1e-6)
-        eventually(lambda: (place.session.send(ahead_m_s, turn_rad_s, 5.0), told and told[-1] == expected)[1])  # noqa: B023
+
+        def drives_so(
+            order: tuple[float, float] = (ahead_m_s, turn_rad_s), as_told: object = expected
+        ) -> bool:
+            place.session.send(*order, 5.0)
+            return bool(told) and told[-1] == as_told
+
+        eventually(drives_so)
 
 
 def test_no_robot_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.ros2.session.PATIENCE_MS", 300)
     config = read_config(Place.config(tmp_path, nowhere := free_endpoint(), "rmw_zenoh"))
-    with pytest.raises(ServiceError, match=rf"^base: no Zenoh router at {nowhere}; on the robot start rmw_zenohd"):
+    with pytest.raises(
+        ServiceError, match=rf"^base: no Zenoh router at {nowhere}; on the robot start rmw_zenohd"
+    ):
         Ros2Session(config, Senses(config))

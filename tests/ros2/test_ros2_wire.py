@@ -36,7 +36,9 @@ DIALECT = RmwZenoh(JAZZY, 0, "")
 
 def test_reads_what_a_real_node_attached_and_told_of_itself() -> None:
     attached = read_attachment(ATTACHED)
-    assert attached == Attachment(216, 1784824452167621172, bytes.fromhex("f07168d3856ce9f689254cbed6252151"))
+    assert attached == Attachment(
+        216, 1784824452167621172, bytes.fromhex("f07168d3856ce9f689254cbed6252151")
+    )
     assert attached.write() == ATTACHED
     assert DIALECT.read_token(SAID) == Endpoint("MP", "/chatter", STRING, "TypeHashNotSupported")
     assert gid_of(SAID) == attached.gid
@@ -44,7 +46,10 @@ def test_reads_what_a_real_node_attached_and_told_of_itself() -> None:
 
 def test_writes_the_key_and_the_token_of_that_node() -> None:
     humble = RmwZenoh(Messages("humble"), 0, "", node="_ros2cli_712", hashed=False)
-    assert humble.key("/chatter", STRING) == "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
+    assert (
+        humble.key("/chatter", STRING)
+        == "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
+    )
     endpoint = Endpoint("MP", "/chatter", STRING, humble.type_hash(STRING))
     token = humble.endpoint_token(
         "9ca0f8facf84ffb1e6bfa4f2500889f0", 3, endpoint, Qos(reliable=True, depth=1, latched=True)
@@ -70,13 +75,20 @@ def test_whatever_is_attached_is_read_or_refused(data: bytes) -> None:
 @given(st.text(max_size=80))
 def test_whatever_a_token_says_is_read_or_refused(text: str) -> None:
     for dialect in (DIALECT, Bridge()):
-        for token in (text, f"@ros2_lv/0/a/0/1/MS/%/%/n/{text}/t/h/q", f"@/a/@ros2_lv/MS/{text}/{text}/q"):
+        for token in (
+            text,
+            f"@ros2_lv/0/a/0/1/MS/%/%/n/{text}/t/h/q",
+            f"@/a/@ros2_lv/MS/{text}/{text}/q",
+        ):
             dialect.read_token(token)
 
 
 def test_hashes_of_types_are_those_of_ros() -> None:
     # From its documentation and from the keys of running robots.
-    assert JAZZY.type_hash(STRING) == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    assert (
+        JAZZY.type_hash(STRING)
+        == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    )
     for name, digits in {
         messages.TWIST: "9c45bf16",
         messages.TWIST_STAMPED: "5f0fcd4f",
@@ -95,17 +107,23 @@ def test_another_implementation_makes_the_same_keys(type_name: str, topic: str) 
     assert other.entity_key(0, topic, type_name, type_hash) == DIALECT.key(topic, type_name)
     assert other.dds_type_name(type_name) == dds_type(type_name)
     assert ros_type(dds_type(type_name)) == type_name
-    token = DIALECT.endpoint_token("ab", 1, Endpoint("MS", topic, type_name, type_hash), Qos(reliable=False, depth=5))
+    token = DIALECT.endpoint_token(
+        "ab", 1, Endpoint("MS", topic, type_name, type_hash), Qos(reliable=False, depth=5)
+    )
     assert token.split("/")[9] == other.percent_mangle(topic)
     assert DIALECT.read_token(token) == Endpoint("MS", topic, type_name, type_hash)
     assert bytes(other.type_hash_digest(type_hash) or ()).hex() == type_hash.removeprefix("RIHS01_")
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5))
-def test_another_implementation_reads_our_velocities_and_we_read_its(ahead: float, turn: float) -> None:
+def test_another_implementation_reads_our_velocities_and_we_read_its(
+    ahead: float, turn: float
+) -> None:
     written = JAZZY.velocity(ahead, turn, None)
     assert other.twist_from_cdr(written) == ((ahead, 0.0, 0.0), (0.0, 0.0, turn))
-    read = JAZZY.read(messages.TWIST, bytes(other.twist_to_cdr((ahead, 0.0, 0.0), (0.0, 0.0, turn))))
+    read = JAZZY.read(
+        messages.TWIST, bytes(other.twist_to_cdr((ahead, 0.0, 0.0), (0.0, 0.0, turn)))
+    )
     assert (read.linear.x, read.angular.z) == (ahead, turn)
 
 

@@ -4,7 +4,19 @@ from pathlib import Path
 
 import numpy as np
 
-_FIELDS = ("t_s", "x", "y", "heading", "ahead_m_s", "turn_rad_s", "collided", "orders", "put", "put_x", "put_y")
+_FIELDS = (
+    "t_s",
+    "x",
+    "y",
+    "heading",
+    "ahead_m_s",
+    "turn_rad_s",
+    "collided",
+    "orders",
+    "put",
+    "put_x",
+    "put_y",
+)
 _FIELDS += ("put_heading", "was_put", "victim", "frames", "ordered_s")
 
 

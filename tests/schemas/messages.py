@@ -29,12 +29,19 @@ from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
 
-HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp_ns": 1_700_000_000_000_000_000}
+HEADER = {
+    "robot": "rescuebot",
+    "episode": "drive-7-18c0-1",
+    "tick": 300,
+    "stamp_ns": 1_700_000_000_000_000_000,
+}
 
 #: One of each class; ``golden.json`` holds their bytes.
 EXAMPLES: dict[type[Message], Message] = {
     CompressedImage: CompressedImage(**HEADER, width=2, height=1, data=b"\xff\xd8\xff\xd9"),
-    CameraInfo: CameraInfo(**HEADER, width=640, height=480, focal_px=500.5, centre_x_px=320.0, centre_y_px=239.5),
+    CameraInfo: CameraInfo(
+        **HEADER, width=640, height=480, focal_px=500.5, centre_x_px=320.0, centre_y_px=239.5
+    ),
     DepthImage: DepthImage(**HEADER, width=2, height=1, data=bytes(range(4))),
     OverheadImage: OverheadImage(
         **HEADER,
@@ -42,17 +49,31 @@ EXAMPLES: dict[type[Message], Message] = {
         height=1,
         data=b"\xff\xd8\xff\xd9",
         calibration=Calibration(
-            focal_px=900.0, centre_x_px=1.0, centre_y_px=0.5, x_m=4.0, y_m=3.0, height_m=4.5, up_rad=1.5
+            focal_px=900.0,
+            centre_x_px=1.0,
+            centre_y_px=0.5,
+            x_m=4.0,
+            y_m=3.0,
+            height_m=4.5,
+            up_rad=1.5,
         ),
     ),
-    Odometry: Odometry(**HEADER, x_m=2.5, y_m=-0.25, heading_rad=0.125, speed_m_s=0.4, turn_rate_rad_s=-0.5),
+    Odometry: Odometry(
+        **HEADER, x_m=2.5, y_m=-0.25, heading_rad=0.125, speed_m_s=0.4, turn_rate_rad_s=-0.5
+    ),
     Imu: Imu(
         **HEADER,
         samples=(
-            ImuSample(after_s=29.98, angular_velocity_rad_s=(0.0, 0.125, -0.5), acceleration_m_s2=(0.25, 0.0, 9.8125)),
+            ImuSample(
+                after_s=29.98,
+                angular_velocity_rad_s=(0.0, 0.125, -0.5),
+                acceleration_m_s2=(0.25, 0.0, 9.8125),
+            ),
         ),
     ),
-    TrackedPose: TrackedPose(**HEADER, visible=True, x_m=12.5, y_m=-3.25, heading_rad=1.5, error_px=0.25),
+    TrackedPose: TrackedPose(
+        **HEADER, visible=True, x_m=12.5, y_m=-3.25, heading_rad=1.5, error_px=0.25
+    ),
     Pose: Pose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
     Observation: Observation(
         **HEADER,
@@ -64,7 +85,9 @@ EXAMPLES: dict[type[Message], Message] = {
     TaughtMap: TaughtMap(
         **HEADER,
         model="0123456789abcdef",
-        keyframes=Float32Array.from_numpy(np.array([[0.0, 0.0, 0.0], [1.5, -0.25, 0.5], [0, 0, 3]], np.float32)),
+        keyframes=Float32Array.from_numpy(
+            np.array([[0.0, 0.0, 0.0], [1.5, -0.25, 0.5], [0, 0, 3]], np.float32)
+        ),
         begins=(0, 2),
     ),
     State: State(
@@ -81,8 +104,12 @@ EXAMPLES: dict[type[Message], Message] = {
     ),
     Action: Action(**HEADER, kind="follow", state=7, atoms=("forward",)),
     Pulse: Pulse(**HEADER, session="fedcba987654", number=41, emergency_stop=3, stop_cause="fault"),
-    Heartbeat: Heartbeat(**HEADER, session="0123456789abcdef", name="teleop", sequence=7, answers=41),
-    Command: Command(**HEADER, source="teleop", session="0123456789abcdef", sequence=2, atom="forward", speed=0.5),
+    Heartbeat: Heartbeat(
+        **HEADER, session="0123456789abcdef", name="teleop", sequence=7, answers=41
+    ),
+    Command: Command(
+        **HEADER, source="teleop", session="0123456789abcdef", sequence=2, atom="forward", speed=0.5
+    ),
     CommandApplied: CommandApplied(
         **HEADER,
         sequence=1,
@@ -97,7 +124,14 @@ EXAMPLES: dict[type[Message], Message] = {
         refused=3,
     ),
     Episode: Episode(
-        **HEADER, event="ended", purpose="drive", driver="teleop", world="campus", seed=7, outcome="found", judge="task"
+        **HEADER,
+        event="ended",
+        purpose="drive",
+        driver="teleop",
+        world="campus",
+        seed=7,
+        outcome="found",
+        judge="task",
     ),
 }
 EXAMPLES[Snapshot] = Snapshot(
@@ -120,7 +154,9 @@ _OWN: dict[str, st.SearchStrategy[object]] = {
     "goal": st.from_regex(r"\w[\w .-]{0,63}", fullmatch=True),
     "box": st.none() | st.tuples(*[st.floats(0.0, 0.4)] * 2, *[st.floats(0.5, 1.0)] * 2),
 }
-_requests = st.builds(LoadRequest, model=st.from_regex(r"[a-z]{1,9}(/[a-z]{1,9})?", fullmatch=True), goal=_OWN["goal"])
+_requests = st.builds(
+    LoadRequest, model=st.from_regex(r"[a-z]{1,9}(/[a-z]{1,9})?", fullmatch=True), goal=_OWN["goal"]
+)
 
 
 def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
@@ -128,13 +164,19 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     origin = get_origin(kind)
     arguments = get_args(kind)
     if origin is Annotated:
-        more = [rule for one in arguments[1:] for rule in (one.metadata if isinstance(one, FieldInfo) else [one])]
+        more = [
+            rule
+            for one in arguments[1:]
+            for rule in (one.metadata if isinstance(one, FieldInfo) else [one])
+        ]
         return _any_of(arguments[0], [*rules, *more])
     if origin in (Union, UnionType):
         return st.one_of(*(_any_of(one, rules) for one in arguments))
     if origin is Literal:
         return st.sampled_from(arguments)
-    bounds = {name: value for rule in rules for name, value in _named(rule).items() if value is not None}
+    bounds = {
+        name: value for rule in rules for name, value in _named(rule).items() if value is not None
+    }
     if origin is tuple:
         least = bounds.get("min_length", 0)
         most = min(bounds.get("max_length", 9), 100)
@@ -143,7 +185,9 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     if kind in (Float32Array, LoadRequest):
         return _arrays if kind is Float32Array else _requests
     if isinstance(kind, type) and issubclass(kind, Strict):
-        return messages_of(kind) if issubclass(kind, Message) else st.builds(kind, **_fields_of(kind))
+        return (
+            messages_of(kind) if issubclass(kind, Message) else st.builds(kind, **_fields_of(kind))
+        )
     if kind is str and "pattern" in bounds:
         return st.from_regex(bounds["pattern"].strip("^$"), fullmatch=True)
     size = {"min_size": bounds.get("min_length", 0), "max_size": bounds.get("max_length", 99)}
@@ -160,13 +204,19 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
 
 
 def _named(rule: Any) -> dict[str, Any]:
-    return {name: getattr(rule, name, None) for name in ("ge", "gt", "le", "lt", "min_length", "max_length", "pattern")}
+    return {
+        name: getattr(rule, name, None)
+        for name in ("ge", "gt", "le", "lt", "min_length", "max_length", "pattern")
+    }
 
 
 def _fields_of(cls: type[Strict]) -> dict[str, st.SearchStrategy[Any]]:
     fields = cls.model_fields.items()
     own = _OWN if issubclass(cls, Message) else {}
-    return {name: own[name] if name in own else _any_of(field.annotation, field.metadata) for name, field in fields}
+    return {
+        name: own[name] if name in own else _any_of(field.annotation, field.metadata)
+        for name, field in fields
+    }
 
 
 def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
@@ -204,7 +254,9 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
         else:
             fields["model"] = fields["model"] or "0123456789abcdef"
         total = max(sum(place.weight for place in fields["places"]), 1.0)
-        fields["places"] = tuple(one.model_copy(update={"weight": one.weight / total}) for one in fields["places"])
+        fields["places"] = tuple(
+            one.model_copy(update={"weight": one.weight / total}) for one in fields["places"]
+        )
         of_paper = fields["status"] == "recognized" and not fields["places"]
         fields["state"] = (fields["state"] or 0) if of_paper else None
     return fields
@@ -224,4 +276,6 @@ def golden_of(cls: type[Message]) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    GOLDEN.write_text(json.dumps({cls.__name__: golden_of(cls) for cls in CLASSES}, indent=2) + "\n")
+    GOLDEN.write_text(
+        json.dumps({cls.__name__: golden_of(cls) for cls in CLASSES}, indent=2) + "\n"
+    )

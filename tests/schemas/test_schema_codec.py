@@ -61,7 +61,9 @@ def test_truncated_at_every_byte_trailing_and_oversized(cls: type[Message]) -> N
     ],
 )
 def test_another_encoding_name_or_version(encoding: str) -> None:
-    assert "expected application/vnd.msgpack;smal.Command/1" in refusal(Command, encode(EXAMPLES[Command]), encoding)
+    assert "expected application/vnd.msgpack;smal.Command/1" in refusal(
+        Command, encode(EXAMPLES[Command]), encoding
+    )
 
 
 LARGEST_OF_EACH = [
@@ -75,7 +77,8 @@ LARGEST_OF_EACH = [
         EXAMPLES[CompressedImage],
         status="recognized",
         model="f" * 64,
-        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.01),) * MAX_PLACES,
+        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.01),)
+        * MAX_PLACES,
         lost=0.1,
         cosine=0.1,
         tracked_m=0.1,
@@ -83,13 +86,22 @@ LARGEST_OF_EACH = [
     Imu.after(
         EXAMPLES[CompressedImage],
         samples=tuple(
-            ImuSample(after_s=k + 0.1, angular_velocity_rad_s=(0.1,) * 3, acceleration_m_s2=(0.1,) * 3)
+            ImuSample(
+                after_s=k + 0.1, angular_velocity_rad_s=(0.1,) * 3, acceleration_m_s2=(0.1,) * 3
+            )
             for k in range(MAX_SAMPLES)
         ),
     ),
-    Action.after(EXAMPLES[CompressedImage], kind="look_around", state=1_000_000, atoms=("backward",) * 1000),
+    Action.after(
+        EXAMPLES[CompressedImage], kind="look_around", state=1_000_000, atoms=("backward",) * 1000
+    ),
     Episode.after(
-        EXAMPLES[CompressedImage], event="started", purpose="recovery", driver="emergency_stop", world="é" * 255, seed=1
+        EXAMPLES[CompressedImage],
+        event="started",
+        purpose="recovery",
+        driver="emergency_stop",
+        world="é" * 255,
+        seed=1,
     ),
 ]
 
@@ -114,8 +126,15 @@ def test_any_bytes(cls: type[Message], payload: bytes) -> None:
 
 
 plain = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
-    lambda parts: st.lists(parts, max_size=4) | st.dictionaries(st.text() | st.binary(), parts, max_size=4),
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats()
+    | st.text()
+    | st.binary(),
+    lambda parts: (
+        st.lists(parts, max_size=4) | st.dictionaries(st.text() | st.binary(), parts, max_size=4)
+    ),
 )
 
 
@@ -162,7 +181,9 @@ def blown_up(leaf: bytes, size: int) -> bytes:
     return bytes([0x90 + count]) + block * count
 
 
-@pytest.mark.parametrize("leaf", [b"\x80", b"\x90", b"\x91\xc0", b"\x81\xa1a\xc0", b"\xcd\xff\xff"], ids=bytes.hex)
+@pytest.mark.parametrize(
+    "leaf", [b"\x80", b"\x90", b"\x91\xc0", b"\x81\xa1a\xc0", b"\xcd\xff\xff"], ids=bytes.hex
+)
 def test_four_megabytes_of_containers_cost_little(leaf: bytes) -> None:
     """By default msgpack makes 280 MB of them, which also takes a second."""
     payload = blown_up(leaf, 4_000_000)
@@ -185,16 +206,23 @@ def test_a_large_valid_message_is_not_copied_needlessly() -> None:
 
 
 def test_a_strangers_field_name_cannot_forge_a_log_line() -> None:
-    payload = msgpack.packb(EXAMPLES[Command].model_dump() | {"x\n12:00 INFO all is well\x1b[2J": 1})
+    payload = msgpack.packb(
+        EXAMPLES[Command].model_dump() | {"x\n12:00 INFO all is well\x1b[2J": 1}
+    )
     assert "Extra inputs" in refusal(Command, payload)
 
 
 def test_describe_names_the_field_and_counts_the_others() -> None:
-    with pytest.raises(DecodeError, match=r"^smal.Observation/1: robot: Field required \(and 5 more\)$"):
+    with pytest.raises(
+        DecodeError, match=r"^smal.Observation/1: robot: Field required \(and 5 more\)$"
+    ):
         decode(Observation, b"\x80", encoding_of(Observation))
 
 
 def test_an_observation_is_read_when_it_is_full_of_detections() -> None:
-    found = tuple(Detected(label=f"boxes {k}", score=0.5, box=(0.0, 0.0, 1.0, 1.0)) for k in range(MOST_DETECTED))
+    found = tuple(
+        Detected(label=f"boxes {k}", score=0.5, box=(0.0, 0.0, 1.0, 1.0))
+        for k in range(MOST_DETECTED)
+    )
     full = EXAMPLES[Observation].model_copy(update={"detected": found})
     assert decode(Observation, encode(full), encoding_of(Observation)) == full

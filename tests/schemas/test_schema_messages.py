@@ -47,7 +47,9 @@ def test_round_trip(message: Message) -> None:
 def test_every_field_and_message_is_documented(cls: type[Message]) -> None:
     schema = cls.model_json_schema()
     assert schema["description"]
-    assert [name for name, field in schema["properties"].items() if not field.get("description")] == []
+    assert [
+        name for name, field in schema["properties"].items() if not field.get("description")
+    ] == []
 
 
 def altered(cls: type[Message], **fields: object) -> Message:
@@ -90,8 +92,14 @@ def test_fields_that_lack_or_are_wrong_or_unknown_are_refused(cls: type[Message]
         (Observation, {"features": {"dtype": "float64", "shape": (1,), "data": bytes(4)}}),
         (Observation, {"features": {"dtype": "float32", "shape": (), "data": bytes(4)}}),
         (Observation, {"features": {"dtype": "float32", "shape": (-1,), "data": b""}}),
-        (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000c07f")}}),
-        (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000807f")}}),
+        (
+            Observation,
+            {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000c07f")}},
+        ),
+        (
+            Observation,
+            {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000807f")}},
+        ),
         (Observation, {"fingerprint": "xyz"}),
         (State, {"status": "unknown", "state": 7}),
         (State, {"state": 7}),
@@ -120,7 +128,9 @@ def test_contradictions_are_refused(cls: type[Message], fields: dict[str, object
 @given(st.sampled_from(CLASSES), st.data())
 def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObject) -> None:
     choices = [
-        n for n in ("atom", "source", "reason", "kind", "status", "event", "purpose", "driver") if n in cls.model_fields
+        n
+        for n in ("atom", "source", "reason", "kind", "status", "event", "purpose", "driver")
+        if n in cls.model_fields
     ]
     if choices:
         name = data.draw(st.sampled_from(choices))
@@ -129,9 +139,14 @@ def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObj
             altered(cls, **{name: word})
 
 
-@pytest.mark.parametrize("wrong", [{"atom": "up"}, {"speed": 2.0}, {"speed": "fast"}, {"speed": math.nan}], ids=str)
+@pytest.mark.parametrize(
+    "wrong", [{"atom": "up"}, {"speed": 2.0}, {"speed": "fast"}, {"speed": math.nan}], ids=str
+)
 def test_command_is_a_velocity_when_a_key_is_given(wrong: dict[str, object]) -> None:
-    fields = EXAMPLES[Command].model_dump(exclude={"linear", "angular"}) | {"atom": "left", "speed": 0.5}
+    fields = EXAMPLES[Command].model_dump(exclude={"linear", "angular"}) | {
+        "atom": "left",
+        "speed": 0.5,
+    }
     assert Command.model_validate(fields).velocity == (0.0, 0.5)
     with pytest.raises(ValidationError):
         Command.model_validate(fields | wrong)

@@ -26,6 +26,8 @@ def test_foreign_keys_are_no_topics(key: str) -> None:
     assert topic_of(key) is None
 
 
-@pytest.mark.parametrize("key", ["smal/Bad/state", "smal//state", "state", "smal/a/state/", "smal/*/state", "smal/a/"])
+@pytest.mark.parametrize(
+    "key", ["smal/Bad/state", "smal//state", "state", "smal/a/state/", "smal/*/state", "smal/a/"]
+)
 def test_malformed_keys_are_no_topics(key: str) -> None:
     assert topic_of(key) is None

@@ -53,7 +53,9 @@ def observation(tick: int, place: int | None = None, episode: str = "e") -> Obse
     """Return the observation of `image`."""
     vector = extract(decode_jpeg(image(tick, place, episode).data), FEATURES)
     return Observation.after(
-        image(tick, place, episode), fingerprint=FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
+        image(tick, place, episode),
+        fingerprint=FEATURES.fingerprint,
+        features=Float32Array.from_numpy(vector),
     )
 
 
@@ -61,7 +63,9 @@ def seen(tick: int, pose: Pose | None = None, episode: str = "e") -> Observation
     """Return the observation at a pose in the corridor, by default where it was taught at that tick."""
     vector = extract(corridor.view(*(pose or corridor.pose(tick))), corridor.FEATURES)
     return Observation.after(
-        image(tick, 0, episode), fingerprint=corridor.FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
+        image(tick, 0, episode),
+        fingerprint=corridor.FEATURES.fingerprint,
+        features=Float32Array.from_numpy(vector),
     )
 
 
@@ -69,7 +73,12 @@ def wheels(tick: int, pose: Pose | None = None, episode: str = "e") -> Odometry:
     """Return the odometry at a pose in the corridor, by default where it was taught at that tick."""
     x_m, y_m, heading_rad = pose or corridor.pose(tick)
     return Odometry.after(
-        image(tick, 0, episode), x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0
+        image(tick, 0, episode),
+        x_m=x_m,
+        y_m=y_m,
+        heading_rad=heading_rad,
+        speed_m_s=2.0,
+        turn_rate_rad_s=0.0,
     )
 
 
@@ -93,7 +102,9 @@ def save_model(path: Path, frames: int = 18) -> Path:
     vectors = np.stack([extract(picture(place), FEATURES) for place in range(frames)])
     atoms = np.full(frames, Atom.FORWARD, dtype=np.int8)
     atoms[9] = Atom.LEFT
-    model = learn([Demonstration("drive", vectors, atoms)], LearningSettings(sequence_length=LENGTH))
+    model = learn(
+        [Demonstration("drive", vectors, atoms)], LearningSettings(sequence_length=LENGTH)
+    )
     model.save(path)
     return path
 
@@ -102,7 +113,9 @@ def save_model(path: Path, frames: int = 18) -> Path:
 def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Popen[str]]:
     """Run a service as a process; it must end with status 0 at SIGTERM."""
     child = subprocess.Popen(
-        [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags], stderr=subprocess.PIPE, text=True
+        [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags],
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         yield child

@@ -24,11 +24,16 @@ def make_keys(folder: Path, days: float = certificates.DAYS, robot: str = ROBOT)
 
 
 def open_session(
-    endpoint: str, credentials: Credentials, more: dict[str, object] | None = None, mode: str = "client"
+    endpoint: str,
+    credentials: Credentials,
+    more: dict[str, object] | None = None,
+    mode: str = "client",
 ) -> zenoh.Session:
     """Open a session as a stranger's program might: with our settings, and whatever else it likes."""
     config = zenoh.Config()
-    for key, value in (settings_of("client", endpoint, credentials) | {"mode": mode} | (more or {})).items():
+    for key, value in (
+        settings_of("client", endpoint, credentials) | {"mode": mode} | (more or {})
+    ).items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 
@@ -45,7 +50,10 @@ def secured_router(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
 def sessions(endpoint: str, keys: Path, roles: list[str]) -> Iterator[dict[str, zenoh.Session]]:
     """Open a session of each role."""
     with ExitStack() as stack:
-        yield {role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role)))) for role in roles}
+        yield {
+            role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role))))
+            for role in roles
+        }
 
 
 def certificate_in(keys: Path, role: str) -> Certificate:

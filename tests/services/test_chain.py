@@ -109,14 +109,18 @@ def test_features_turns_every_frame_into_its_observation(
 
 
 @pytest.mark.usefixtures("recognition")
-def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State], model: Path) -> None:
+def test_recognition_knows_where_the_robot_is(
+    client: Bus, listen: Listen[State], model: Path
+) -> None:
     heard = listen(topics.STATE, State)
     until_heard(client, observation(99, episode="hello"), heard)
     malformed(client, "recognition", topics.OBSERVATION)
     for tick in range(LENGTH):
         client.publish(observation(tick, place=6 + tick))
         eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
-    assert [heard[tick].status for tick in range(LENGTH)] == ["collecting"] * (LENGTH - 1) + ["recognized"]
+    assert [heard[tick].status for tick in range(LENGTH)] == ["collecting"] * (LENGTH - 1) + [
+        "recognized"
+    ]
     answer = heard[LENGTH - 1]
     # Sequence 2 holds the places 6, 7 and 8.
     assert answer.state == 2
@@ -139,7 +143,9 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
         truncated.write_bytes(model.read_bytes()[:-7])
         with pytest.raises(RpcError, match="truncated"):
             client.call("recognition", "load", LoadRequest(model="truncated.smal"), LoadReply)
-        reply = client.call("recognition", "load", LoadRequest(model="whole.smal", scheme="paper"), LoadReply)
+        reply = client.call(
+            "recognition", "load", LoadRequest(model="whole.smal", scheme="paper"), LoadReply
+        )
         assert (reply.scheme, reply.stride) == ("paper", LENGTH)
 
 
@@ -188,7 +194,9 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
         assert commands[2 * LENGTH - 1].atom == "forward"
 
 
-def test_a_belief_drives_the_robot(client: Bus, router_endpoint: str, listen: Listen[Message], tmp_path: Path) -> None:
+def test_a_belief_drives_the_robot(
+    client: Bus, router_endpoint: str, listen: Listen[Message], tmp_path: Path
+) -> None:
     """By a map; odometry comes after the observation of its frame, or before it."""
     states = listen(topics.STATE, State)
     actions = listen(topics.ACTION, Action)
@@ -198,7 +206,10 @@ def test_a_belief_drives_the_robot(client: Bus, router_endpoint: str, listen: Li
         process("recognition", router_endpoint, "--model", str(mapped)),
         process("policy", router_endpoint, "--model", str(mapped)),
     ):
-        for service, message in (("recognition", seen(0, episode="hello")), ("policy", state(0, None))):
+        for service, message in (
+            ("recognition", seen(0, episode="hello")),
+            ("policy", state(0, None)),
+        ):
             ready(client, service)
             introduce(client, service, message)
         until_heard(client, wheels(99, episode="hello"), states, seen(99, episode="hello"))
@@ -212,4 +223,7 @@ def test_a_belief_drives_the_robot(client: Bus, router_endpoint: str, listen: Li
     assert commands[5].atom == "forward"
     assert actions[5].kind == "follow"
     assert states[10].places[0].keyframe == actions[10].state
-    assert (actions[corridor.FRAMES - 1].kind, commands[corridor.FRAMES - 1].atom) == ("goal", "stop")
+    assert (actions[corridor.FRAMES - 1].kind, commands[corridor.FRAMES - 1].atom) == (
+        "goal",
+        "stop",
+    )

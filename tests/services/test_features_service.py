@@ -47,7 +47,8 @@ def detail(client: Bus) -> Detail:
 def give(service: FeaturesService, *messages: CompressedImage | DepthImage) -> list[Observation]:
     """Give messages in this order, and return what came of them."""
     answers = [
-        service.handle(one) if isinstance(one, CompressedImage) else service.handle_depth(one) for one in messages
+        service.handle(one) if isinstance(one, CompressedImage) else service.handle_depth(one)
+        for one in messages
     ]
     return [answer for answer in answers if answer is not None]
 
@@ -65,7 +66,9 @@ def test_a_frame_is_published_once_both_its_images_are_there(depth_first: bool) 
 
 
 def test_what_a_detector_finds_goes_with_the_features_of_its_frame() -> None:
-    tag = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 5, 120)
+    tag = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 5, 120
+    )
     pixels = np.full((240, 320, 3), 255, dtype=np.uint8)
     pixels[60:180, 100:220] = tag[..., None]
     shown = image(1).model_copy(update={"data": encode_jpeg(pixels), "width": 320, "height": 240})
@@ -77,10 +80,15 @@ def test_what_a_detector_finds_goes_with_the_features_of_its_frame() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.sampled_from("ab")), max_size=20))
-def test_whatever_the_order_every_observation_is_of_one_frame(arrivals: list[tuple[bool, int, str]]) -> None:
+def test_whatever_the_order_every_observation_is_of_one_frame(
+    arrivals: list[tuple[bool, int, str]],
+) -> None:
     """Once for every colour image at most, with the features of that frame; the others are counted or wait."""
     service = FeaturesService(WITH_DEPTH)
-    sent = [(depth_image if is_depth else image)(tick, episode=episode) for is_depth, tick, episode in arrivals]
+    sent = [
+        (depth_image if is_depth else image)(tick, episode=episode)
+        for is_depth, tick, episode in arrivals
+    ]
     heard = give(service, *sent)
     for observation in heard:
         np.testing.assert_array_equal(observation.features.to_numpy(), features(observation.tick))
@@ -129,7 +137,10 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
             return detail(client)["without_depth"] > before["without_depth"]  # type: ignore[operator]
 
         eventually(counted)
-        assert (before["modalities"], before["fingerprint"]) == ("color depth", WITH_DEPTH.fingerprint)
+        assert (before["modalities"], before["fingerprint"]) == (
+            "color depth",
+            WITH_DEPTH.fingerprint,
+        )
     for tick in (5, 6):
         np.testing.assert_array_equal(heard[tick].features.to_numpy(), features(tick))
     assert sorted(heard) == [5, 6]
@@ -146,6 +157,8 @@ def test_the_service_needs_no_scipy() -> None:
         "names = [name for name in MODALITIES if name != 'depth']\n"
         "print(extract(np.zeros((48, 64, 3), dtype=np.uint8), FeatureSettings.of(names)).size)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 8244

@@ -30,30 +30,56 @@ def of_kind(objects: list[Object], *kinds: str) -> dict[str, Object]:
 @overlays
 def test_the_api_takes_them(objects: list[Object]) -> None:
     for one in objects:
-        if one["kind"] == "DaskCluster":  # Whose schema its operator brings; of its pods the API's own.
+        if (
+            one["kind"] == "DaskCluster"
+        ):  # Whose schema its operator brings; of its pods the API's own.
             for pod in pods_of(one):
-                as_pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "pod"}, "spec": pod}
-                kubernetes_validate.validate(as_pod, kubernetes_validate.latest_version(), strict=True)
+                as_pod = {
+                    "apiVersion": "v1",
+                    "kind": "Pod",
+                    "metadata": {"name": "pod"},
+                    "spec": pod,
+                }
+                kubernetes_validate.validate(
+                    as_pod, kubernetes_validate.latest_version(), strict=True
+                )
         else:
             kubernetes_validate.validate(one, kubernetes_validate.latest_version(), strict=True)
 
 
 @overlays
-def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certificate(objects: list[Object]) -> None:
+def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certificate(
+    objects: list[Object],
+) -> None:
     workloads = of_kind(objects, "Deployment", "StatefulSet")
     assert workloads.keys() == set(stack_services())
     for name, one in workloads.items():
         row = SERVICES[name]
         template = one["spec"]["template"]
         (container,) = containers(one)
-        assert one["spec"]["selector"]["matchLabels"] == template["metadata"]["labels"] == {"role": name}
+        assert (
+            one["spec"]["selector"]["matchLabels"]
+            == template["metadata"]["labels"]
+            == {"role": name}
+        )
         assert container["command"] == ["python", *row.command]
         assert re.search(rf"\bsmal-{row.image}:{re.escape(program_version())}$", container["image"])
-        secrets = [volume["secret"]["secretName"] for volume in template["spec"]["volumes"] if "secret" in volume]
+        secrets = [
+            volume["secret"]["secretName"]
+            for volume in template["spec"]["volumes"]
+            if "secret" in volume
+        ]
         assert secrets == [name]
-    assert {name for name in workloads if workloads[name]["kind"] == "StatefulSet"} == {"router", "robot"}
+    assert {name for name in workloads if workloads[name]["kind"] == "StatefulSet"} == {
+        "router",
+        "robot",
+    }
     assert workloads["robot"]["spec"]["replicas"] == 1
-    scaled = [one["spec"]["scaleTargetRef"]["name"] for one in objects if one["kind"] == "HorizontalPodAutoscaler"]
+    scaled = [
+        one["spec"]["scaleTargetRef"]["name"]
+        for one in objects
+        if one["kind"] == "HorizontalPodAutoscaler"
+    ]
     assert all(SERVICES[name].grouped for name in scaled)
 
 
@@ -74,13 +100,17 @@ def test_containers_may_do_nothing_but_their_work(objects: list[Object]) -> None
                 "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]},
             }  # fmt: skip
             assert container["resources"]["requests"].keys() == {"cpu", "memory"}
-            assert container["resources"]["limits"].keys() == {"memory"}  # a processor that is held back drives late
+            assert container["resources"]["limits"].keys() == {
+                "memory"
+            }  # a processor that is held back drives late
         assert not {"hostNetwork", "hostPID", "hostIPC"} & pod.keys()
         assert not any("hostPath" in volume for volume in pod["volumes"])
 
 
 @overlays
-def test_nobody_is_killed_for_being_busy_or_cut_off_and_what_cannot_run_twice_does_not(objects: list[Object]) -> None:
+def test_nobody_is_killed_for_being_busy_or_cut_off_and_what_cannot_run_twice_does_not(
+    objects: list[Object],
+) -> None:
     for name, one in of_kind(objects, "Deployment", "StatefulSet").items():
         (container,) = containers(one)
         # Health says 503 of who is busy, or without a router; metrics are told by whatever lives.
@@ -114,14 +144,19 @@ def test_the_routers_know_each_other_and_all_know_both(objects: list[Object]) ->
 
 def test_the_policies_are_made_of_the_table() -> None:
     made = runpy.run_path(str(KUBERNETES / "policies.py"))["as_yaml"]()
-    assert (KUBERNETES / "base" / "network.yaml").read_text() == made, "run deploy/kubernetes/policies.py"
+    assert (KUBERNETES / "base" / "network.yaml").read_text() == made, (
+        "run deploy/kubernetes/policies.py"
+    )
 
 
 def selects(selector: dict[str, Any], labels: dict[str, str]) -> bool:
     terms = selector.get("matchExpressions", [])
     assert {term["operator"] for term in terms} <= {"In", "Exists"}
-    return all(labels.get(key) == value for key, value in selector.get("matchLabels", {}).items()) and all(
-        term["key"] in labels and labels[term["key"]] in term.get("values", [labels[term["key"]]]) for term in terms
+    return all(
+        labels.get(key) == value for key, value in selector.get("matchLabels", {}).items()
+    ) and all(
+        term["key"] in labels and labels[term["key"]] in term.get("values", [labels[term["key"]]])
+        for term in terms
     )
 
 
@@ -136,7 +171,10 @@ def reaches(objects: list[Object], giver: dict[str, str], taker: dict[str, str],
         ]
         assert of_pod, "the default of Kubernetes, everybody, holds for nobody"
         return any(
-            any("namespaceSelector" not in peer and selects(peer["podSelector"], other) for peer in rule[side])
+            any(
+                "namespaceSelector" not in peer and selects(peer["podSelector"], other)
+                for peer in rule[side]
+            )
             and port in [one["port"] for one in rule.get("ports", [{"port": port}])]
             for spec in of_pod
             for rule in spec[kind.lower()]
@@ -146,7 +184,9 @@ def reaches(objects: list[Object], giver: dict[str, str], taker: dict[str, str],
 
 
 @overlays
-def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(objects: list[Object]) -> None:
+def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(
+    objects: list[Object],
+) -> None:
     dask = {"dask.org/cluster-name": "dask"}
     on_the_bus = [{"role": name} for name in roles()]
     pods = [*on_the_bus, dask, {"role": "elsewhere"}, {"app": "elsewhere"}, {}]
@@ -157,7 +197,9 @@ def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(objec
 
 
 @overlays
-def test_from_outside_only_metrics_are_read_and_that_by_prometheus_alone(objects: list[Object]) -> None:
+def test_from_outside_only_metrics_are_read_and_that_by_prometheus_alone(
+    objects: list[Object],
+) -> None:
     outside = [
         (policy["metadata"]["name"], peer, rule.get("ports"))
         for policy in of_kind(objects, "NetworkPolicy").values()
@@ -165,7 +207,13 @@ def test_from_outside_only_metrics_are_read_and_that_by_prometheus_alone(objects
         for peer in rule["from"]
         if "podSelector" not in peer
     ]
-    prometheus = {"namespaceSelector": {"matchLabels": {"kubernetes.io/metadata.name": "monitoring"}}}
-    assert outside == [("monitoring", prometheus, [{"port": HTTP}])] * (objects is OVERLAYS["cluster"])
+    prometheus = {
+        "namespaceSelector": {"matchLabels": {"kubernetes.io/metadata.name": "monitoring"}}
+    }
+    assert outside == [("monitoring", prometheus, [{"port": HTTP}])] * (
+        objects is OVERLAYS["cluster"]
+    )
     assert not of_kind(objects, "Ingress")
-    assert all(one["spec"].get("clusterIP") == "None" for one in of_kind(objects, "Service").values())
+    assert all(
+        one["spec"].get("clusterIP") == "None" for one in of_kind(objects, "Service").values()
+    )

@@ -38,7 +38,16 @@ def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, l
            episode: str = "e", left_m: float = 0.0) -> State:  # fmt: skip
     place = Place(keyframe=keyframe, ahead_m=0.0, left_m=left_m, turned_rad=turned_rad, weight=1.0)
     status = "unknown" if lost > 0.5 else "recognized"
-    return state(tick, model, episode, status=status, places=(place,), lost=lost, cosine=0.8, tracked_m=1.0 + tick)
+    return state(
+        tick,
+        model,
+        episode,
+        status=status,
+        places=(place,),
+        lost=lost,
+        cosine=0.8,
+        tracked_m=1.0 + tick,
+    )
 
 
 def made(answer: list[Message]) -> tuple[str, int | None, str]:
@@ -63,7 +72,10 @@ def made(answer: list[Message]) -> tuple[str, int | None, str]:
     ids=str,
 )
 def test_a_belief_becomes_an_action_and_a_command(
-    policy: PolicyService, model: Path, where: dict[str, float], expected: tuple[str, int | None, str]
+    policy: PolicyService,
+    model: Path,
+    where: dict[str, float],
+    expected: tuple[str, int | None, str],
 ) -> None:
     last = len(corridor.model().mapped.keyframes) - 1
     if "keyframe" in where:
@@ -78,10 +90,18 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
         service = PolicyService()
         service.load(LoadedModel.read(model))
         for tick in range(12):
-            told = {"atom": "left", "linear": 0.0, "angular": 1.0, "reason": "command", "answered_tick": tick}
+            told = {
+                "atom": "left",
+                "linear": 0.0,
+                "angular": 1.0,
+                "reason": "command",
+                "answered_tick": tick,
+            }
             for source, ms in (("policy", delay_ms), ("teleop", 90)):
                 service.see_applied(
-                    CommandApplied.after(belief(tick, model), **told, source=source, delay_ns=ms * 1_000_000)
+                    CommandApplied.after(
+                        belief(tick, model), **told, source=source, delay_ns=ms * 1_000_000
+                    )
                 )
         service.handle(belief(12, model, turned_rad=-0.15))
         command = service.handle(belief(13, model, turned_rad=-0.07))[1]
@@ -92,10 +112,16 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
 
 def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, model: Path) -> None:
     kinds = [made(policy.handle(belief(tick, model, lost=0.9)))[0] for tick in range(200)]
-    assert [kind for kind, _ in itertools.groupby(kinds)][:3] == ["look_around", "guess", "look_around"]
+    assert [kind for kind, _ in itertools.groupby(kinds)][:3] == [
+        "look_around",
+        "guess",
+        "look_around",
+    ]
 
 
-def test_a_repeated_state_has_the_same_answer_and_turns_no_further(policy: PolicyService, model: Path) -> None:
+def test_a_repeated_state_has_the_same_answer_and_turns_no_further(
+    policy: PolicyService, model: Path
+) -> None:
     answer = policy.handle(belief(0, model, lost=0.9))
     assert all(policy.handle(belief(0, model, lost=0.9)) == answer for _ in range(500))
     assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"
@@ -109,7 +135,9 @@ def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None
     assert made(policy.handle(belief(0, model, episode="next"))) == ("follow", 5, "forward")
 
 
-def test_no_robot_stands_between_two_maps(policy: PolicyService, model: Path, tmp_path: Path) -> None:
+def test_no_robot_stands_between_two_maps(
+    policy: PolicyService, model: Path, tmp_path: Path
+) -> None:
     def atom(tick: int, of: Path) -> str:
         command = policy.handle(belief(tick, of))[-1]
         assert isinstance(command, Command)
@@ -124,7 +152,9 @@ def test_no_robot_stands_between_two_maps(policy: PolicyService, model: Path, tm
     assert [atom(5, renewed), atom(6, model), atom(7, renewed)] == ["forward", "forward", "stop"]
 
 
-@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
+@pytest.mark.parametrize(
+    "fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str
+)
 def test_it_stops_for_a_state_of_another_scheme(
     policy: PolicyService, model: Path, papers_model: Path, fields: dict[str, object]
 ) -> None:

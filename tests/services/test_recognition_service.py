@@ -34,7 +34,9 @@ def service(model: Path) -> RecognitionService:
     return made
 
 
-def at(service: RecognitionService, tick: int, pose: corridor.Pose | None = None, episode: str = "e") -> State:
+def at(
+    service: RecognitionService, tick: int, pose: corridor.Pose | None = None, episode: str = "e"
+) -> State:
     """Give a frame and its odometry; return the state."""
     assert service.see(wheels(tick, pose, episode)) is None
     state = service.handle(seen(tick, pose, episode))
@@ -62,7 +64,9 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.tracked_m == pytest.approx(1.4, abs=0.01)
 
 
-def test_a_renewed_map_goes_on_from_what_was_believed(service: RecognitionService, tmp_path: Path) -> None:
+def test_a_renewed_map_goes_on_from_what_was_believed(
+    service: RecognitionService, tmp_path: Path
+) -> None:
     for tick in range(8):
         at(service, tick)
     renewed = corridor.save_renewed(tmp_path / "renewed.smal")
@@ -102,7 +106,9 @@ def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
 
-def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows_none(tmp_path: Path) -> None:
+def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows_none(
+    tmp_path: Path,
+) -> None:
     black = Ground(np.zeros((len(corridor.model().mapped.keyframes), 9, 3), dtype=np.uint8), 0.1)
     for ground, watches in ((black, True), (black, False), (None, True)):
         replace(corridor.model(), ground=ground).save(tmp_path / "way.smal")
@@ -116,12 +122,16 @@ def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows
         for tick in range(6):
             service.see(wheels(tick))
             light = np.full(14_400, 200, dtype=np.uint8).tobytes()
-            state = service.handle(seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000}))
+            state = service.handle(
+                seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000})
+            )
         assert state is not None
         assert (state.strange_m is not None) == watches
 
 
-def test_odometry_may_come_before_its_observation_or_after_it(service: RecognitionService, model: Path) -> None:
+def test_odometry_may_come_before_its_observation_or_after_it(
+    service: RecognitionService, model: Path
+) -> None:
     other = RecognitionService()
     other.load(LoadedModel.read(model))
     for tick in range(5):
@@ -143,7 +153,9 @@ def test_a_frame_that_is_sent_again_has_the_same_answer(service: RecognitionServ
     assert placed(fresh)[0] == pytest.approx(0.6, abs=0.1)
 
 
-def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(service: RecognitionService) -> None:
+def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
+    service: RecognitionService,
+) -> None:
     for tick in range(3):
         at(service, tick)
     assert service.handle(seen(3)) is None
@@ -175,9 +187,9 @@ def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path
     # In the unit of such a map, one atom ahead.
     assert state.tracked_m == pytest.approx(8.0, rel=0.05)
     here = state.places[0]
-    assert corridor.model(odometry=False).mapped.key_poses[here.keyframe, 0] + here.ahead_m == pytest.approx(
-        8.0, abs=0.7
-    )
+    assert corridor.model(odometry=False).mapped.key_poses[
+        here.keyframe, 0
+    ] + here.ahead_m == pytest.approx(8.0, abs=0.7)
 
 
 def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) -> None:
@@ -192,10 +204,14 @@ def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) 
     assert placed(state)[0] == pytest.approx(0.8, abs=0.1)
 
 
-def test_features_of_another_fingerprint_are_refused_in_one_line(service: RecognitionService) -> None:
+def test_features_of_another_fingerprint_are_refused_in_one_line(
+    service: RecognitionService,
+) -> None:
     before = at(service, 0)
     for _ in range(2):
-        with pytest.raises(ServiceError, match=r"^observations have the features .*; learn the model again$"):
+        with pytest.raises(
+            ServiceError, match=r"^observations have the features .*; learn the model again$"
+        ):
             service.handle(observation(1))
     assert service.handle(seen(0)) is before
     assert at(service, 1).status == "recognized"
@@ -205,7 +221,9 @@ def test_a_model_of_the_papers_scheme_needs_no_odometry(tmp_path: Path) -> None:
     service = RecognitionService()
     reply = service.load(LoadedModel.read(save_model(tmp_path / "paper.smal")))
     assert (reply.scheme, reply.keyframes) == ("paper", 0)
-    assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [False] * 3
+    assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [
+        False
+    ] * 3
 
 
 def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionService) -> None:
@@ -219,8 +237,12 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
     assert placed(state) == (pytest.approx(3.8, abs=0.2), pytest.approx(0.0, abs=0.2))
 
 
-@pytest.mark.parametrize("box", [(0.5, 0.5, 0.4, 0.6), (1.4, 0.0, 1.5, 1.0), (-0.5, -0.5, -0.4, 1.5)])
-def test_recognition_answers_when_a_box_is_impossible(tmp_path: Path, box: tuple[float, float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "box", [(0.5, 0.5, 0.4, 0.6), (1.4, 0.0, 1.5, 1.0), (-0.5, -0.5, -0.4, 1.5)]
+)
+def test_recognition_answers_when_a_box_is_impossible(
+    tmp_path: Path, box: tuple[float, float, float, float]
+) -> None:
     tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     service = RecognitionService()
@@ -232,12 +254,16 @@ def test_recognition_answers_when_a_box_is_impossible(tmp_path: Path, box: tuple
     assert state is not None
 
 
-@pytest.mark.parametrize("features", [np.full(corridor.FEATURES.size, 3e38), np.ones(3)], ids=["huge", "few"])
+@pytest.mark.parametrize(
+    "features", [np.full(corridor.FEATURES.size, 3e38), np.ones(3)], ids=["huge", "few"]
+)
 def test_recognition_refuses_features_when_they_are_impossible(
     service: RecognitionService, features: NDArray[np.float64]
 ) -> None:
     service.see(wheels(0))
-    forged = seen(0).model_copy(update={"features": Float32Array.from_numpy(features.astype(np.float32))})
+    forged = seen(0).model_copy(
+        update={"features": Float32Array.from_numpy(features.astype(np.float32))}
+    )
     with pytest.raises(ServiceError, match=r"^episode e, frame 0: features "):
         service.handle(forged)
     assert at(service, 1).status in {"recognized", "unknown"}

@@ -35,5 +35,7 @@ router.close()
 
 @pytest.mark.zenoh
 def test_threads_share_one_heap_a_core() -> None:
-    said = subprocess.run([sys.executable, "-c", _HEAPS, free_endpoint()], check=True, capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-c", _HEAPS, free_endpoint()], check=True, capture_output=True, text=True
+    )
     assert 1 <= said.stderr.count("Arena") <= (os.cpu_count() or 1) + 1

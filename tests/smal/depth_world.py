@@ -18,7 +18,10 @@ MOVEMENTS: Final = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.0785),
 
 
 def depth(
-    boxes: Sequence[Box], pose: Sequence[float], pitch_rad: float = 0.0, shape: tuple[int, int] = (60, 80)
+    boxes: Sequence[Box],
+    pose: Sequence[float],
+    pitch_rad: float = 0.0,
+    shape: tuple[int, int] = (60, 80),
 ) -> NDArray[np.float32]:
     """Return what is measured from a pose by a camera that looks down by so much, (height, width), 0 for the sky."""
     rows, columns = shape
@@ -41,16 +44,22 @@ def depth(
         for x_min, y_min, x_max, y_max, high in boxes:
             enters = np.zeros(shape)
             leaves = np.full(shape, np.inf)
-            for low, top, start, ray in zip((x_min, y_min, 0.0), (x_max, y_max, high), origin, rays, strict=True):
+            for low, top, start, ray in zip(
+                (x_min, y_min, 0.0), (x_max, y_max, high), origin, rays, strict=True
+            ):
                 one = (low - start) / ray
                 other = (top - start) / ray
                 enters = np.maximum(enters, np.fmin(one, other))
                 leaves = np.minimum(leaves, np.fmax(one, other))
-            nearest = np.where((enters < leaves) & (enters > 0), np.minimum(nearest, enters), nearest)
+            nearest = np.where(
+                (enters < leaves) & (enters > 0), np.minimum(nearest, enters), nearest
+            )
     return np.where(nearest < 30.0, nearest, 0.0).astype(np.float32)
 
 
-def moved(pose: tuple[float, float, float], atom: Atom, share: float = 1.0) -> tuple[float, float, float]:
+def moved(
+    pose: tuple[float, float, float], atom: Atom, share: float = 1.0
+) -> tuple[float, float, float]:
     """Return where an atom leads."""
     ahead, turn = MOVEMENTS[atom] * share
     return pose[0] + ahead * math.cos(pose[2]), pose[1] + ahead * math.sin(pose[2]), pose[2] + turn
@@ -59,7 +68,9 @@ def moved(pose: tuple[float, float, float], atom: Atom, share: float = 1.0) -> t
 def touches(boxes: Sequence[Box], pose: Sequence[float]) -> bool:
     """Tell whether a robot there touches a box."""
     away = (
-        math.hypot(max(x_min - pose[0], 0.0, pose[0] - x_max), max(y_min - pose[1], 0.0, pose[1] - y_max))
+        math.hypot(
+            max(x_min - pose[0], 0.0, pose[0] - x_max), max(y_min - pose[1], 0.0, pose[1] - y_max)
+        )
         for x_min, y_min, x_max, y_max, _ in boxes
     )
     return min(away, default=math.inf) < MOUNT.radius_m

@@ -29,10 +29,16 @@ TURN_RAD_S = math.radians(45.0)
 TICK = 0.1  # Between two frames, seconds.
 ROWS = 72
 COLUMNS = 96
-WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))  # A way through the room: metres ahead and degrees to the left, by turns.
+WAY = (
+    (2.5, 90.0),
+    (2.0, -90.0),
+    (2.0, 0.0),
+)  # A way through the room: metres ahead and degrees to the left, by turns.
 START = (2.5, 4.0, 0.0)
 
-CAMERA = Camera.of_field(FIELD_DEG)  # What a fit should find, but for the distance, which no room has one of.
+CAMERA = Camera.of_field(
+    FIELD_DEG
+)  # What a fit should find, but for the distance, which no room has one of.
 SCENE = Scene(CAMERA, CAMERA_HEIGHT, 6.0)
 
 Image = NDArray[np.uint8]
@@ -76,7 +82,11 @@ class Room:
         return paint(self.seed, 1, 256, 2048, 64)
 
     def look(
-        self, pose: Sequence[float] | Pose, rows: int = ROWS, columns: int = COLUMNS, camera: Camera = CAMERA
+        self,
+        pose: Sequence[float] | Pose,
+        rows: int = ROWS,
+        columns: int = COLUMNS,
+        camera: Camera = CAMERA,
     ) -> Image:
         """Render what a camera at x, y, heading sees: 20 texels a metre on the floor, 40 on the walls."""
         x, y, heading = pose
@@ -112,7 +122,9 @@ def _rays(camera: Camera, rows: int, columns: int) -> tuple[NDArray[np.float64],
 def _sampled(texture: Image, u: NDArray[np.float64], v: NDArray[np.float64]) -> Image:
     rows, columns = texture.shape[:2]
     maps = (np.mod(u, columns).astype(np.float32), np.mod(v, rows).astype(np.float32))
-    return np.asarray(cv2.remap(texture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8)
+    return np.asarray(
+        cv2.remap(texture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8
+    )
 
 
 @dataclass(frozen=True)
@@ -124,11 +136,16 @@ class Drive:
     wheels: float = 1.0
 
     def movements(self) -> list[Movement]:
-        return [Movement.between(*pair) for pair in zip(self.poses[:-1], self.poses[1:], strict=True)]
+        return [
+            Movement.between(*pair) for pair in zip(self.poses[:-1], self.poses[1:], strict=True)
+        ]
 
 
 def drive(
-    start: Sequence[float] = START, way: Sequence[tuple[float, float]] = WAY, rate_hz: float = 10.0, speed: float = 1.0
+    start: Sequence[float] = START,
+    way: Sequence[tuple[float, float]] = WAY,
+    rate_hz: float = 10.0,
+    speed: float = 1.0,
 ) -> Drive:
     """Drive straight or back and turn on the spot, by turns, at so many frames a second and times the usual speed."""
     x, y, heading = start
@@ -149,7 +166,9 @@ def drive(
     return Drive(np.array(poses), np.array([*atoms, Atom.STOP], dtype=np.int8))
 
 
-def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -> tuple[float, float, float]:
+def from_beside(
+    pose: Sequence[float], ahead: float, left: float, turn: float
+) -> tuple[float, float, float]:
     """Return the pose that lies ahead and to the left of another one, turned left."""
     x, y, heading = pose
     cos = math.cos(heading)
@@ -157,15 +176,21 @@ def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left, heading + turn
 
 
-def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], frames: int) -> Pose:
+def driven(
+    found: Filter, planner: Planner, room: Room, start: Sequence[float], frames: int
+) -> Pose:
     """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
     pose = np.array(start)
     movement = STILL
     for _ in range(frames):
-        linear, angular = planner.decide(found.observe(extract(room.look(pose), COLOR), movement).summary()).motion
+        linear, angular = planner.decide(
+            found.observe(extract(room.look(pose), COLOR), movement).summary()
+        ).motion
         if planner.said:
             break
-        after = np.array(from_beside(tuple(pose), linear * SPEED * TICK, 0.0, angular * TURN_RAD_S * TICK))
+        after = np.array(
+            from_beside(tuple(pose), linear * SPEED * TICK, 0.0, angular * TURN_RAD_S * TICK)
+        )
         movement = Movement.between(pose, after)
         pose = after
     return pose
@@ -187,9 +212,13 @@ def taught(
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     with ExitStack() as changed:
-        changed.enter_context(patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)))
+        changed.enter_context(
+            patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
+        )
         if scene is not None:
-            changed.enter_context(patch("smal.teaching.mapping.fit_camera", lambda *_: scene.camera))
+            changed.enter_context(
+                patch("smal.teaching.mapping.fit_camera", lambda *_: scene.camera)
+            )
             changed.enter_context(patch("smal.teaching.mapping.fit_scene", lambda *_: scene))
         found = learn(
             [

@@ -35,13 +35,17 @@ FAILURES: dict[str, tuple[CameraState | None, Callable[[Picture, Picture], Pictu
 }
 
 
-def seen_of(fails: Callable[[Picture, Picture], Picture] | None, way_m: float = 2.2) -> list[Belief]:
+def seen_of(
+    fails: Callable[[Picture, Picture], Picture] | None, way_m: float = 2.2
+) -> list[Belief]:
     """Follow the taught way, with a camera that fails on it."""
     one = drive(way=((way_m, 0.0),))
     found = Filter(*usual_map())
     last = None
     beliefs = []
-    for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
+    for number, (pose, movement) in enumerate(
+        zip(one.poses, [STILL, *one.movements()], strict=True)
+    ):
         picture = ROOM.look(pose)
         if fails is not None and number >= FAILS_AT and last is not None:
             picture = fails(picture, last)
@@ -75,7 +79,9 @@ def test_unseen_grows_with_the_way_when_the_camera_fails(failure: str) -> None:
 def test_unseen_ends_when_the_camera_sees_again() -> None:
     one = drive(way=((2.2, 0.0),))
     found = Filter(*usual_map())
-    for number, (pose, movement) in enumerate(zip(one.poses, [STILL, *one.movements()], strict=True)):
+    for number, (pose, movement) in enumerate(
+        zip(one.poses, [STILL, *one.movements()], strict=True)
+    ):
         picture = ROOM.look(pose) if not 20 <= number < 26 else np.zeros_like(ROOM.look(pose))
         belief = found.observe(extract(picture, COLOR), movement)
     assert belief.unseen < 0.1

@@ -14,7 +14,9 @@ ANGLES_RAD = np.radians(np.arange(0.5, 50.0, 0.5))
 
 def by_opencv(lens: Lens, distortion: tuple[float, ...]) -> NDArray[np.float64]:
     """Return how far from the middle what is at the angles is shown, in focal lengths."""
-    points = np.stack([np.sin(ANGLES_RAD), np.zeros_like(ANGLES_RAD), np.cos(ANGLES_RAD)], axis=1)[:, None]
+    points = np.stack([np.sin(ANGLES_RAD), np.zeros_like(ANGLES_RAD), np.cos(ANGLES_RAD)], axis=1)[
+        :, None
+    ]
     still = np.zeros(3)
     if lens == "equidistant":
         shown, _ = cv2.fisheye.projectPoints(points, still, still, np.eye(3), np.array(distortion))

@@ -42,7 +42,9 @@ def learned(odometry: bool) -> tuple[VisualMap, Centering]:
 def moved(pose: Pose, motion: Motion) -> Pose:
     ahead = STEP * motion[0]
     turn = TURN * motion[1]
-    return np.array(from_beside(pose, ahead * math.cos(turn / 2.0), ahead * math.sin(turn / 2.0), turn))
+    return np.array(
+        from_beside(pose, ahead * math.cos(turn / 2.0), ahead * math.sin(turn / 2.0), turn)
+    )
 
 
 @pytest.mark.parametrize("odometry", [True, False])

@@ -44,7 +44,9 @@ def test_work_ends_when_it_takes_too_much_time() -> None:
 
 
 def test_step_ends_when_it_takes_too_much_time() -> None:
-    assert "reading an image of it takes more than 1 s of processor time" in failure("loop_in_a_step", 1.0)
+    assert "reading an image of it takes more than 1 s of processor time" in failure(
+        "loop_in_a_step", 1.0
+    )
 
 
 def test_work_goes_on_when_it_reports_progress() -> None:
@@ -100,12 +102,17 @@ def test_child_ends_when_its_parent_is_ended(number: signal.Signals) -> None:
         "limits = WorkLimits(2**28, 60.0)\n"
         "confined('tests.confined_work:sleep', None, limits, 'x', progress=lambda n: print(n, flush=True))"
     )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
         parent.send_signal(number)
         parent.wait()
-    while Path(f"/proc/{child}/stat").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+    while (
+        Path(f"/proc/{child}/stat").exists()
+        and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z"
+    ):
         time.sleep(0.01)  # The timeout of the test ends this where the child lives on.
 
 

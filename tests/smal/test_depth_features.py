@@ -29,7 +29,9 @@ def nearness(millimetres: int) -> float:
 def test_each_cell_is_the_nearness_of_what_is_there(seed: int) -> None:
     depth = scene(seed)
     expected = np.array([nearness(one) for one in depth.ravel().tolist()])
-    np.testing.assert_allclose(describe(depth), expected / np.linalg.norm(expected), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(
+        describe(depth), expected / np.linalg.norm(expected), rtol=1e-5, atol=1e-7
+    )
 
 
 @given(millimetres=_millimetres, rows=st.integers(1, 60), columns=st.integers(1, 60))

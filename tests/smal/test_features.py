@@ -13,7 +13,9 @@ from tests.services.waiting import DEADLINE_S
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
-OF_IMAGES = FeatureSettings.of(name for name, one in MODALITIES.items() if one.size and one.needs == "color")
+OF_IMAGES = FeatureSettings.of(
+    name for name, one in MODALITIES.items() if one.size and one.needs == "color"
+)
 
 
 def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
@@ -55,11 +57,20 @@ def test_fingerprint_names_the_raw_features() -> None:
     assert BOTH.fingerprint != FeatureSettings(("hog", "color")).fingerprint
 
 
-@given(wanted=st.permutations(["color", "hog", "depth"]), count=st.integers(1, 3), seed=st.integers(0, 9))
+@given(
+    wanted=st.permutations(["color", "hog", "depth"]),
+    count=st.integers(1, 3),
+    seed=st.integers(0, 9),
+)
 @settings(max_examples=20, deadline=None)
-def test_features_taken_out_are_those_made_without_the_others(wanted: list[str], count: int, seed: int) -> None:
+def test_features_taken_out_are_those_made_without_the_others(
+    wanted: list[str], count: int, seed: int
+) -> None:
     fewer = FeatureSettings.of(wanted[:count])
-    frames = [(image(48, 64, seed), depth_image(24, 32, seed)), (image(30, 40, seed + 1), depth_image(48, 64, seed))]
+    frames = [
+        (image(48, 64, seed), depth_image(24, 32, seed)),
+        (image(30, 40, seed + 1), depth_image(48, 64, seed)),
+    ]
     raw = np.stack([extract(picture, ALL, depth) for picture, depth in frames])
     expected = np.stack([extract(picture, fewer, depth) for picture, depth in frames])
     np.testing.assert_array_equal(select(raw, ALL, fewer), expected)
@@ -70,8 +81,12 @@ def test_centering_normalizes_each_modality_alike() -> None:
     centred = Centering.fit(raw, BOTH).apply(raw)
     assert centred.dtype == np.float32
     np.testing.assert_allclose(np.linalg.norm(centred, axis=1), 1.0, rtol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(centred[:, BOTH.slices[1]], axis=1), 1 / np.sqrt(2), rtol=1e-5)
-    np.testing.assert_array_equal(Centering.fit(list(raw[:, None]), BOTH).mean, Centering.fit(raw, BOTH).mean)
+    np.testing.assert_allclose(
+        np.linalg.norm(centred[:, BOTH.slices[1]], axis=1), 1 / np.sqrt(2), rtol=1e-5
+    )
+    np.testing.assert_array_equal(
+        Centering.fit(list(raw[:, None]), BOTH).mean, Centering.fit(raw, BOTH).mean
+    )
 
 
 def test_settings_are_read_from_names() -> None:

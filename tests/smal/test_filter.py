@@ -18,7 +18,16 @@ from smal.map import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
 from smal.settings import SETTINGS
-from tests.smal.synthetic_world import COLOR, COLUMNS, ROWS, Drive, Room, drive, from_beside, usual_map
+from tests.smal.synthetic_world import (
+    COLOR,
+    COLUMNS,
+    ROWS,
+    Drive,
+    Room,
+    drive,
+    from_beside,
+    usual_map,
+)
 
 ROOM = Room()
 
@@ -83,9 +92,12 @@ def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: 
 
 
 @pytest.mark.parametrize(
-    ("left", "turn_deg", "seed"), [(0.3, -10.0, 0), (-0.3, 10.0, 1), (0.3, 10.0, 2), (-0.3, -10.0, 3)]
+    ("left", "turn_deg", "seed"),
+    [(0.3, -10.0, 0), (-0.3, 10.0, 1), (0.3, 10.0, 2), (-0.3, -10.0, 3)],
 )
-def test_it_follows_a_drive_that_starts_aside_and_turned(left: float, turn_deg: float, seed: int) -> None:
+def test_it_follows_a_drive_that_starts_aside_and_turned(
+    left: float, turn_deg: float, seed: int
+) -> None:
     seen = beside(drive(way=((1.7, 0.0),)), left * usual_map()[0].correlation_length, turn_deg)
     beliefs = follow(seen, Filter(*usual_map(), seed))
     errors = np.array([off(*pair) for pair in zip(beliefs, seen.poses, strict=True)])[14:]
@@ -119,7 +131,10 @@ def test_noise_of_the_camera_is_no_new_view() -> None:
         noisy = np.clip(image + rng.normal(0.0, 5.0, image.shape), 0, 255).astype(np.uint8)
         after = found.observe(extract(noisy, COLOR), STILL)
     assert after.lost == pytest.approx(before.lost, abs=0.02)
-    assert np.bincount(after.keyframes, after.weights).max() < 1.2 * np.bincount(before.keyframes, before.weights).max()
+    assert (
+        np.bincount(after.keyframes, after.weights).max()
+        < 1.2 * np.bincount(before.keyframes, before.weights).max()
+    )
 
 
 @pytest.mark.parametrize("to", [40, 110])
@@ -130,7 +145,9 @@ def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
     for pose in one.poses[to : to + 40 : 2]:
         belief = found.observe(extract(ROOM.look(pose), COLOR), STILL)
-    old = belief.weights[np.hypot(*(poses_of(belief, usual_map()[0])[:2].T - one.poses[19, :2]).T) < 0.5].sum()
+    old = belief.weights[
+        np.hypot(*(poses_of(belief, usual_map()[0])[:2].T - one.poses[19, :2]).T) < 0.5
+    ].sum()
     assert old * (1.0 - belief.lost) < 0.1
 
 
@@ -141,11 +158,20 @@ def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
     turn=st.integers(1, TURNS_DEG.size - 2),
     seed=st.integers(0, 2**16),
 )
-def test_the_likelihood_does_not_jump_between_the_virtual_views(key: int, aside: float, turn: int, seed: int) -> None:
+def test_the_likelihood_does_not_jump_between_the_virtual_views(
+    key: int, aside: float, turn: int, seed: int
+) -> None:
     visual_map = usual_map()[0]
-    components = unit(np.random.default_rng(seed).standard_normal(visual_map.basis.shape[1], dtype=np.float32))
+    components = unit(
+        np.random.default_rng(seed).standard_normal(visual_map.basis.shape[1], dtype=np.float32)
+    )
     keys = np.full(2, key)
-    offsets = np.array([[0.0, aside * visual_map.aside, math.radians(TURNS_DEG[turn] + by)] for by in (-1e-6, 1e-6)])
+    offsets = np.array(
+        [
+            [0.0, aside * visual_map.aside, math.radians(TURNS_DEG[turn] + by)]
+            for by in (-1e-6, 1e-6)
+        ]
+    )
     particles = Particles(visual_map, keys, placed(offsets, visual_map.key_poses[keys]))
     found, beyond = particles.interpolated(components)
     assert found[0] == pytest.approx(found[1], abs=1e-4)
@@ -189,7 +215,10 @@ def test_a_blank_first_view_does_not_count() -> None:
     other = Filter(*usual_map())
     one.observe(extract(np.full_like(ROOM.look(drive().poses[0]), 128), COLOR))
     seen = drive().poses[40:42]
-    beliefs = [[found.observe(extract(ROOM.look(pose), COLOR), STILL) for pose in seen][-1] for found in (one, other)]
+    beliefs = [
+        [found.observe(extract(ROOM.look(pose), COLOR), STILL) for pose in seen][-1]
+        for found in (one, other)
+    ]
     assert beliefs[0].lost == pytest.approx(beliefs[1].lost, abs=0.05)
 
 
@@ -239,7 +268,9 @@ def elsewhere(seed: int) -> tuple[list[float], Filter]:
 
 @pytest.mark.parametrize("turn_deg", [-90.0, 180.0])
 def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
-    away = 1.0 + 1.3 * SETTINGS.elsewhere * usual_map()[0].correlation_length  # It may first go back to the start.
+    away = (
+        1.0 + 1.3 * SETTINGS.elsewhere * usual_map()[0].correlation_length
+    )  # It may first go back to the start.
     assert follow(drive(way=((1.0, 0.0), (0.0, turn_deg), (away, 0.0))))[-1].lost > 0.95
 
 
@@ -256,7 +287,9 @@ def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
     seed=st.integers(0, 2**16),
     steps=st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=1, max_size=12),
 )
-def test_a_belief_is_made_of_probabilities(seed: int, steps: list[tuple[float, float, float]]) -> None:
+def test_a_belief_is_made_of_probabilities(
+    seed: int, steps: list[tuple[float, float, float]]
+) -> None:
     rng = np.random.default_rng(seed)
     found = Filter(*usual_map(), seed)
     seen = [extract(ROOM.look(pose), COLOR) for pose in drive().poses[::40]]
@@ -290,7 +323,9 @@ def test_a_belief_is_made_of_probabilities(seed: int, steps: list[tuple[float, f
     ],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_what_is_no_frame_is_refused_and_changes_nothing(raw: Any, movement: Movement, first: bool) -> None:
+def test_what_is_no_frame_is_refused_and_changes_nothing(
+    raw: Any, movement: Movement, first: bool
+) -> None:
     seen = drive(way=((0.2, 0.0),))
     one = Filter(*usual_map())
     other = Filter(*usual_map())

@@ -22,27 +22,37 @@ SHAPE = (len(FREQUENCIES), ORIENTATIONS, GRID, GRID)
 def grating(cycles_per_px: float, angle_rad: float, amplitude: float = 60.0) -> np.ndarray:
     down, right = np.mgrid[:ROWS, :COLUMNS]
     along = right * np.cos(angle_rad) + down * np.sin(angle_rad)
-    grey = np.round(128.0 + amplitude * np.sin(2.0 * np.pi * cycles_per_px * along)).astype(np.uint8)
+    grey = np.round(128.0 + amplitude * np.sin(2.0 * np.pi * cycles_per_px * along)).astype(
+        np.uint8
+    )
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
 @pytest.mark.parametrize("scale", range(len(FREQUENCIES)))
 @pytest.mark.parametrize("orientation", range(ORIENTATIONS))
 def test_a_grating_is_found_at_its_scale_and_orientation(scale: int, orientation: int) -> None:
-    vector = describe(grating(FREQUENCIES[scale], np.pi * orientation / ORIENTATIONS)).reshape(SHAPE)
+    vector = describe(grating(FREQUENCIES[scale], np.pi * orientation / ORIENTATIONS)).reshape(
+        SHAPE
+    )
     for row, column in np.ndindex(GRID, GRID):
         cell = vector[:, :, row, column]
         assert np.unravel_index(cell.argmax(), cell.shape) == (scale, orientation)
 
 
-@pytest.mark.parametrize(("scale", "orientation", "cell"), [(0, 2, (0, 0)), (1, 0, (1, 2)), (3, 5, (3, 3))])
-def test_the_transform_is_a_convolution(scale: int, orientation: int, cell: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("scale", "orientation", "cell"), [(0, 2, (0, 0)), (1, 0, (1, 2)), (3, 5, (3, 3))]
+)
+def test_the_transform_is_a_convolution(
+    scale: int, orientation: int, cell: tuple[int, int]
+) -> None:
     picture = np.random.default_rng(4).standard_normal((ROWS, COLUMNS)).astype(np.float32)
     padded = np.pad(picture.astype(np.float64), BORDER, mode="symmetric")
     rows, columns = padded.shape
     # The filter in space: the sum over its frequencies, written out as two matrix products.
     transfer = transfer_functions()[scale * ORIENTATIONS + orientation].astype(np.float64)
-    waves = [np.exp(2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n) / n for n in (rows, columns)]
+    waves = [
+        np.exp(2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n) / n for n in (rows, columns)
+    ]
     kernel = waves[0] @ transfer @ waves[1].T
     total = 0.0
     height = ROWS // GRID

@@ -43,7 +43,9 @@ def test_model_keeps_its_content_when_its_file_is_overwritten(path: Path) -> Non
 
 def test_process_survives_when_its_model_is_truncated(path: Path) -> None:
     program = READ + "os.truncate(path, 0)\nprint(numbers.sum())"
-    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program, path], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0
     assert float(done.stdout) == NUMBERS.sum()
 
@@ -62,7 +64,9 @@ def test_content_is_read_only_when_it_is_loaded(path: Path) -> None:
     assert not numbers(path).flags.writeable
 
 
-def test_content_is_whole_when_there_is_no_memory_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_content_is_whole_when_there_is_no_memory_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(held, "_LINUX", False)
     loaded = numbers(path)
     path.write_bytes(b"")
@@ -72,13 +76,23 @@ def test_content_is_whole_when_there_is_no_memory_file(path: Path, monkeypatch: 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="shares memory files of Linux")
 def test_processes_share_one_copy_when_they_load_one_model(path: Path) -> None:
-    program = READ + "print(*[line.split()[4] for line in open('/proc/self/maps') if 'memfd:smal' in line], flush=True)"
+    program = (
+        READ
+        + "print(*[line.split()[4] for line in open('/proc/self/maps') if 'memfd:smal' in line], flush=True)"
+    )
     command = [sys.executable, "-c", program + "\nsys.stdin.read()", path]
-    processes = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    processes = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
     try:
         # The second one may begin before the first has its copy; a third begins after both.
-        inodes = [process.stdout.readline().split() for process in processes if process.stdout is not None]
-        third = subprocess.run(command, input="", capture_output=True, text=True, check=True).stdout.split()
+        inodes = [
+            process.stdout.readline().split() for process in processes if process.stdout is not None
+        ]
+        third = subprocess.run(
+            command, input="", capture_output=True, text=True, check=True
+        ).stdout.split()
     finally:
         for process in processes:
             process.communicate()

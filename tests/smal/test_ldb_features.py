@@ -12,8 +12,12 @@ describe = modality_named("ldb").describe
 
 
 def picture_of(seed: int, darkest: int = 0, brightest: int = 255, blocks: int = 10) -> np.ndarray:
-    cells = np.random.default_rng(seed).integers(darkest, brightest + 1, (blocks, blocks), dtype=np.uint8)
-    return np.repeat(np.kron(cells, np.ones((SIDE // blocks,) * 2, dtype=np.uint8))[:, :, None], 3, axis=2)
+    cells = np.random.default_rng(seed).integers(
+        darkest, brightest + 1, (blocks, blocks), dtype=np.uint8
+    )
+    return np.repeat(
+        np.kron(cells, np.ones((SIDE // blocks,) * 2, dtype=np.uint8))[:, :, None], 3, axis=2
+    )
 
 
 def slow_signs(grey: np.ndarray) -> np.ndarray:
@@ -29,7 +33,9 @@ def slow_signs(grey: np.ndarray) -> np.ndarray:
             dy = cell[half:].mean() - cell[:half].mean()
             cells.append((cell.mean(), dx, dy))
         for kind in range(3):
-            signs += [np.sign(round(one[kind] - other[kind], 6)) for one, other in combinations(cells, 2)]
+            signs += [
+                np.sign(round(one[kind] - other[kind], 6)) for one, other in combinations(cells, 2)
+            ]
     return np.array(signs)
 
 

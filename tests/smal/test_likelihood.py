@@ -9,16 +9,22 @@ from smal.likelihood import ANY_DAY, GRID, SHARES, Likelihood, standing_out
 from smal.teaching.calibration import gamma_of
 
 
-def drawn(rng: np.random.Generator, stands_out: float, tail: float) -> tuple[np.ndarray, np.ndarray]:
+def drawn(
+    rng: np.random.Generator, stands_out: float, tail: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Draw z of views that show the place on days of any kind, and of views that do not."""
-    elsewhere = np.where(rng.random(40_000) < 0.95, rng.standard_normal(40_000), 1.6 + rng.exponential(tail, 40_000))
+    elsewhere = np.where(
+        rng.random(40_000) < 0.95, rng.standard_normal(40_000), 1.6 + rng.exponential(tail, 40_000)
+    )
     here = rng.random(40_000) * stands_out + rng.permutation(elsewhere)
     return here, elsewhere
 
 
 @settings(deadline=None, max_examples=20)
 @given(stands_out=st.floats(2.0, 20.0), tail=st.floats(0.3, 3.0), seed=st.integers(0, 2**16))
-def test_probabilities_are_as_often_right_as_they_say(stands_out: float, tail: float, seed: int) -> None:
+def test_probabilities_are_as_often_right_as_they_say(
+    stands_out: float, tail: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     here, elsewhere = drawn(rng, stands_out, tail)
     found = Likelihood.fit(np.full(100, stands_out), elsewhere, 1e6, 1.0)
@@ -26,7 +32,10 @@ def test_probabilities_are_as_often_right_as_they_say(stands_out: float, tail: f
     said = 1.0 - 1.0 / (1.0 + found.mixed(ANY_DAY, z, 1.0))
     true = np.repeat([1.0, 0.0], len(here))
     bins = np.clip((said * 10).astype(int), 0, 9)
-    off = sum((bins == k).mean() * abs(said[bins == k].mean() - true[bins == k].mean()) for k in set(bins.tolist()))
+    off = sum(
+        (bins == k).mean() * abs(said[bins == k].mean() - true[bins == k].mean())
+        for k in set(bins.tolist())
+    )
     assert off < 0.05
 
 
@@ -50,13 +59,17 @@ def test_places_that_look_alike_make_views_say_less() -> None:
     rng = np.random.default_rng(0)
     plain = rng.standard_normal(5000)
     alike = np.where(rng.random(5000) < 0.05, rng.normal(8.0, 1.0, 5000), plain)
-    unlike_street, street = (Likelihood.fit(np.full(20, 9.0), each, 1e6, 1.0) for each in (plain, alike))
+    unlike_street, street = (
+        Likelihood.fit(np.full(20, 9.0), each, 1e6, 1.0) for each in (plain, alike)
+    )
     assert street.of(np.array([8.0])) < unlike_street.of(np.array([8.0])) - 3.0
 
 
 def test_of_few_views_elsewhere_little_is_concluded() -> None:
     elsewhere = np.random.default_rng(0).standard_normal(1000)
-    few, many = (Likelihood.fit(np.full(20, 9.0), elsewhere, independent, 1.0) for independent in (20.0, 1e4))
+    few, many = (
+        Likelihood.fit(np.full(20, 9.0), elsewhere, independent, 1.0) for independent in (20.0, 1e4)
+    )
     assert few.of(np.array([8.0])) < many.of(np.array([8.0])) - 3.0
 
 

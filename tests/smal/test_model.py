@@ -21,7 +21,10 @@ from tests.smal.worlds import COLOR, corridor, drive
 def model() -> PaperModel:
     views = corridor(30)
     drives = [drive(views, start, seed=start, name=f"drive {start}") for start in range(2)]
-    return learn([*drives, drive(views, 3, 9, name="ü", end=11)], LearningSettings(features=COLOR, sequence_length=3))
+    return learn(
+        [*drives, drive(views, 3, 9, name="ü", end=11)],
+        LearningSettings(features=COLOR, sequence_length=3),
+    )
 
 
 @pytest.fixture
@@ -60,9 +63,24 @@ def test_round_trip(model: PaperModel, saved: Path) -> None:
         ("policy", lambda model: np.full_like(model.policy, -7)),
         ("policy", lambda model: model.policy[:-1]),
         ("atoms", lambda model: tuple(atoms[:-3] for atoms in model.atoms)),
-        ("transitions", lambda model: dataclasses.replace(model.transitions, goals=model.transitions.goals[None])),
-        ("transitions", lambda model: dataclasses.replace(model.transitions, state=model.transitions.state + 10**9)),
-        ("transitions", lambda model: dataclasses.replace(model.transitions, offsets=model.transitions.offsets[::-1])),
+        (
+            "transitions",
+            lambda model: dataclasses.replace(
+                model.transitions, goals=model.transitions.goals[None]
+            ),
+        ),
+        (
+            "transitions",
+            lambda model: dataclasses.replace(
+                model.transitions, state=model.transitions.state + 10**9
+            ),
+        ),
+        (
+            "transitions",
+            lambda model: dataclasses.replace(
+                model.transitions, offsets=model.transitions.offsets[::-1]
+            ),
+        ),
     ],
 )
 def test_parts_that_no_learning_gives_are_refused(
@@ -72,9 +90,13 @@ def test_parts_that_no_learning_gives_are_refused(
         dataclasses.replace(model, **{name: harm(model)})
 
 
-def test_saving_replaces_atomically(model: PaperModel, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_saving_replaces_atomically(
+    model: PaperModel, saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = saved.read_bytes()
-    monkeypatch.setattr(container.os, "fsync", lambda _: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(
+        container.os, "fsync", lambda _: (_ for _ in ()).throw(OSError("disk full"))
+    )
     with pytest.raises(OSError, match="disk full"):
         model.save(saved)
     assert saved.read_bytes() == before
@@ -83,7 +105,11 @@ def test_saving_replaces_atomically(model: PaperModel, saved: Path, monkeypatch:
 
 def test_every_alteration_is_refused(saved: Path) -> None:
     content = bytearray(saved.read_bytes())
-    for at in [*range(200), *range(200, len(content), 997), *range(len(content) - 64, len(content))]:
+    for at in [
+        *range(200),
+        *range(200, len(content), 997),
+        *range(len(content) - 64, len(content)),
+    ]:
         content[at] ^= 1
         saved.write_bytes(content)
         with pytest.raises(ModelError):
@@ -91,7 +117,9 @@ def test_every_alteration_is_refused(saved: Path) -> None:
         content[at] ^= 1
 
 
-def test_what_a_file_says_of_itself_is_read_without_the_rest(model: PaperModel, saved: Path) -> None:
+def test_what_a_file_says_of_itself_is_read_without_the_rest(
+    model: PaperModel, saved: Path
+) -> None:
     content = saved.read_bytes()
     path = saved.with_name("part.smal")
     end = 20 + struct.unpack_from("<Q", content, 12)[0]
@@ -105,7 +133,10 @@ def test_what_a_file_says_of_itself_is_read_without_the_rest(model: PaperModel, 
             assert container.read_meta(file, "part", FORMAT_VERSION)["states"] == model.states
     for meta in (b"[]", b"{}", b'{"meta": []}', b"[" * 100_000, b"\xff"):
         path.write_bytes(struct.pack("<8sIQ", container.MAGIC, FORMAT_VERSION, len(meta)) + meta)
-        with path.open("rb") as file, pytest.raises(ModelError, match="part: the header does not describe a model"):
+        with (
+            path.open("rb") as file,
+            pytest.raises(ModelError, match="part: the header does not describe a model"),
+        ):
             container.read_meta(file, "part", FORMAT_VERSION)
     path.write_bytes(struct.pack("<8sIQ", container.MAGIC, FORMAT_VERSION, 2**40))
     with path.open("rb") as file, pytest.raises(ModelError, match="at most"):
@@ -116,13 +147,17 @@ def test_other_version_and_missing_file(saved: Path) -> None:
     content = bytearray(saved.read_bytes())
     content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
     saved.write_bytes(content)
-    with pytest.raises(ModelError, match=f"format {FORMAT_VERSION + 1}.*reads format {FORMAT_VERSION}"):
+    with pytest.raises(
+        ModelError, match=f"format {FORMAT_VERSION + 1}.*reads format {FORMAT_VERSION}"
+    ):
         PaperModel.load(saved)
     with pytest.raises(ModelError, match="No such file"):
         PaperModel.load(saved.parent / "none")
 
 
-def test_features_computed_differently_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_computed_differently_are_refused(
+    saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("smal.features.settings.DESCRIPTOR_VERSION", 0)
     with pytest.raises(ModelError, match="learn it again"):
         PaperModel.load(saved)

@@ -19,7 +19,11 @@ def moved(pose: tuple[float, float, float], movement: Movement) -> tuple[float, 
     """Make half of the turn, go ahead, and make the other half, as dead reckoning and the filter do."""
     x, y, heading = pose
     middle = heading + movement.turn_rad / 2.0
-    return (x + movement.ahead * math.cos(middle), y + movement.ahead * math.sin(middle), heading + movement.turn_rad)
+    return (
+        x + movement.ahead * math.cos(middle),
+        y + movement.ahead * math.sin(middle),
+        heading + movement.turn_rad,
+    )
 
 
 @settings(deadline=None, derandomize=True)
@@ -92,14 +96,18 @@ def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
     spot = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.08), (0.0, -0.08)])
     bends = spot + np.array([(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.2, -0.03), (0.2, 0.03)])
     atoms = np.repeat(list(Atom), 20).astype(np.int8)
-    found = atom_movements([dead_reckoning(atoms, bends), dead_reckoning(atoms, spot)], [atoms, atoms])
+    found = atom_movements(
+        [dead_reckoning(atoms, bends), dead_reckoning(atoms, spot)], [atoms, atoms]
+    )
     np.testing.assert_allclose(found, spot, atol=1e-9)
     assert turns_ahead(atom_movements([dead_reckoning(atoms, bends)], [atoms]))
 
 
 def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
     """As where somebody corrects at full speed: of what it rolls 0.6 is left after each frame of a turn."""
-    atoms = np.tile(np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5).astype(np.int8)
+    atoms = np.tile(
+        np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5
+    ).astype(np.int8)
     way = [(0.0, 0.0, 0.0)]
     ahead = 0.0
     for atom in atoms[:-1]:
@@ -111,5 +119,7 @@ def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
 def test_a_slow_person_does_not_make_the_robot_slow() -> None:
     atoms = np.repeat(list(Atom), 20).astype(np.int8)
     slow = np.repeat(atoms, 2)
-    found = atom_movements([dead_reckoning(slow, 0.5 * TABLE), dead_reckoning(atoms, TABLE)], [slow, atoms])
+    found = atom_movements(
+        [dead_reckoning(slow, 0.5 * TABLE), dead_reckoning(atoms, TABLE)], [slow, atoms]
+    )
     np.testing.assert_allclose(found, TABLE, atol=1e-9)

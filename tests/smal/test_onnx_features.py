@@ -44,7 +44,9 @@ def network(
     """Write a network that mixes the channels of every pixel (or does `op`), and return its modality's name."""
     nodes = [helper.make_node(op, ["x0", "kernel"] if op == "Conv" else ["x0"], ["y"])]
     given = [helper.make_tensor_value_info(f"x{number}", kind, shape) for number in range(inputs)]
-    nodes += [helper.make_node("Identity", [f"x{number}"], [f"z{number}"]) for number in range(1, inputs)]
+    nodes += [
+        helper.make_node("Identity", [f"x{number}"], [f"z{number}"]) for number in range(1, inputs)
+    ]
     made = [helper.make_tensor_value_info("y", kind, None)]
     made += [helper.make_tensor_value_info(f"z{number}", kind, None) for number in range(1, inputs)]
     weights = [numpy_helper.from_array(kernel, "kernel")] if op == "Conv" else []
@@ -76,11 +78,18 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
     modality = modality_named(given(network(tmp_path / "mix.onnx")))
     image = picture(224, 224)
     vector = modality.describe(image)
-    assert (modality.size, modality.needs, vector.dtype, vector.shape) == (4, "color", np.float32, (4,))
+    assert (modality.size, modality.needs, vector.dtype, vector.shape) == (
+        4,
+        "color",
+        np.float32,
+        (4,),
+    )
     np.testing.assert_allclose(vector, mixed(image), atol=1e-5)
 
 
-def test_a_network_is_one_modality_among_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_is_one_modality_among_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = network(tmp_path / "mix.onnx")
     name = given(text)
     chosen = FeatureSettings.parse(f"hog,{text}")
@@ -114,11 +123,16 @@ def refusal(name: str) -> str:
         ({"meta": {"mean": "0.5,0.5"}}, "mean as three numbers separated by commas, got '0.5,0.5'"),
         ({"meta": {"std": "a,b,c"}}, "std as three numbers separated by commas, got 'a,b,c'"),
         ({"meta": {"std": "1,0,1"}}, "std = '1,0,1', which is not positive"),
-        ({"kernel": KERNEL * np.float32(np.inf)}, "the network's first output contains NaN or infinity"),
+        (
+            {"kernel": KERNEL * np.float32(np.inf)},
+            "the network's first output contains NaN or infinity",
+        ),
         ({"shape": [1, 3, 64, 64], "kernel": np.ones((4, 3, 65, 65), dtype=np.float32)}, ""),
     ],
 )
-def test_a_network_that_does_not_fit_is_named_in_one_line(tmp_path: Path, how: dict[str, Any], has: str) -> None:
+def test_a_network_that_does_not_fit_is_named_in_one_line(
+    tmp_path: Path, how: dict[str, Any], has: str
+) -> None:
     line = refusal(network(tmp_path / "other.onnx", **how))
     assert line.startswith(f"{tmp_path / 'other.onnx'}: ")
     assert has in line
@@ -136,14 +150,23 @@ def test_a_file_that_is_no_network_is_named_in_one_line(tmp_path: Path) -> None:
     for path in (text, empty, cut):
         assert refusal(f"onnx:{path}").startswith(f"{path}: no ONNX network that can be used: ")
     assert refusal(f"onnx:{tmp_path}/none").startswith(f"{tmp_path}/none: there is no such file")
-    assert refusal(f"onnx:{tmp_path}") == f"{tmp_path}: cannot read the network's file: Is a directory"
+    assert (
+        refusal(f"onnx:{tmp_path}") == f"{tmp_path}: cannot read the network's file: Is a directory"
+    )
     os.mkfifo(tmp_path / "fifo")
-    assert refusal(f"onnx:{tmp_path}/fifo") == f"{tmp_path}/fifo: cannot read the network's file: Not a regular file"
+    assert (
+        refusal(f"onnx:{tmp_path}/fifo")
+        == f"{tmp_path}/fifo: cannot read the network's file: Not a regular file"
+    )
     assert refusal("onnx:") == "the feature modality 'onnx:' names no file; write onnx:FILE"
 
 
-def test_weights_in_another_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = network(tmp_path / "mix.onnx", save_as_external_data=True, location="mix.data", size_threshold=0)
+def test_weights_in_another_file_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = network(
+        tmp_path / "mix.onnx", save_as_external_data=True, location="mix.data", size_threshold=0
+    )
     assert (tmp_path / "mix.data").is_file()
     # Not even where onnxruntime would find them by itself.
     monkeypatch.chdir(tmp_path)
@@ -161,7 +184,11 @@ def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
     named = FeatureSettings((STRANGE,))
     assert (named.size, named.needs) == (4, {"color"})
     line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
-    for use in (lambda: extract(picture(48, 64), named), lambda: FeatureSettings.parse(STRANGE), lambda: named.text):
+    for use in (
+        lambda: extract(picture(48, 64), named),
+        lambda: FeatureSettings.parse(STRANGE),
+        lambda: named.text,
+    ):
         with pytest.raises(ValueError, match=f"^{line}$"):
             use()
 
@@ -183,19 +210,26 @@ def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.Mon
     """Not even that of a file which is there."""
     monkeypatch.chdir(tmp_path)
     network(tmp_path / "FILE")
-    with pytest.raises(ValueError, match=r"\A(a network is named by its contents|unknown feature modality)[^\n]+\Z"):
+    with pytest.raises(
+        ValueError, match=r"\A(a network is named by its contents|unknown feature modality)[^\n]+\Z"
+    ):
         FeatureSettings((name,))
 
 
-def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_opens_no_file_and_runs_no_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A model that names a FIFO is refused at once; one that names a network by its contents is used without it."""
     text = network(tmp_path / "mix.onnx")
     path = tmp_path / "x.smal"
     seed = smallest_model()
     settings = FeatureSettings.parse(text)
-    replace(seed, feature_settings=settings, mean=np.zeros(4, np.float32), templates=np.zeros((4, 2), np.float32)).save(
-        path
-    )
+    replace(
+        seed,
+        feature_settings=settings,
+        mean=np.zeros(4, np.float32),
+        templates=np.zeros((4, 2), np.float32),
+    ).save(path)
     assert str(tmp_path).encode() not in path.read_bytes()
     monkeypatch.setattr(onnx_features, "_given", {})
     monkeypatch.setattr("onnxruntime.InferenceSession", None)
@@ -207,7 +241,9 @@ def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: 
         with path.open("rb") as file:
             meta, arrays, _ = container.read(file, "x", FORMAT_VERSION)
         container.write(path, FORMAT_VERSION, meta | {"modalities": [named]}, arrays)
-        with pytest.raises(ModelError, match="a network is named by its contents, onnx:SHA-256:SIZE, not 'onnx:/"):
+        with pytest.raises(
+            ModelError, match="a network is named by its contents, onnx:SHA-256:SIZE, not 'onnx:/"
+        ):
             PaperModel.load(path)
 
 
@@ -219,7 +255,9 @@ def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> Non
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
 
 
-def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_onnxruntime_the_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     name = network(tmp_path / "mix.onnx")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     line = refusal(name)
@@ -236,8 +274,13 @@ def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monke
 def computed(path: Path, nodes: list[Any], *constants: Any) -> str:
     """Write a network of a few nodes from `x` to `y`, and return its modality's name."""
     given = [helper.make_tensor_value_info("x", FLOAT, ANY)]
-    graph = helper.make_graph(nodes, "g", given, [helper.make_tensor_value_info("y", FLOAT, None)], constants)
-    onnx.save_model(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), str(path))
+    graph = helper.make_graph(
+        nodes, "g", given, [helper.make_tensor_value_info("y", FLOAT, None)], constants
+    )
+    onnx.save_model(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8),
+        str(path),
+    )
     return f"onnx:{path}"
 
 
@@ -245,23 +288,36 @@ def loop(path: Path, *before: Any) -> str:
     """Write a network that does nothing as often as `times` says, without an end if nothing makes that."""
     value = helper.make_tensor_value_info
     body = helper.make_graph(
-        [helper.make_node("Identity", ["on"], ["still"]), helper.make_node("Identity", ["v"], ["w"])],
+        [
+            helper.make_node("Identity", ["on"], ["still"]),
+            helper.make_node("Identity", ["v"], ["w"]),
+        ],
         "body",
-        [value("i", onnx.TensorProto.INT64, []), value("on", onnx.TensorProto.BOOL, []), value("v", FLOAT, None)],
+        [
+            value("i", onnx.TensorProto.INT64, []),
+            value("on", onnx.TensorProto.BOOL, []),
+            value("v", FLOAT, None),
+        ],
         [value("still", onnx.TensorProto.BOOL, []), value("w", FLOAT, None)],
     )
     endless = [] if before else [helper.make_tensor("times", onnx.TensorProto.INT64, [], [2**62])]
-    return computed(path, [*before, helper.make_node("Loop", ["times", "", "x"], ["y"], body=body)], *endless)
+    return computed(
+        path, [*before, helper.make_node("Loop", ["times", "", "x"], ["y"], body=body)], *endless
+    )
 
 
-def test_network_is_refused_when_an_image_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network_is_refused_when_an_image_takes_too_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(onnx_features, "LONGEST_S", 1.0)
     line = refusal(loop(tmp_path / "loop.onnx"))
     assert line.startswith(f"{tmp_path}/loop.onnx: ")
     assert re.search(r"an image( of it)? takes more than", line)
 
 
-def test_network_is_refused_when_it_takes_all_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network_is_refused_when_it_takes_all_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(onnx_features, "MOST_MEMORY", 2**30)
     size = helper.make_tensor("size", onnx.TensorProto.INT64, [2], [20_000, 20_000])
     nodes = [
@@ -273,7 +329,9 @@ def test_network_is_refused_when_it_takes_all_memory(tmp_path: Path, monkeypatch
     assert line.startswith(f"{tmp_path}/huge.onnx: the network does not run: ")
 
 
-def test_image_is_refused_when_it_makes_the_network_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_image_is_refused_when_it_makes_the_network_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # Only a picture that is white all over makes it loop: a blank one and noise have a dark pixel.
     nodes = [
         helper.make_node("ReduceMin", ["x"], ["darkest"], keepdims=0),

@@ -29,21 +29,27 @@ def test_a_mistake_that_was_mended_is_not_repeated(mistake: str) -> None:
     wrong = drive(START, MISTAKES[mistake])
     found, centering = taught(Room(), wrong, scene=SCENE)
     planner = Planner(found)
-    pose = driven(Filter(found, centering), planner, Room(), START, round(1.2 * len(straight.poses)))
+    pose = driven(
+        Filter(found, centering), planner, Room(), START, round(1.2 * len(straight.poses))
+    )
     assert planner.said
     assert math.hypot(*(pose - straight.poses[-1])[:2]) < 0.25
 
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(Atom), st.integers(1, 20)), min_size=1, max_size=7))
-def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(keys: list[tuple[Atom, int]]) -> None:
+def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(
+    keys: list[tuple[Atom, int]],
+) -> None:
     atoms = np.repeat([key for key, _ in keys], [frames for _, frames in keys])
     poses = dead_reckoning(atoms, MOVEMENTS)
     on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), LENGTH_M)
     way = poses[on]
     assert on[0]
     assert on[-1]
-    assert all(shows_same(after[None], before, LENGTH_M)[0] for before, after in itertools.pairwise(way))
+    assert all(
+        shows_same(after[None], before, LENGTH_M)[0] for before, after in itertools.pairwise(way)
+    )
     steps = np.hypot(*np.diff(way[:, :2], axis=0).T)
     for first in range(len(way)):
         same = shows_same(way[first + 1 :], way[first], LENGTH_M)
@@ -63,6 +69,11 @@ def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
 
 def test_who_pauses_teaches_no_longer_way() -> None:
     usual = drive(START, ((2.5, 0.0),))
-    stands = Drive(np.insert(usual.poses, 20, usual.poses[[20] * 100], axis=0), np.insert(usual.atoms, 20, [0] * 100))
-    costs = [Planner(taught(Room(), each, scene=SCENE)[0]).route.to_go_s[0] for each in (usual, stands)]
+    stands = Drive(
+        np.insert(usual.poses, 20, usual.poses[[20] * 100], axis=0),
+        np.insert(usual.atoms, 20, [0] * 100),
+    )
+    costs = [
+        Planner(taught(Room(), each, scene=SCENE)[0]).route.to_go_s[0] for each in (usual, stands)
+    ]
     assert costs[1] == pytest.approx(costs[0], rel=0.05)

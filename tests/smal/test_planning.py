@@ -26,13 +26,20 @@ from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_be
 Stitches = tuple[tuple[tuple[int, int], tuple[float, float, float]], ...]
 
 
-def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: Stitches = ()) -> VisualMap:
+def map_of(
+    *lengths_m: float, goals: tuple[str, ...] | None = None, stitches: Stitches = ()
+) -> VisualMap:
     """Make a map of straight drives at 0.5 m/s and 10 Hz, a keyframe every 10 cm; each in other axes, without views."""
     ways = []
     for number, metres in enumerate(lengths_m):
         along = np.arange(round(metres / 0.05) + 1) * 0.05
         angle = 2.0 * number
-        ways.append(np.stack([along * math.cos(angle), along * math.sin(angle), np.full(along.size, angle)], axis=1))
+        ways.append(
+            np.stack(
+                [along * math.cos(angle), along * math.sin(angle), np.full(along.size, angle)],
+                axis=1,
+            )
+        )
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     ends = np.cumsum([len(way) for way in ways])
     every = [np.arange(end - len(way), end, 2) for way, end in zip(ways, ends, strict=True)]
@@ -50,7 +57,9 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
         gamma=1.0,
         next_correlation=0.5,
-        movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
+        movements=np.array(
+            [[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]
+        ),
         tick_s=TICK,
         odometry=True,
         scene=np.array([70.0, 0.3, 5.0]),
@@ -87,9 +96,16 @@ SPLIT = belief((10, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 180.0), weights=(0.5, 0.5))
 
 @pytest.mark.parametrize(
     ("left", "turned_deg", "atom"),
-    [(0.0, 20.0, Atom.RIGHT), (0.0, -20.0, Atom.LEFT), (0.5, 0.0, Atom.RIGHT), (-0.5, 0.0, Atom.LEFT)],
+    [
+        (0.0, 20.0, Atom.RIGHT),
+        (0.0, -20.0, Atom.LEFT),
+        (0.5, 0.0, Atom.RIGHT),
+        (-0.5, 0.0, Atom.LEFT),
+    ],
 )
-def test_turned_or_aside_it_turns_back_to_the_way(left: float, turned_deg: float, atom: Atom) -> None:
+def test_turned_or_aside_it_turns_back_to_the_way(
+    left: float, turned_deg: float, atom: Atom
+) -> None:
     decision = Planner(STRAIGHT).decide(belief((10, 0.0, left, turned_deg)))
     assert (decision.kind, key(decision)) == ("follow", atom)
     # It aims at the way 0.35 m ahead.
@@ -125,14 +141,20 @@ def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> Non
 def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
     planner = Planner(STRAIGHT)
     planner.decide(END, seen=Glimpse(0.0, near=0.0))
-    kinds = [planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=0.0)).kind for _ in range(120)]
+    kinds = [
+        planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=0.0)).kind
+        for _ in range(120)
+    ]
     assert set(kinds) == {"search", "goal"}
     assert planner.said == "not_here"
 
 
 def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
     planner = Planner(STRAIGHT)
-    atoms = [key(planner.decide(END, seen=Glimpse(0.99, 0.5, left))) for left in (0.4, 0.4, 0.0, 0.0, -0.4)]
+    atoms = [
+        key(planner.decide(END, seen=Glimpse(0.99, 0.5, left)))
+        for left in (0.4, 0.4, 0.0, 0.0, -0.4)
+    ]
     assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
     assert planner.said is None
     assert key(planner.decide(END, seen=Glimpse(0.99, near=1.1))) is Atom.STOP
@@ -165,9 +187,12 @@ def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "lost", "tracked"), [(1.0, 0.0, 0.1), (1.0, 0.0, 0.25), (1.0, 0.2, 3.0), (0.8, 0.0, 3.0)]
+    ("share", "lost", "tracked"),
+    [(1.0, 0.0, 0.1), (1.0, 0.0, 0.25), (1.0, 0.2, 3.0), (0.8, 0.0, 3.0)],
 )
-def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(share: float, lost: float, tracked: float) -> None:
+def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(
+    share: float, lost: float, tracked: float
+) -> None:
     places = ((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 0.0))
     for seen in (None, Glimpse(0.99, 1.1, 0.0)):
         planner = Planner(STRAIGHT)
@@ -177,7 +202,9 @@ def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(share: float, 
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.6])
-def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_again(lost: float) -> None:
+def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_again(
+    lost: float,
+) -> None:
     planner = Planner(STRAIGHT)
     unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
     decisions = [planner.decide(unsure) for _ in range(400)]
@@ -203,7 +230,9 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
 def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
     """Return the motions of a robot among things, at the headings of one frame after the other."""
     steering = Steering(Chassis.of(STRAIGHT, PLANNER_CONFIG), STRAIGHT.tick_s)
-    intents = [Intent("follow", heading_rad=math.radians(one), stepwise=True) for one in headings_deg]
+    intents = [
+        Intent("follow", heading_rad=math.radians(one), stepwise=True) for one in headings_deg
+    ]
     return [steering.steer(intent, elapsed_s, 0.0) for intent in intents]
 
 
@@ -257,7 +286,9 @@ def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
     for delay_s in (0.0, 0.1, 0.3):
         planner = Planner(STRAIGHT)
         planner.decide(belief((10, 0.0, 0.0, -20.0 * side)), delay_s=delay_s)
-        turns.append(side * planner.decide(belief((10, 0.0, 0.0, -6.0 * side)), delay_s=delay_s).motion[1])
+        turns.append(
+            side * planner.decide(belief((10, 0.0, 0.0, -6.0 * side)), delay_s=delay_s).motion[1]
+        )
     assert turns[0] > turns[1] > 0.0 > turns[2]
 
 
@@ -267,10 +298,14 @@ def test_who_can_be_told_velocities_comes_back_to_the_way_without_a_stop(car: bo
     table = STRAIGHT.movements.copy()
     table[[Atom.LEFT, Atom.RIGHT], 0] = 0.05 if car else 0.0
     planner = Planner(replace(STRAIGHT, movements=table))
-    (x, y, turned) = (1.0, 0.1, math.radians(15.0))
+    x = 1.0
+    y = 0.1
+    turned = math.radians(15.0)
     for _ in range(60):
         key = round(x / 0.1)
-        linear, angular = planner.decide(belief((key, x - key / 10.0, y, math.degrees(turned)))).motion
+        linear, angular = planner.decide(
+            belief((key, x - key / 10.0, y, math.degrees(turned)))
+        ).motion
         assert linear > 0.2
         assert not car or abs(angular) <= linear
         x = x + 0.05 * linear * math.cos(turned)
@@ -298,7 +333,9 @@ def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_de
     goal = drive().poses[-1]
     found = Filter(*usual_map())
     planner = Planner(usual_map()[0])
-    pose = driven(found, planner, Room(), from_beside(START, 0.0, left, math.radians(turn_deg)), 260)
+    pose = driven(
+        found, planner, Room(), from_beside(START, 0.0, left, math.radians(turn_deg)), 260
+    )
     assert planner.said
     assert math.hypot(*(pose - goal)[:2]) < 0.25
 
@@ -339,7 +376,9 @@ def meetings(draw: st.DrawFn) -> Stitches:
     found: dict[tuple[int, int], tuple[float, float, float]] = {}
     for _ in range(draw(st.integers(0, 30))):
         one, other = draw(st.permutations(range(3)))[:2]
-        pair = [draw(st.integers(int(ENDS[drive]), int(ENDS[drive + 1]) - 1)) for drive in (one, other)]
+        pair = [
+            draw(st.integers(int(ENDS[drive]), int(ENDS[drive + 1]) - 1)) for drive in (one, other)
+        ]
         left_m = draw(st.sampled_from([0.0, 0.05, 0.5]))
         found[pair[0], pair[1]] = (0.0, left_m, 0.0)
         found[pair[1], pair[0]] = (0.0, -left_m, 0.0)
@@ -348,7 +387,9 @@ def meetings(draw: st.DrawFn) -> Stitches:
 
 @settings(deadline=None)
 @given(meetings())
-def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(stitches: Stitches) -> None:
+def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(
+    stitches: Stitches,
+) -> None:
     three = map_of(*LENGTHS_M, goals=("victim", "victim", "elsewhere"), stitches=stitches)
     cost, following = cost_to_go(three, "victim")
     on_way = np.flatnonzero(following >= 0)
@@ -357,11 +398,17 @@ def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(stitche
     Planner(three, "victim")
 
 
-def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_not_lead_in_circles() -> None:
+def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_not_lead_in_circles() -> (
+    None
+):
     """From the place the first soon meets the second far along it, and that the third; the third is long."""
     lengths_m = (1.0, 4.0, 6.0)
     one, two, three = (int(first) for first in np.cumsum([0, 11, 41]))
-    meet = [*itertools.combinations((one, two, three), 2), (one + 2, two + 20), (two + 21, three + 40)]
+    meet = [
+        *itertools.combinations((one, two, three), 2),
+        (one + 2, two + 20),
+        (two + 21, three + 40),
+    ]
     both_ways = sorted([*meet, *((other, this) for this, other in meet)])
     stitches = tuple((pair, (0.0, 0.0, 0.0)) for pair in both_ways)
     planner = Planner(map_of(*lengths_m, goals=("a", "b", "c"), stitches=stitches), "c")
@@ -383,7 +430,10 @@ def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) 
 def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: str) -> None:
     with pytest.raises(ValueError, match=f"^{said}$"):
         Planner(fork(), goal)
-    assert Planner(fork(("kitchen", "kitchen")), None).decide(belief((end, 0.0, 0.0, 0.0))).kind == "goal"
+    assert (
+        Planner(fork(("kitchen", "kitchen")), None).decide(belief((end, 0.0, 0.0, 0.0))).kind
+        == "goal"
+    )
 
 
 def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None:

@@ -32,7 +32,9 @@ RAW = extract(FRAME, USUAL)
 CENTERING = Centering(np.zeros(USUAL.size, np.float32), USUAL)
 FEATURES = np.ones((4, 3), np.float32)
 DRIVE = drive(corridor(24), 0, seed=0)
-NOTHING = Judgement(np.zeros(3), np.ones(3, bool), np.zeros(3, bool), np.ones(3, bool), np.zeros(3, bool))
+NOTHING = Judgement(
+    np.zeros(3), np.ones(3, bool), np.zeros(3, bool), np.ones(3, bool), np.zeros(3, bool)
+)
 TRANSITIONS = learn_transitions([np.array([0, 1, 2], np.int32)], [np.zeros(3, np.int32)], [True], 3)
 
 
@@ -62,9 +64,18 @@ def taught(**setting: object) -> object:
         (lambda: Camera(0.5, "ftheta"), "ftheta"),  # type: ignore[arg-type]
         (lambda: Camera(0.5, distortion=(INF,)), "distortion"),
         (lambda: Camera(0.5, distortion=(0.0,) * 14), "distortion"),
-        (lambda: extract(FRAME, WITH_DEPTH, None), "the features color, hog, depth need a depth image"),
-        (lambda: extract(FRAME, WITH_DEPTH, np.ones((24, 32), np.float32)), "uint16 in millimetres, got float32"),
-        (lambda: extract(FRAME, WITH_DEPTH, np.ones((24, 32, 1), np.uint16)), r"\(height, width\), got \(24, 32, 1\)"),
+        (
+            lambda: extract(FRAME, WITH_DEPTH, None),
+            "the features color, hog, depth need a depth image",
+        ),
+        (
+            lambda: extract(FRAME, WITH_DEPTH, np.ones((24, 32), np.float32)),
+            "uint16 in millimetres, got float32",
+        ),
+        (
+            lambda: extract(FRAME, WITH_DEPTH, np.ones((24, 32, 1), np.uint16)),
+            r"\(height, width\), got \(24, 32, 1\)",
+        ),
         (lambda: extract(FRAME, WITH_DEPTH, np.ones((0, 32), np.uint16)), "shape"),
         (lambda: extract(FRAME.astype(np.float32), USUAL), "uint8"),
         (lambda: extract(FRAME[..., 0], USUAL), "shape"),
@@ -74,16 +85,25 @@ def taught(**setting: object) -> object:
         (lambda: FeatureSettings((1,)), "unknown"),  # type: ignore[arg-type]
         (lambda: FeatureSettings(()), "no feature modality"),
         (lambda: FeatureSettings(("color", "color")), "twice"),
-        (lambda: FeatureSettings.parse(""), f"unknown feature modality ''; known are {', '.join(MODALITY_NAMES)}$"),
+        (
+            lambda: FeatureSettings.parse(""),
+            f"unknown feature modality ''; known are {', '.join(MODALITY_NAMES)}$",
+        ),
         (lambda: FeatureSettings.parse("color,hgo"), "unknown feature modality 'hgo'"),
-        (lambda: FeatureSettings.parse("apriltag,qr"), "no feature modality is named that describes a frame"),
+        (
+            lambda: FeatureSettings.parse("apriltag,qr"),
+            "no feature modality is named that describes a frame",
+        ),
         (lambda: select(RAW, USUAL, WITH_DEPTH), "the features color, hog do not hold depth"),
         (lambda: select(RAW[1:], USUAL, USUAL), "8244 entries"),
         (lambda: CENTERING.apply(np.zeros(7, np.float32)), "8244 entries"),
         (lambda: CENTERING.apply(np.full(USUAL.size, NAN, np.float32)), "NaN"),
         (lambda: Centering(np.zeros(3, np.float32), USUAL), "the mean"),
         (lambda: Centering.fit(np.zeros((0, USUAL.size), np.float32), USUAL), "n >= 1"),
-        (lambda: Ground(np.zeros((3, 5, 2), np.uint8), 0.1), "the ground looks like do not fit together"),
+        (
+            lambda: Ground(np.zeros((3, 5, 2), np.uint8), 0.1),
+            "the ground looks like do not fit together",
+        ),
         (lambda: check_features(FEATURES, FEATURES[:, :2]), r"\(4, 3\) and \(4, 2\)"),
         (lambda: check_features(FEATURES, FEATURES[0]), r"\(4, 3\) and \(3,\)"),
         (lambda: check_features(FEATURES, broken(NAN)), "queries contain NaN"),
@@ -93,15 +113,24 @@ def taught(**setting: object) -> object:
         (lambda: smal.match(np.zeros((3, 5)), np.zeros((3, 4))), "shapes"),
         (lambda: smal.match(np.full((3, 5), NAN), np.zeros((3, 5))), "NaN"),
         (lambda: smal.match(np.zeros((2, 8, 8, 3), np.uint8)), "at least 24 rows"),
-        (lambda: smal.match(np.zeros((3, 5)), method="none"), "unknown method 'none'; known are smal, nearest"),
+        (
+            lambda: smal.match(np.zeros((3, 5)), method="none"),
+            "unknown method 'none'; known are smal, nearest",
+        ),
         (lambda: smal.match(np.zeros((3, 5)), method="paper"), "has no loops"),
-        (lambda: smal.match(np.zeros((3, 5)), np.zeros((3, 5)), method="seqslam"), "has its own features"),
+        (
+            lambda: smal.match(np.zeros((3, 5)), np.zeros((3, 5)), method="seqslam"),
+            "has its own features",
+        ),
         (lambda: PrecisionRecall.of(NOTHING), "no query has anything to find"),
         (lambda: bootstrap(NOTHING, 1), "no query has anything to find"),
         (lambda: Demonstration("x", DRIVE.features, DRIVE.atoms[:-1]), "do not fit"),
         (lambda: learn([], LearningSettings(features=COLOR)), "no demonstration"),
         (lambda: learn([DRIVE], LearningSettings()), "settings ask for"),
-        (lambda: learn([replace(DRIVE, successful=False)], LearningSettings(features=COLOR)), "goal"),
+        (
+            lambda: learn([replace(DRIVE, successful=False)], LearningSettings(features=COLOR)),
+            "goal",
+        ),
         (lambda: taught(sequence_length=0), "sequence_length must be at least 1, got 0"),
         (lambda: taught(lambda1=0.0), "lambda1 must be finite and positive, got 0.0"),
         (lambda: taught(gamma=1.0), "gamma"),
@@ -132,7 +161,9 @@ def taught(**setting: object) -> object:
         (lambda: solve(templates=np.ones((60, 2), np.int64)), "floating point"),
     ],
 )
-def test_library_raises_one_line_when_input_is_invalid(use: Callable[[], object], words: str) -> None:
+def test_library_raises_one_line_when_input_is_invalid(
+    use: Callable[[], object], words: str
+) -> None:
     with pytest.raises(ValueError, match=words) as caught:
         use()
     assert str(caught.value).isprintable()

@@ -17,10 +17,23 @@ from smal.paper.robot import PaperRobot
 from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
-from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, paper_model, pose, view
+from tests.corridor import (
+    FEATURES,
+    FRAMES,
+    LENGTH,
+    STEP_M,
+    Pose,
+    model,
+    moved,
+    paper_model,
+    pose,
+    view,
+)
 
 
-def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Motion]]:
+def _drive(
+    robot: Robot, start: Pose, odometry: bool, frames: int = 80
+) -> tuple[Pose, list[Motion]]:
     """Let the robot drive through the corridor, until it says that it is done."""
     here = start
     made = []
@@ -65,7 +78,9 @@ def test_a_model_of_the_other_scheme_is_refused_in_one_line(tmp_path: Path) -> N
 def test_the_map_names_its_drives_also_where_another_one_is_as_long(tmp_path: Path) -> None:
     images = [view(*pose(frame)) for frame in range(FRAMES)]
     atoms = np.array([Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP], dtype=np.int8)
-    unseen = Demonstration("unseen", np.stack([extract(image, FEATURES) for image in images]), atoms)
+    unseen = Demonstration(
+        "unseen", np.stack([extract(image, FEATURES) for image in images]), atoms
+    )
     taught = learn([unseen, replace(unseen, name="seen", images=images)], FEATURES)
     taught.save(tmp_path / "taught.smal")
     assert Model.load(tmp_path / "taught.smal").mapped.names == (("seen",),)
@@ -108,5 +123,7 @@ def test_who_only_follows_features_needs_no_opencv(tmp_path: Path) -> None:
         "belief = Localizer(model).observe(np.load('seen.npy'), (0.0, 0.0, 0.0))\n"
         "print(Planner(model.mapped).decide(belief.summary()).motion)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.stdout == "(1.0, 0.0)\n", done.stderr

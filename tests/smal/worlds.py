@@ -14,7 +14,9 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def corridor(places: int, size: int = COLOR.size, seed: int = 0, smooth: float = 0.35) -> NDArray[np.float64]:
+def corridor(
+    places: int, size: int = COLOR.size, seed: int = 0, smooth: float = 0.35
+) -> NDArray[np.float64]:
     """Make views (places, size) by a random walk, each resembling the next."""
     rng = np.random.default_rng(seed)
     view = unit(rng.standard_normal(size))
@@ -26,7 +28,12 @@ def corridor(places: int, size: int = COLOR.size, seed: int = 0, smooth: float =
 
 
 def drive(
-    views: NDArray[np.float64], start: int, seed: int, noise: float = 0.3, name: str = "drive", end: int | None = None
+    views: NDArray[np.float64],
+    start: int,
+    seed: int,
+    noise: float = 0.3,
+    name: str = "drive",
+    end: int | None = None,
 ) -> Demonstration:
     """Drive forward from one place to the end, with two turns on the way; each place is one frame."""
     rng = np.random.default_rng(seed)
@@ -37,18 +44,32 @@ def drive(
     atoms[(where // 10) % 3 == 1] = Atom.LEFT
     atoms[(where // 10) % 3 == 2] = Atom.RIGHT
     return Demonstration(
-        name, features.astype(np.float32), atoms, successful=end is None or end == len(views), recovery=False
+        name,
+        features.astype(np.float32),
+        atoms,
+        successful=end is None or end == len(views),
+        recovery=False,
     )
 
 
 def matching_problem(
-    seed: int, blocks: int, length: int, size: int = 60, noise: float = 0.5, smooth: float = 0.3, mixed: int = 1
+    seed: int,
+    blocks: int,
+    length: int,
+    size: int = 60,
+    noise: float = 0.5,
+    smooth: float = 0.3,
+    mixed: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Templates (size, blocks * length) and a query (size, length) that mixes some of their sequences."""
     rng = np.random.default_rng(seed)
-    templates = np.concatenate([corridor(length, size, int(s), smooth) for s in rng.integers(2**31, size=blocks)])
+    templates = np.concatenate(
+        [corridor(length, size, int(s), smooth) for s in rng.integers(2**31, size=blocks)]
+    )
     shift = int(rng.integers(0, length // 2 + 1))
     rows = np.minimum(np.arange(length) + shift, length - 1)
     query = sum(templates[block * length + rows] for block in range(min(mixed, blocks)))
     query = unit(unit(np.asarray(query)) + noise * unit(rng.standard_normal((length, size))))
-    return np.asfortranarray(templates.T.astype(np.float32)), np.asfortranarray(query.T.astype(np.float32))
+    return np.asfortranarray(templates.T.astype(np.float32)), np.asfortranarray(
+        query.T.astype(np.float32)
+    )

@@ -26,14 +26,19 @@ STANDS = {"stand still", "stand", "stale"}  # What it is late with, by what it h
 
 @pytest.fixture(scope="module")
 def rig(near: Path, taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with rig_for(RigPlan(taught / "model.smal", tmp_path_factory.mktemp("faults"), str(near))) as rig:
+    with rig_for(
+        RigPlan(taught / "model.smal", tmp_path_factory.mktemp("faults"), str(near))
+    ) as rig:
         yield rig
 
 
 @pytest.mark.parametrize(
-    "name", ["kill -9 policy", "freeze robot 1 s", "restart router", "kill -9 recorder", "kill -9 robot"]
+    "name",
+    ["kill -9 policy", "freeze robot 1 s", "restart router", "kill -9 recorder", "kill -9 robot"],
 )
-def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig, lost_s: Lost, name: str) -> None:
+def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(
+    rig: Rig, lost_s: Lost, name: str
+) -> None:
     costs_no_more(rig, lost_s, name)
 
 
@@ -53,7 +58,9 @@ def costs_no_more(rig: Rig, lost_s: Lost, name: str) -> None:
     stood_s = max(outcome.still_s, outcome.stood_s or 0.0)
     limit_s = Limits().still_s + STEP_S
     missed = BUSY | (STANDS if limit_s < stood_s <= limit_s + lost_s(began_s) else set())
-    assert set(outcome.not_met) <= missed, str(outcome.record())  # pytest would shorten anything else
+    assert set(outcome.not_met) <= missed, str(
+        outcome.record()
+    )  # pytest would shorten anything else
     assert outcome.recorded > 100
 
 
@@ -65,7 +72,11 @@ def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig)
         # The features take depth images where their modalities need them; what the robot takes at once waits nowhere,
         # and what is handed on waits for who serves the robot next.
         may_take = {topic.name for topic in row.takes}
-        at_once = may_take if name == "robot" else {"camera/depth", *(topic.name for topic in SNAPSHOTS.values())}
+        at_once = (
+            may_take
+            if name == "robot"
+            else {"camera/depth", *(topic.name for topic in SNAPSHOTS.values())}
+        )
         waiting = {one for one in status.waiting if not one.startswith("rpc/")}
         assert may_take - at_once <= waiting <= may_take, name
         assert {one for one in status.received if not one.startswith("rpc/")} <= may_take, name

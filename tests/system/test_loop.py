@@ -68,7 +68,9 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
 ) -> None:
     """On a stack of the command's own, and on another one."""
     model = taught / "model.smal"
-    first = run_json(near, model, tmp_path / "first.json", "--camera", "160x120", "--report", tmp_path / "report")
+    first = run_json(
+        near, model, tmp_path / "first.json", "--camera", "160x120", "--report", tmp_path / "report"
+    )
     assert outcomes(first) == ["found"]
     page = (tmp_path / "report" / "index.html").read_text()
     assert page.count("<img") >= 3
@@ -84,10 +86,14 @@ def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
     near: Path, taught: Path, tmp_path: Path, running: str
 ) -> None:
     more = ("--start", "anywhere", "--kidnap", 30, "--connect", running)
-    assert outcomes(run_json(near, taught / "model.smal", tmp_path / "anywhere.json", *more)) == ["found"]
+    assert outcomes(run_json(near, taught / "model.smal", tmp_path / "anywhere.json", *more)) == [
+        "found"
+    ]
 
 
-def test_the_papers_scheme_runs_in_real_time(near: Path, taught_paper: Path, tmp_path: Path, running: str) -> None:
+def test_the_papers_scheme_runs_in_real_time(
+    near: Path, taught_paper: Path, tmp_path: Path, running: str
+) -> None:
     """A map of views is followed in real time by a run from the page, and by the fake TurtleBot."""
     more = ("--scheme", "paper", "--realtime", "--connect", running, "--max-ticks", 60)
     found = run_json(near, taught_paper, tmp_path / "paper.json", *more)
@@ -104,19 +110,31 @@ def test_two_robots_of_one_stack_find_their_victims_while_an_instance_is_killed(
     }
     services = ("router", "robot", "features", "recognition", "policy")
     scale = {"recognition": 2, "policy": 2}
-    plan = StackPlan(services, "rescuebot", free_endpoint(), own, logs=tmp_path, robots=2, scale=scale)
-    with Stack(plan) as stack, closing(stack.settings.open_bus("watcher")) as bus, ThreadPoolExecutor(2) as pool:
+    plan = StackPlan(
+        services, "rescuebot", free_endpoint(), own, logs=tmp_path, robots=2, scale=scale
+    )
+    with (
+        Stack(plan) as stack,
+        closing(stack.settings.open_bus("watcher")) as bus,
+        ThreadPoolExecutor(2) as pool,
+    ):
 
         def run(robot: str) -> list[str]:
             out = tmp_path / f"{robot}.json"
-            return outcomes(run_json(near, taught / "model.smal", out, "--connect", plan.endpoint, "--robot", robot))
+            return outcomes(
+                run_json(
+                    near, taught / "model.smal", out, "--connect", plan.endpoint, "--robot", robot
+                )
+            )
 
         running = [pool.submit(run, robot) for robot in plan.fleet]
         with closing(bus.of_robot(plan.fleet[1])) as other:
             for service in ("recognition", "policy"):
                 told: list[Snapshot] = []
 
-                def take(payload: bytes, encoding: str, _transit_s: float | None, told: Any = told) -> None:
+                def take(
+                    payload: bytes, encoding: str, _transit_s: float | None, told: Any = told
+                ) -> None:
                     told.append(decode(Snapshot, payload, encoding))
 
                 other.subscribe(topics.SNAPSHOTS[service], take)

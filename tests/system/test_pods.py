@@ -47,10 +47,14 @@ class Pod:
     def passes(self, probe: str) -> bool:
         """Whether it passes one of its probes, as the kubelet asks."""
         asked = self.container[probe]["httpGet"]
-        assert asked["port"] in [port["name"] for port in self.container["ports"] if port["containerPort"] == 9100]
+        assert asked["port"] in [
+            port["name"] for port in self.container["ports"] if port["containerPort"] == 9100
+        ]
         assert self.process.poll() is None, self.log.read_text()
         try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{self.http}{asked['path']}", timeout=100.0) as answer:
+            with urllib.request.urlopen(
+                f"http://127.0.0.1:{self.http}{asked['path']}", timeout=100.0
+            ) as answer:
                 return bool(answer.status == 200)
         except (urllib.error.URLError, OSError):
             return False
@@ -58,7 +62,11 @@ class Pod:
 
 @contextmanager
 def running(
-    objects: list[dict[str, Any]], routers: dict[str, str], keys: Path, own: dict[str, str], folder: Path
+    objects: list[dict[str, Any]],
+    routers: dict[str, str],
+    keys: Path,
+    own: dict[str, str],
+    folder: Path,
 ) -> Iterator[dict[str, Pod]]:
     """Run the pods: ``routers`` says where each is here, and ``own`` overrides settings."""
     (settings,) = (one["data"] for one in objects if one["kind"] == "ConfigMap")
@@ -79,13 +87,21 @@ def running(
                     "/run/secrets/smal/cert.pem": f"{keys}/{role}.pem",
                     "/run/secrets/smal/key.pem": f"{keys}/{role}.key",
                 }
-                environment = settings | {entry["name"]: entry["value"] for entry in container.get("env", [])} | own
+                environment = (
+                    settings
+                    | {entry["name"]: entry["value"] for entry in container.get("env", [])}
+                    | own
+                )
                 for what, stands in here.items():
-                    environment = {name: value.replace(what, stands) for name, value in environment.items()}
+                    environment = {
+                        name: value.replace(what, stands) for name, value in environment.items()
+                    }
                 log = folder / f"{pod}.log"
                 command = [sys.executable, *container["command"][1:]]
                 with log.open("wb") as file:
-                    process = subprocess.Popen(command, env=clean | environment, stderr=file, cwd=folder)
+                    process = subprocess.Popen(
+                        command, env=clean | environment, stderr=file, cwd=folder
+                    )
                 pods[pod] = Pod(container, process, http, log)
         yield pods
     finally:
@@ -116,10 +132,22 @@ def test_the_pods_become_ready_the_robot_finds_its_victim_without_the_first_rout
         # By now each of them has lost it, or it goes to the other one at its next word.
         for pod in pods.values():
             eventually(lambda pod=pod: pod.passes("readinessProbe"), 300.0)
-        run = ("run", "--model", taught / "model.smal", "--world", near, "--episodes", 1, "--max-ticks", 400)
+        run = (
+            "run",
+            "--model",
+            taught / "model.smal",
+            "--world",
+            near,
+            "--episodes",
+            1,
+            "--max-ticks",
+            400,
+        )
         found = run_smal(*run, "--connect", both, "--secure", keys, "--json", tmp_path / "run.json")
         assert found.returncode == 0, found.stderr
-        assert [one["outcome"] for one in json.loads((tmp_path / "run.json").read_text())["episodes"]] == ["found"]
+        assert [
+            one["outcome"] for one in json.loads((tmp_path / "run.json").read_text())["episodes"]
+        ] == ["found"]
         for name, pod in pods.items():
             assert eventually(lambda pod=pod: pod.passes("readinessProbe")), name
         # As Kubernetes ends them: all at once.

@@ -41,9 +41,16 @@ def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> Non
         client.close()
     assert record.outcome == "timeout"
     seen = [tick for tick, pose in tracked.items() if pose.visible]
-    away_m = [math.dist((true[tick].x_m, true[tick].y_m), (tracked[tick].x_m, tracked[tick].y_m)) for tick in seen]  # type: ignore[arg-type]
+    away_m = [
+        math.dist((true[tick].x_m, true[tick].y_m), (tracked[tick].x_m, tracked[tick].y_m))
+        for tick in seen
+    ]  # type: ignore[arg-type]
     turned_deg = [
-        abs(math.degrees(math.remainder(true[tick].heading_rad - tracked[tick].heading_rad, math.tau)))  # type: ignore[operator]
+        abs(
+            math.degrees(
+                math.remainder(true[tick].heading_rad - tracked[tick].heading_rad, math.tau)
+            )
+        )  # type: ignore[operator]
         for tick in seen
     ]
     # In lockstep the world waits for the driver, not for the tracker: a frame may give way to a newer one.

@@ -22,7 +22,13 @@ def _run(*arguments: object, folder: Path, **environment: str) -> str:
     usual = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [sys.executable, "-P", "-c", *map(str, arguments)]
     done = subprocess.run(
-        command, cwd=folder, env=usual | environment, capture_output=True, text=True, timeout=DEADLINE_S, check=False
+        command,
+        cwd=folder,
+        env=usual | environment,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -46,7 +52,9 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_command(wheel: Path) -
     within = set(zipfile.ZipFile(wheel).namelist())
     of_checkout = (path for name in PACKAGES for path in (ROOT / name).rglob("*") if path.is_file())
     # Pages are read in the checkout.
-    of_source = (path for path in of_checkout if path.suffix != ".md" and "__pycache__" not in path.parts)
+    of_source = (
+        path for path in of_checkout if path.suffix != ".md" and "__pycache__" not in path.parts
+    )
     wanted = {str(path.relative_to(ROOT)) for path in of_source}
     assert not sorted(wanted - within)
     (entries,) = (name for name in within if name.endswith(".dist-info/entry_points.txt"))
@@ -59,7 +67,9 @@ def test_a_world_by_its_name_is_drawn_from_another_folder(wheel: Path, tmp_path:
     zipfile.ZipFile(wheel).extractall(installed)
     # It comes before the project in development mode.
     where = {"PYTHONPATH": str(installed)}
-    assert str(installed) in _run("import services.cli as one; print(one.__file__)", folder=tmp_path, **where)
+    assert str(installed) in _run(
+        "import services.cli as one; print(one.__file__)", folder=tmp_path, **where
+    )
     wanted = ("--views", 2, "--camera", "64x48", "--out", "views")
     assert "wrote the map and 2 views in views" in _run(
         SMAL, "world", "render", "yard", *wanted, folder=tmp_path, **where

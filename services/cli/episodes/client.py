@@ -42,13 +42,23 @@ class EpisodeRecord:
     ticks: int = 0  # Frames that passed.
     outcome: Outcome = "aborted"
     right: bool | None = None  # Whether "not here" was so, where somebody knows.
-    things: tuple[tuple[tuple[float, float], ...], ...] = ()  # Outlines of what stood there anew, metres.
-    poses: dict[int, tuple[float, float]] = field(default_factory=dict)  # True poses, (x, y) metres.
+    things: tuple[
+        tuple[tuple[float, float], ...], ...
+    ] = ()  # Outlines of what stood there anew, metres.
+    poses: dict[int, tuple[float, float]] = field(
+        default_factory=dict
+    )  # True poses, (x, y) metres.
     said: Said | None = None  # What the robot said of the goal.
     decisions: dict[int, str] = field(default_factory=dict)  # Kind of every decision.
-    unrecognized: set[int] = field(default_factory=set)  # Decisions that were taken without a recognized state.
-    latencies_ms: dict[int, float] = field(default_factory=dict)  # From a frame to the acceptance of its command.
-    frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # Some camera images of the way.
+    unrecognized: set[int] = field(
+        default_factory=set
+    )  # Decisions that were taken without a recognized state.
+    latencies_ms: dict[int, float] = field(
+        default_factory=dict
+    )  # From a frame to the acceptance of its command.
+    frames: dict[int, NDArray[np.uint8]] = field(
+        default_factory=dict
+    )  # Some camera images of the way.
 
 
 class EpisodeClient:
@@ -115,16 +125,22 @@ class EpisodeClient:
         self._alive_s = time.monotonic()
         try:
             if world not in (None, reply.world):
-                raise JobError(f"the stack runs {reply.world}, not {world}; start it with --world {world}")
+                raise JobError(
+                    f"the stack runs {reply.world}, not {world}; start it with --world {world}"
+                )
             on_begin(reply)
         except JobError:
             self._end()  # Nobody will drive it.
             raise
-        while not self.node.spin(until=lambda: self._ended or record.said is not None or done(), timeout_s=0.5):
+        while not self.node.spin(
+            until=lambda: self._ended or record.said is not None or done(), timeout_s=0.5
+        ):
             on_tick(record.ticks)
             check()
             if time.monotonic() - self._alive_s > SILENCE_S:
-                raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
+                raise JobError(
+                    f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs"
+                )
         if record.said == "found" and not self._ended:
             self._await_judge()
         if not self._ended:
@@ -149,7 +165,9 @@ class EpisodeClient:
         with bar_of(requests, desc=what, unit="episode") as bar:
 
             def show(tick: int) -> None:
-                bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
+                bar.set_postfix_str(
+                    f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}"
+                )
 
             for request in bar:
                 record = self.run(request, on_begin, done, show, access.check, world)
@@ -181,8 +199,14 @@ class EpisodeClient:
 
     def _beat(self) -> None:
         if self._record is not None and self._episode and not self._ended:
-            header = Message(robot=self.node.robot, episode=self._episode, tick=self._record.ticks, stamp_ns=0)
-            own = {"session": self.node.session, "name": self.node.name, "sequence": next(self._beats)}
+            header = Message(
+                robot=self.node.robot, episode=self._episode, tick=self._record.ticks, stamp_ns=0
+            )
+            own = {
+                "session": self.node.session,
+                "name": self.node.name,
+                "sequence": next(self._beats),
+            }
             self.node.publish(Heartbeat.after(header, **own))
 
     def _end(self, said: Said | None = None) -> None:
@@ -206,7 +230,9 @@ class EpisodeClient:
             record.outcome = event.outcome or "aborted"
             record.right = event.right
             # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
-            record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
+            record.decisions = {
+                tick: kind for tick, kind in record.decisions.items() if tick < event.tick
+            }
             record.unrecognized = {tick for tick in record.unrecognized if tick < event.tick}
             self._ended = True
 

@@ -47,4 +47,6 @@ def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
     if reply.dropped:
         told = bus.call("recorder", "status", Nothing(), Status).detail.get("last_error")
         why = "" if told is None else f" ({printable(str(told))})"
-        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages{why}; smal learn cuts recordings at gaps")
+        tqdm.write(
+            f"warning: the recorder dropped {reply.dropped} messages{why}; smal learn cuts recordings at gaps"
+        )

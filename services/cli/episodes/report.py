@@ -27,7 +27,11 @@ OUTCOME_COLOURS: Final = {
 
 
 def write_report(
-    folder: Path, world: str | None, model: Stored, records: list[EpisodeRecord], summary: Mapping[str, Any]
+    folder: Path,
+    world: str | None,
+    model: Stored,
+    records: list[EpisodeRecord],
+    summary: Mapping[str, Any],
 ) -> Path:
     """Write ``index.html`` into a folder and return its path."""
     shown = next((record for record in records if record.outcome == "found"), records[0])
@@ -59,7 +63,9 @@ def write_report(
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
         html.strip({f"frame {tick}": shown.frames[tick] for tick in some}),
         "<h2>Every run</h2>",
-        html.table(["outcome", "seed", "frames", "seconds", "decisions", "state unknown"], rows, left=1),
+        html.table(
+            ["outcome", "seed", "frames", "seconds", "decisions", "state unknown"], rows, left=1
+        ),
     ]
     title = f"SMAL: {world or records[0].world}, {counted(len(records), 'run')}"
     return html.write_page(folder, title, parts, 60)
@@ -74,7 +80,14 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     there = None if name is None else load_world(name)
     seen: list[NDArray[np.float64]] = []
     for outline in dict.fromkeys(outline for record in records for outline in record.things):
-        axes.fill(*np.array(outline).T, color=THING_COLOUR, lw=0, alpha=0.6, label="new, in one run", zorder=2.5)
+        axes.fill(
+            *np.array(outline).T,
+            color=THING_COLOUR,
+            lw=0,
+            alpha=0.6,
+            label="new, in one run",
+            zorder=2.5,
+        )
     for record in records:
         if record.poses:
             xy = np.array([record.poses[tick] for tick in sorted(record.poses)])

@@ -7,23 +7,33 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_COVERED: Final = 0.5  # Share of the image that an occluder covers, at least; at most all of it.
-_WHETHER, _WHAT, _NOISE = range(3)  # Sources of chance in an episode; their order is part of every seed.
+LEAST_COVERED: Final = (
+    0.5  # Share of the image that an occluder covers, at least; at most all of it.
+)
+_WHETHER, _WHAT, _NOISE = range(
+    3
+)  # Sources of chance in an episode; their order is part of every seed.
 
 
 @dataclass(frozen=True)
 class Degradation:
     """How bad the robot's view is."""
 
-    occlusion: float = 0.0  # Share of the frames of which one colour hides 50 to 100 %, a rectangle.
-    noise: float = 0.0  # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
+    occlusion: float = (
+        0.0  # Share of the frames of which one colour hides 50 to 100 %, a rectangle.
+    )
+    noise: float = (
+        0.0  # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
+    )
     shake: float | None = None  # Strength of the camera's shake; None for as usual in that world.
 
     @property
     def meaning(self) -> str:
         """One line for people."""
         said = [
-            f"{self.occlusion:.0%} of the frames occluded by half or more" if self.occlusion else "",
+            f"{self.occlusion:.0%} of the frames occluded by half or more"
+            if self.occlusion
+            else "",
             f"noise of {self.noise:g} grey levels" if self.noise else "",
             "" if self.shake is None else f"shake {self.shake:g}",
         ]

@@ -65,7 +65,11 @@ def views_of_expert(
 
 
 def drive(
-    simulation: Simulation, features: FeatureSettings, seed: int, via: Via = (), purpose: Purpose = "drive"
+    simulation: Simulation,
+    features: FeatureSettings,
+    seed: int,
+    via: Via = (),
+    purpose: Purpose = "drive",
 ) -> dict[str, NDArray[Any]]:
     """Have the expert drive; return the arrays for `drive_of`. ValueError when a drive did not reach the victim."""
     rows = []
@@ -73,9 +77,19 @@ def drive(
     for view, atom in views_of_expert(simulation, seed, via, purpose):
         reached = atom is not None
         if not reached and purpose == "drive":
-            raise ValueError(f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim")
+            raise ValueError(
+                f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim"
+            )
         pose = view.pose.x, view.pose.y, view.pose.heading
-        rows.append((extract(view.image, features), atom or Atom.STOP, rounded(view.odometry)[:3], pose, view.jpeg))
+        rows.append(
+            (
+                extract(view.image, features),
+                atom or Atom.STOP,
+                rounded(view.odometry)[:3],
+                pose,
+                view.jpeg,
+            )
+        )
     described, atoms, odometry, poses, jpegs = zip(*rows, strict=True)
     return {
         "seed": np.array(seed),

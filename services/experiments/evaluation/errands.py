@@ -50,7 +50,9 @@ _SOUTH = Pose(86.0, -53.6, 0.0)
 _TO_NORTH = TaughtErrand(_WEST, _NORTH, "north")
 _TO_SOUTH = TaughtErrand(_WEST, _SOUTH, "south")
 _JOINED = (TaughtErrand(_SOUTH_WEST, _NORTH, "north"), TaughtErrand(_NORTH_WEST, _SOUTH, "south"))
-_DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))  # By way of the far corner of the quarter.
+_DETOUR = replace(
+    _TO_NORTH, via=((119.0, 0.0), (119.0, 49.0))
+)  # By way of the far corner of the quarter.
 
 TASKS: Final = {
     "shorter way": ErrandTask(

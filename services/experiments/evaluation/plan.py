@@ -26,20 +26,45 @@ TAUGHT = 5
 #: Who searches: a name for people, and how each decides. All have the same drives.
 CONTROLLERS: Final = {
     "smal": ("SMAL", "the filter and the planner, at every frame"),
-    "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
-    "teach-and-repeat-told": ("teach and repeat, told", "the same, told that it begins where the drive began"),
+    "teach-and-repeat": (
+        "teach and repeat",
+        "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
+    ),
+    "teach-and-repeat-told": (
+        "teach and repeat, told",
+        "the same, told that it begins where the drive began",
+    ),
     "paper": ("the paper's scheme", "a decision every l frames"),
     "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
     "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
-    "smal-waits": ("SMAL, stop and wait", "it sees no depth: its guard alone stops it before what stands there"),
+    "smal-waits": (
+        "SMAL, stop and wait",
+        "it sees no depth: its guard alone stops it before what stands there",
+    ),
     "smal-unguarded": ("SMAL, avoidance off", "it has no depth camera, and so no guard"),
 }
-_PARTS: Final = ("smal-waits", "smal-unguarded")  # What SMAL is compared with where something stands in the way.
+_PARTS: Final = (
+    "smal-waits",
+    "smal-unguarded",
+)  # What SMAL is compared with where something stands in the way.
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
-_RECOVERIES: Final = 5  # For each drive of the paper's scheme: 60 for twelve, which were shown to do.
-VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")  # Light and season other than those of the drives.
-ELSEWHERE: Final[tuple[Victim, ...]] = ("absent", "moved", "decoy")  # How the victim can lie otherwise.
-_KIDNAP: Final = 100  # Frame at which robots are carried away: a good way from the start, and far from the goal.
+_RECOVERIES: Final = (
+    5  # For each drive of the paper's scheme: 60 for twelve, which were shown to do.
+)
+VARIATIONS: Final = (
+    "dark",
+    "overcast",
+    "evening",
+    "other-day",
+)  # Light and season other than those of the drives.
+ELSEWHERE: Final[tuple[Victim, ...]] = (
+    "absent",
+    "moved",
+    "decoy",
+)  # How the victim can lie otherwise.
+_KIDNAP: Final = (
+    100  # Frame at which robots are carried away: a good way from the start, and far from the goal.
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +132,10 @@ class Trial:
     @property
     def condition(self) -> str:
         """What is special about it, in a few words."""
-        own = {self.variation: self.variation != "day", self.degradation: self.degradation != "clean"}
+        own = {
+            self.variation: self.variation != "day",
+            self.degradation: self.degradation != "clean",
+        }
         return condition(self, own)
 
 
@@ -168,10 +196,16 @@ def _conditions(runs: int) -> tuple[Trial, ...]:
     spoilt = [{"degradation": "poor"}, *({"variation": name} for name in VARIATIONS)]
     usual = _usual(runs)
     elsewhere = (replace(usual[0], victim=victim) for victim in ELSEWHERE)
-    return (*usual, *(replace(trial, **one) for trial in usual[: len(_BEST)] for one in spoilt), *elsewhere)  # type: ignore[arg-type]
+    return (
+        *usual,
+        *(replace(trial, **one) for trial in usual[: len(_BEST)] for one in spoilt),  # type: ignore[arg-type]
+        *elsewhere,
+    )
 
 
-def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
+def _trials(
+    counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]
+) -> tuple[Trial, ...]:
     """Return searches of all controllers after each number of drives, of the best two under every condition too."""
     each = (
         Trial(name, drives, runs if name in _BEST else others)
@@ -179,7 +213,11 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
         for name in CONTROLLERS
         if name not in _PARTS and (drives > 1 or name not in _BEST)
     )
-    paper = (Trial("paper", max(counts), others, length, view) for length in lengths for view in ("clean", "poor"))
+    paper = (
+        Trial("paper", max(counts), others, length, view)
+        for length in lengths
+        for view in ("clean", "poor")
+    )
     return tuple(dict.fromkeys([*each, *_conditions(runs), *paper]))
 
 
@@ -226,11 +264,16 @@ def with_each(plan: EvaluationPlan, change: Callable[[Trial], Trial]) -> Evaluat
         if made.controller == "smal" and made.hindered:
             yield from (replace(made, controller=name) for name in _PARTS)
 
-    worlds = (replace(one, trials=tuple(dict.fromkeys(chain(*map(changed, one.trials))))) for one in plan.worlds)
+    worlds = (
+        replace(one, trials=tuple(dict.fromkeys(chain(*map(changed, one.trials)))))
+        for one in plan.worlds
+    )
     return replace(plan, worlds=tuple(worlds))
 
 
 def in_world(world: str, aside_m: float) -> EvaluationPlan:
     """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition."""
     criterion = Criterion(2.0 * aside_m, 25.0)  # Twice as far as searches begin beside the way.
-    return EvaluationPlan(f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),))
+    return EvaluationPlan(
+        f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),)
+    )

@@ -47,7 +47,9 @@ def recognize_states(model: PaperModel, views: NDArray[np.float32]) -> Matches:
         if tick < length - 1:
             continue
         window = centred[tick - length + 1 : tick + 1].T
-        solution = solve(model.templates, window, length, model.lambda1, model.lambda2, tolerance=1e-3)
+        solution = solve(
+            model.templates, window, length, model.lambda1, model.lambda2, tolerance=1e-3
+        )
         if (state := solution.best_block) is not None:
             matches.reference[tick] = frame_of(state, matched_phase(solution, state))
             matches.score[tick] = solution.block_weights.max() / length
@@ -58,7 +60,10 @@ def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
     """Return what tells which frame of all drives a phase of a state is; beyond its template, one that came after."""
     counts = [len(atoms) for atoms in model.atoms]
     starts = np.cumsum([0, *counts[:-1]])
-    ends = [start + last_frames(count, model.sequence_length) for start, count in zip(starts, counts, strict=True)]
+    ends = [
+        start + last_frames(count, model.sequence_length)
+        for start, count in zip(starts, counts, strict=True)
+    ]
     # The first sequence of a state is the one that it was made of.
     _, made = np.unique(np.concatenate(model.state_streams), return_index=True)
     begin = np.concatenate(ends)[made] - model.sequence_length + 1
@@ -66,7 +71,9 @@ def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
     return lambda state, phase: int(min(begin[state] + round(phase), last[state]))
 
 
-def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.float32], length: int) -> Matches:
+def recognize_nearest(
+    drives: Sequence[NDArray[np.float32]], views: NDArray[np.float32], length: int
+) -> Matches:
     """Match each window of centred features with the most alike one of all drives, none of which spans two."""
     found = [match_nearest_sequence(each, views, length) for each in drives]
     starts = np.cumsum([0, *map(len, drives[:-1])])
@@ -83,7 +90,9 @@ def recognize_nearest(drives: Sequence[NDArray[np.float32]], views: NDArray[np.f
 class NearestImitation:
     """Does what was done at the demonstrated frame whose window of last frames is most alike: no states, no plan."""
 
-    def __init__(self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1) -> None:
+    def __init__(
+        self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1
+    ) -> None:
         self._features = features
         self._frames = frames
         raw = [one.rows for one in demonstrations]
@@ -99,19 +108,26 @@ class NearestImitation:
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
         """Take one image, (height, width, 3) RGB, and return what to do; the wheels do not count."""
         del odometry
-        self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][-self._frames :]
+        self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][
+            -self._frames :
+        ]
         matches = recognize_nearest(self._drives, np.stack(self._seen), len(self._seen))
         return Atom(int(self._atoms[matches.reference[-1]]))
 
 
 def judged(
-    matches: Matches, demonstrated: NDArray[np.float64], true: NDArray[np.float64], criterion: Criterion
+    matches: Matches,
+    demonstrated: NDArray[np.float64],
+    true: NDArray[np.float64],
+    criterion: Criterion,
 ) -> dict[str, Any]:
     """Hold each `JUDGED_TICKS`-th answer against true poses (n, 3), (f, 3); return lists by name, for JSON."""
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
     asked = matches.of(ticks)
     there = true[ticks]
-    judgement = judge_by_poses(asked, demonstrated, there, criterion.distance_m, criterion.angle_deg)
+    judgement = judge_by_poses(
+        asked, demonstrated, there, criterion.distance_m, criterion.angle_deg
+    )
     return {
         "tick": ticks.tolist(),
         "score": [float(f"{score:.6g}") for score in asked.score.tolist()],

@@ -20,7 +20,9 @@ class Results:
         self.folder = folder
         self.work = folder / "units"
         self.work.mkdir(parents=True, exist_ok=True)
-        self.findings: dict[Unit, Finding] = {unit: found for unit in units if (found := self._read(unit)) is not None}
+        self.findings: dict[Unit, Finding] = {
+            unit: found for unit in units if (found := self._read(unit)) is not None
+        }
 
     def _path(self, unit: Unit) -> Path:
         return self.work / f"{unit.name}.json"
@@ -43,26 +45,36 @@ class Results:
             file.write(text.encode())
         self.findings[unit] = finding
 
-    def complete(self, units: Sequence[Unit], engine: Engine, progress: Callable[[int, int], object]) -> None:
+    def complete(
+        self, units: Sequence[Unit], engine: Engine, progress: Callable[[int, int], object]
+    ) -> None:
         """Have workers do what is not done, and tell how many are; JobError where one failed: the rest is kept."""
         left = [unit for unit in units if unit not in self.findings]
         if left:
-            self._check_shared(engine)  # Where nobody is there to work, this says so before anything is shown.
+            self._check_shared(
+                engine
+            )  # Where nobody is there to work, this says so before anything is shown.
         progress(len(self.findings), len(units))
-        for unit, found in engine.graph(left, partial(timed, self.work.resolve()), lambda unit: unit.needs):
+        for unit, found in engine.graph(
+            left, partial(timed, self.work.resolve()), lambda unit: unit.needs
+        ):
             try:
                 self.add(unit, found())
             except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
                 what = f"{type(unit).__name__.lower()} in {unit.site.world}"
                 kind = "" if isinstance(error, JobError) else f"{type(error).__name__}: "
-                raise JobError(f"{what}: {kind}{' '.join(str(error).split())}; run again to go on") from None
+                raise JobError(
+                    f"{what}: {kind}{' '.join(str(error).split())}; run again to go on"
+                ) from None
             progress(len(self.findings), len(units))
 
     def _check_shared(self, engine: Engine) -> None:
         """Raise UsageError where a worker elsewhere does not see the folder."""
         for worker, sees in engine.on_each(os.path.isdir, str(self.work.resolve())).items():
             if not sees:
-                raise UsageError(f"--out {self.folder}: the worker {worker} does not see it; take a shared folder")
+                raise UsageError(
+                    f"--out {self.folder}: the worker {worker} does not see it; take a shared folder"
+                )
 
 
 def timed(folder: Path, unit: Unit) -> Finding:

@@ -53,14 +53,18 @@ class SearchRun:
     shortest_m: float  # Way from the start to where the victim counts as found.
     #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     places: tuple[TaughtPlace | None, ...] = ()
-    pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)  # At chosen ticks, (height, width, 3) RGB.
+    pictures: dict[int, NDArray[np.uint8]] = field(
+        default_factory=dict
+    )  # At chosen ticks, (height, width, 3) RGB.
     kidnap_tick: int = 0
     right: bool | None = None  # Whether "not here" was so.
 
     @property
     def ways(self) -> list[NDArray[np.float64]]:
         """Its poses; before and after it was carried, which is no driving."""
-        return np.split(self.poses, [self.kidnap_tick] if 0 < self.kidnap_tick <= len(self.atoms) else [])
+        return np.split(
+            self.poses, [self.kidnap_tick] if 0 < self.kidnap_tick <= len(self.atoms) else []
+        )
 
     @property
     def driven_m(self) -> float:
@@ -76,7 +80,10 @@ class SearchRun:
     @property
     def jerk_m_s3(self) -> float:
         """Root mean square jerk: of third differences of its place over ticks."""
-        jerks = np.concatenate([np.hypot(*np.diff(way[:, :2], 3, axis=0).T) for way in self.ways]) / TICK_S**3
+        jerks = (
+            np.concatenate([np.hypot(*np.diff(way[:, :2], 3, axis=0).T) for way in self.ways])
+            / TICK_S**3
+        )
         return float(np.sqrt(np.mean(jerks**2))) if jerks.size else 0.0
 
 
@@ -96,7 +103,9 @@ def search(
     """
     kind = type(driver)
     says = hasattr(kind, "said") or hasattr(kind, "done")
-    episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said and says}))
+    episode = LockstepEpisode(
+        simulation, request.model_copy(update={"until_said": until_said and says})
+    )
     driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
@@ -125,7 +134,9 @@ def search(
         if says and (said := _said(driver)) is not None:
             ended = episode.end(said)
             break
-        asked = KEYS[cast(AtomName, told.name.lower())] if isinstance(told, Atom) else Velocity(*told)
+        asked = (
+            KEYS[cast(AtomName, told.name.lower())] if isinstance(told, Atom) else Velocity(*told)
+        )
         poses.append(episode.step(asked).pose)
         clearance_m.append(simulation.clearance_m)
         atoms.append(Atom[asked.atom().upper()])
@@ -133,7 +144,9 @@ def search(
     made = np.array(atoms, dtype=np.int8)
     kidnapped = request.kidnap_tick or 0
     free = np.array(clearance_m)
-    return SearchRun(ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right)
+    return SearchRun(
+        ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right
+    )
 
 
 def _said(driver: Driver) -> Said | None:
@@ -159,7 +172,12 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
     }
     if found.places:
         sure = np.array([place is not None for place in found.places])
-        right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
+        right = np.array(
+            [
+                _is_right(*pair, taught, criterion)
+                for pair in zip(found.places, found.poses, strict=False)
+            ]
+        )
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
         if 0 < found.kidnap_tick <= len(found.atoms):
             # The time after which the belief is right for a whole second, or to the end; None where it never is.
@@ -171,10 +189,15 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
 
 
 def _is_right(
-    place: TaughtPlace | None, true: NDArray[np.float64], taught: NDArray[np.float64], criterion: Criterion
+    place: TaughtPlace | None,
+    true: NDArray[np.float64],
+    taught: NDArray[np.float64],
+    criterion: Criterion,
 ) -> bool:
     if place is None:
         return False
     believed = placed(np.array([place.ahead, place.left, place.turned_rad]), taught[place.frame])
     x, y, turned = seen_from(believed, true)
-    return bool(np.hypot(x, y) <= criterion.distance_m and abs(turned) <= math.radians(criterion.angle_deg))
+    return bool(
+        np.hypot(x, y) <= criterion.distance_m and abs(turned) <= math.radians(criterion.angle_deg)
+    )

@@ -16,7 +16,13 @@ from schemas.rpc import ResetRequest
 from services.experiments.engine import digest_of
 from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
-from services.experiments.evaluation.drives import RecordedDrive, drive, drive_of, load_arrays, save_arrays
+from services.experiments.evaluation.drives import (
+    RecordedDrive,
+    drive,
+    drive_of,
+    load_arrays,
+    save_arrays,
+)
 from services.experiments.evaluation.errands import TASKS, run_errand
 from services.experiments.evaluation.plan import (
     CLOUDS_SEED,
@@ -44,10 +50,18 @@ from smal.paper.robot import PaperRobot
 from smal.robot import Robot
 from smal.teaching.mapping import learn as learn_map
 
-Finding = dict[str, Any]  # Numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
+Finding = dict[
+    str, Any
+]  # Numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
 U = TypeVar("U", bound="Unit")
 FEATURES: Final = FeatureSettings()  # Of all drives and queries.
-_ASKED: Final = ("start", "victim", "obstacles", "people", "blocked")  # What a trial asks of the simulator.
+_ASKED: Final = (
+    "start",
+    "victim",
+    "obstacles",
+    "people",
+    "blocked",
+)  # What a trial asks of the simulator.
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
@@ -74,7 +88,12 @@ class Site:
     def of(cls, world: str, camera: tuple[int, int], base: BaseKind) -> "Site":
         """Return the site of a world, a name or a path."""
         path = Path(world)
-        return cls(world, hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "", camera, base)
+        return cls(
+            world,
+            hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "",
+            camera,
+            base,
+        )
 
 
 @dataclass(frozen=True)
@@ -108,12 +127,22 @@ class Unit(ABC):
 
 @lru_cache(maxsize=4)
 def simulation_in(
-    site: Site, shake: float | None = None, variation: str = "day", clouds_seed: int | None = None, depth: bool = False
+    site: Site,
+    shake: float | None = None,
+    variation: str = "day",
+    clouds_seed: int | None = None,
+    depth: bool = False,
 ) -> Simulation:
     """Open a world."""
     camera = CameraSettings(*site.camera)
     return open_simulation(
-        site.world, camera, base=site.base, shake=shake, variation=variation, clouds_seed=clouds_seed, depth=depth
+        site.world,
+        camera,
+        base=site.base,
+        shake=shake,
+        variation=variation,
+        clouds_seed=clouds_seed,
+        depth=depth,
     )
 
 
@@ -153,7 +182,9 @@ class LearnUnit(Unit):
         if not self.length:
             learn_map(demonstrations, FEATURES).save(self.file(folder))
             return {"file": True}
-        model = learn(demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length))
+        model = learn(
+            demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length)
+        )
         model.save(self.file(folder))
         return {"states": model.states, "file": True}
 
@@ -170,8 +201,14 @@ class Query(Unit):
         arrays: dict[str, Any] = {}
         # Shake moves the camera and not the robot: the way is the same.
         for shake in dict.fromkeys(DEGRADATIONS[name].shake for name in self.degradations):
-            views = {name: DEGRADATIONS[name] for name in self.degradations if DEGRADATIONS[name].shake == shake}
-            arrays |= recognition.query_drive(simulation_in(self.site, shake), FEATURES, self.seed, views)
+            views = {
+                name: DEGRADATIONS[name]
+                for name in self.degradations
+                if DEGRADATIONS[name].shake == shake
+            }
+            arrays |= recognition.query_drive(
+                simulation_in(self.site, shake), FEATURES, self.seed, views
+            )
         save_arrays(self.file(folder), **arrays)
         return {"frames": len(arrays["poses"]), "file": True}
 
@@ -192,11 +229,15 @@ class Recognize(Unit):
             held = load_arrays(query.file(folder))
             views = held[self.degradation]
             if self.recognizer.eq9:
-                matches = recognition.recognize_states(_paper_model(*self.needed(LearnUnit), folder), views)
+                matches = recognition.recognize_states(
+                    _paper_model(*self.needed(LearnUnit), folder), views
+                )
             else:
                 centering = Centering.fit([one.demonstration.rows for one in taught], FEATURES)
                 drives = [centering.apply(one.demonstration.rows) for one in taught]
-                matches = recognition.recognize_nearest(drives, centering.apply(views), self.recognizer.length)
+                matches = recognition.recognize_nearest(
+                    drives, centering.apply(views), self.recognizer.length
+                )
             demonstrated = np.concatenate([one.poses for one in taught])
             found.append(recognition.judged(matches, demonstrated, held["poses"], self.criterion))
         return {"queries": found}
@@ -214,7 +255,9 @@ class Searches(Unit):
     @property
     def is_example(self) -> bool:
         """Whether pictures of a search are kept: SMAL's after one drive, from the start, as it was taught."""
-        return self.which == 0 and self.trial == Trial("smal", 1, self.trial.runs, sets=self.trial.sets)
+        return self.which == 0 and self.trial == Trial(
+            "smal", 1, self.trial.runs, sets=self.trial.sets
+        )
 
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save what was seen in the first search of an example that finds the victim."""
@@ -234,15 +277,28 @@ class Searches(Unit):
         shown = False
         for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
             kidnap_tick = trial.kidnap_tick or None
-            request = ResetRequest(seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked)
+            request = ResetRequest(
+                seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked
+            )
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0
             waits = trial.controller == "smal-waits"
-            one = search(simulation, driver, request, Degrader(how, seed), pictures, until_said=True, waits=waits)
+            one = search(
+                simulation,
+                driver,
+                request,
+                Degrader(how, seed),
+                pictures,
+                until_said=True,
+                waits=waits,
+            )
             found.append(finding(one, poses, self.criterion) | {"taught_ticks": taught_ticks})
             if keeps and one.outcome == "found":
                 shown = True
-                jpegs = {str(k): np.frombuffer(encode_jpeg(seen), np.uint8) for k, seen in one.pictures.items()}
+                jpegs = {
+                    str(k): np.frombuffer(encode_jpeg(seen), np.uint8)
+                    for k, seen in one.pictures.items()
+                }
                 save_arrays(self.file(folder), poses=one.poses, **jpegs)
         return {"searches": found, "file": shown}
 
@@ -255,9 +311,13 @@ class Searches(Unit):
             case "paper":
                 return PaperRobot(_paper_model(*self.needed(LearnUnit), folder))
             case "teach-and-repeat" | "teach-and-repeat-told" as name:
-                return TeachAndRepeat(demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told"))
+                return TeachAndRepeat(
+                    demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told")
+                )
             case nearest:
-                return recognition.NearestImitation(demonstrations, FEATURES, int(nearest.removeprefix("nearest-")))
+                return recognition.NearestImitation(
+                    demonstrations, FEATURES, int(nearest.removeprefix("nearest-"))
+                )
 
 
 @dataclass(frozen=True)
@@ -271,7 +331,9 @@ class Errand(Unit):
         """See `run_errand`."""
         del folder
         seeds = range(RUN_SEED, RUN_SEED + self.runs)
-        return run_errand(self.site.world, CameraSettings(*self.site.camera), FEATURES, self.errand, seeds)
+        return run_errand(
+            self.site.world, CameraSettings(*self.site.camera), FEATURES, self.errand, seeds
+        )
 
 
 def units(plan: EvaluationPlan) -> list[Unit]:

@@ -22,7 +22,9 @@ from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
-WITHIN: Final = 0.1  # Of a lap: what is right is within it, and probabilities are those of being within it.
+WITHIN: Final = (
+    0.1  # Of a lap: what is right is within it, and probabilities are those of being within it.
+)
 # Above this a robot is lost, and below that sure that it is not.
 LOST = 0.5
 SURE = 0.1
@@ -42,7 +44,9 @@ class Judged:
     figures: dict[str, float | list[float]]
 
 
-def ask(laps: Sequence[tuple[Demonstration, Lap]], advance: Callable[[str, int, int], None]) -> dict[str, Judged]:
+def ask(
+    laps: Sequence[tuple[Demonstration, Lap]], advance: Callable[[str, int, int], None]
+) -> dict[str, Judged]:
     """Teach on the first lap, ask on all others, and judge; JobError when nothing can be learned from it."""
     (taught, _), *asked = laps
     found = {}
@@ -69,10 +73,20 @@ def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: i
     for name, share in shares.items():
         parts = np.split(share, np.cumsum([len(truth) for truth in truths])[:-1])
         hits, frames_ = np.array([(part.sum(), len(part)) for part in parts])[drawn].sum(axis=1).T
-        figures |= {name: float(share.mean()), f"{name}, 95 %": np.quantile(hits / frames_, (0.025, 0.975)).tolist()}
+        figures |= {
+            name: float(share.mean()),
+            f"{name}, 95 %": np.quantile(hits / frames_, (0.025, 0.975)).tolist(),
+        }
     every = np.ones(len(said), dtype=np.bool_)
-    reliability = Reliability.of(Judgement(likely, every, right, every, every)) if probable else None
-    return Judged(said, off, reliability, figures | ({"calibration error": reliability.error} if reliability else {}))
+    reliability = (
+        Reliability.of(Judgement(likely, every, right, every, every)) if probable else None
+    )
+    return Judged(
+        said,
+        off,
+        reliability,
+        figures | ({"calibration error": reliability.error} if reliability else {}),
+    )
 
 
 def _apart(frames: NDArray[Any], others: NDArray[Any] | float, lap: int) -> NDArray[np.float64]:
@@ -83,14 +97,20 @@ def _apart(frames: NDArray[Any], others: NDArray[Any] | float, lap: int) -> NDAr
 
 def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) -> dict[str, _Method]:
     """Return the methods by name; those that go by wheels only where the lap has odometry."""
-    found: dict[str, _Method] = {f"nearest {count}": partial(_nearest, taught, count) for count in (1, 5)}
+    found: dict[str, _Method] = {
+        f"nearest {count}": partial(_nearest, taught, count) for count in (1, 5)
+    }
     try:
         blind = learn([replace(taught, odometry=None)], JUDGED, progress=advance)
         found = {"SMAL without odometry": partial(_smal, blind)} | found
         if taught.odometry is not None:
             model = learn([taught], JUDGED, progress=advance)
             repeat = TeachAndRepeat([taught], math.radians(float(model.mapped.scene[0])), told=True)
-            found = {"SMAL": partial(_smal, model)} | found | {"teach and repeat": partial(_repeating, repeat)}
+            found = (
+                {"SMAL": partial(_smal, model)}
+                | found
+                | {"teach and repeat": partial(_repeating, repeat)}
+            )
     except ValueError as error:
         raise JobError(f"cannot learn from {taught.name}: {error}") from None
     return found
@@ -103,9 +123,13 @@ def _smal(model: Model, asked: Demonstration) -> Answers:
     answers = []
     for frame, raw in enumerate(asked.features):
         made = [Atom(int(asked.atoms[frame - 1]))] if frame else []
-        belief = robot.observe(raw, None if asked.odometry is None else asked.odometry[frame].tolist(), made)
+        belief = robot.observe(
+            raw, None if asked.odometry is None else asked.odometry[frame].tolist(), made
+        )
         best = int(keyframes[belief.summary(1).keyframes[0]])
-        near = belief.weights[_apart(keyframes[belief.keyframes], best, len(model.mapped.poses)) <= WITHIN].sum()
+        near = belief.weights[
+            _apart(keyframes[belief.keyframes], best, len(model.mapped.poses)) <= WITHIN
+        ].sum()
         answers.append((best, min((1.0 - belief.lost) * float(near), 1.0), belief.lost))
     return np.array(answers, dtype=np.float64)
 
@@ -114,7 +138,10 @@ def _nearest(taught: Demonstration, window: int, asked: Demonstration) -> Answer
     """Take the frame whose window, round the closed lap, has the largest sum of cosines; at first it is shorter."""
     centering = Centering.fit(taught.rows, JUDGED)
     rows = centering.apply(asked.rows) @ centering.apply(taught.rows).T
-    for_each = [np.pad(np.roll(rows, back, axis=1), ((back, 0), (0, 0)))[: len(rows)] for back in range(window)]
+    for_each = [
+        np.pad(np.roll(rows, back, axis=1), ((back, 0), (0, 0)))[: len(rows)]
+        for back in range(window)
+    ]
     return _only(np.sum(for_each, axis=0).argmax(axis=1))
 
 

@@ -40,11 +40,18 @@ def find_laps(pieces: Sequence[Frames]) -> list[Lap]:
     end, a lap ends. That is done with some, and again with a lap in the middle of those that the best of them finds.
     """
     period = _period(pieces)
-    stretches = [one[at : at + period] for one in pieces for at in range(0, len(one) - period, period // 2 + 1)]
+    stretches = [
+        one[at : at + period]
+        for one in pieces
+        for at in range(0, len(one) - period, period // 2 + 1)
+    ]
     if period < 2 or not stretches:
         return []
     tried = stretches[:: -(-len(stretches) // TRIED)]
-    best = max((_rounds(pieces, each) for each in tried), key=lambda laps: sum(1.0 - lap.unlike for lap in laps))
+    best = max(
+        (_rounds(pieces, each) for each in tried),
+        key=lambda laps: sum(1.0 - lap.unlike for lap in laps),
+    )
     if not best:
         return []
     piece, first, last, *_ = best[len(best) // 2]
@@ -88,7 +95,9 @@ def aligned(frames: Frames, closed: Frames) -> NDArray[np.intp]:
     came = np.zeros(unlike.shape, dtype=np.intp)
     cost = unlike[0]
     for frame in range(1, len(unlike)):
-        ways = np.stack([np.roll(cost, step) + STEP_COST * abs(step - 1) for step in range(FASTEST + 1)])
+        ways = np.stack(
+            [np.roll(cost, step) + STEP_COST * abs(step - 1) for step in range(FASTEST + 1)]
+        )
         came[frame] = ways.argmin(axis=0)
         cost = ways.min(axis=0) + unlike[frame]
     where = np.empty(len(unlike), dtype=np.intp)

@@ -32,16 +32,31 @@ def write_page(
     """Write ``index.html`` and ``results.json`` into a folder that is there; the first lap taught. Return the page."""
     (taught, _), *asked = laps
     truth = np.concatenate([lap.shows for _, lap in asked])
-    facts = {"source": str(source), "laps": len(laps), "taught": taught.name, "asked frames": len(truth)}
+    facts = {
+        "source": str(source),
+        "laps": len(laps),
+        "taught": taught.name,
+        "asked frames": len(truth),
+    }
     written = facts | {"methods": {name: one.figures for name, one in judged.items()}}
     write_whole(folder / "results.json", (json.dumps(written, indent=1) + "\n").encode())
-    columns = [name for name in max((one.figures for one in judged.values()), key=len) if "95 %" not in name]
-    rows = ([name, *(_said(one.figures, column) for column in columns)] for name, one in judged.items())
+    columns = [
+        name
+        for name in max((one.figures for one in judged.values()), key=len)
+        if "95 %" not in name
+    ]
+    rows = (
+        [name, *(_said(one.figures, column) for column in columns)] for name, one in judged.items()
+    )
     body = [
         html.table(["", "is"], ([name, str(value)] for name, value in facts.items()), 2),
         html.table(["method", *columns], rows, 1),
         _METHOD,
-        html.titled(draw(truth, judged), "Places, and how reliable probabilities are", "Asked laps in their order."),
+        html.titled(
+            draw(truth, judged),
+            "Places, and how reliable probabilities are",
+            "Asked laps in their order.",
+        ),
     ]
     return html.write_page(folder, "SMAL: laps of a real robot", body, 60)
 
@@ -55,7 +70,9 @@ def _said(figures: dict[str, float | list[float]], name: str) -> str:
 @styled
 def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
     """Draw what SMAL says beside the truth, one lap after the other, and how often it is right, by its probability."""
-    shown = [(name, one, one.reliability) for name, one in judged.items() if one.reliability is not None]
+    shown = [
+        (name, one, one.reliability) for name, one in judged.items() if one.reliability is not None
+    ]
     drawn = figure(3.0 + 2.6 * len(shown))
     *panels, last = drawn.subplots(len(shown) + 1, 1)
     last.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
@@ -63,11 +80,21 @@ def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
     for axes, (name, one, reliability), colour in zip(panels, shown, COLOURS, strict=False):
         axes.plot(truth, ".", color=MUTED, ms=2, label="truth")
         axes.set(title=name, xlabel="asked frame", ylabel="taught frame")
-        kind = np.where(one.answers[:, 2] > LOST, 2, one.off > WITHIN)  # Lost is 2, wrong 1, right 0.
+        kind = np.where(
+            one.answers[:, 2] > LOST, 2, one.off > WITHIN
+        )  # Lost is 2, wrong 1, right 0.
         for number, (label, mark) in enumerate((("right", "."), ("wrong", "x"), ("lost", "+"))):
             at = np.flatnonzero(kind == number)
             axes.plot(at, one.answers[at, 0], mark, color=COLOURS[2 - number], ms=4, label=label)
         sizes = 20.0 + 300.0 * reliability.count / reliability.count.sum()
-        last.scatter(reliability.said, reliability.right, sizes, color=colour, alpha=0.7, label=name, zorder=3)
+        last.scatter(
+            reliability.said,
+            reliability.right,
+            sizes,
+            color=colour,
+            alpha=0.7,
+            label=name,
+            zorder=3,
+        )
     legend(drawn, [*panels, last])
     return drawn

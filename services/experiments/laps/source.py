@@ -28,14 +28,24 @@ HELD: Final = FeatureSettings.of((*JUDGED.modalities, *_FINDING.modalities))
 _TURN_WEIGHT: Final = 0.25  # Turns apart as turns scatter are as unlike as views of cosine .75.
 
 
-def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tuple[Demonstration, Lap]]:
+def read_laps(
+    source: Path, advance: Callable[[str, int, int], None]
+) -> list[tuple[Demonstration, Lap]]:
     """Find laps in a tub or in recordings, as `find_laps` orders them; UsageError: there is none, JobError: under 3."""
     tub = (source / "manifest.json").is_file()
     tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:
             run(
-                ImportJob(format="donkeycar", path=str(source), folder=folder, robot="car", speed=1, turn_rate=1), tally
+                ImportJob(
+                    format="donkeycar",
+                    path=str(source),
+                    folder=folder,
+                    robot="car",
+                    speed=1,
+                    turn_rate=1,
+                ),
+                tally,
             )
         files = find_recordings([Path(folder) if tub else source])
         teaching = Teacher(HELD, shortest=2).read_all(files, advance)
@@ -48,7 +58,9 @@ def read_laps(source: Path, advance: Callable[[str, int, int], None]) -> list[tu
     return laps
 
 
-def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[tuple[Demonstration, Lap]]:
+def laps_of(
+    drives: Sequence[Demonstration], *, reckoned: bool = False
+) -> list[tuple[Demonstration, Lap]]:
     """Find laps in pieces of drives with the features `HELD`; of a tub, the median lap is made to turn once round."""
     drives = [replace(one, features=one.rows) for one in drives if one.images is not None]
     turns = [_turns(one) for one in drives]
@@ -57,9 +69,13 @@ def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[
         raise JobError(f"views recur in {len(laps)} whole laps; at least 3 are needed")
     if reckoned:
         each = [turns[lap.piece][lap.first : lap.last] for lap in laps]
-        round_rad, driven_rad = (abs(float(np.median([of(turn).sum() for turn in each]))) for of in (np.array, np.abs))
+        round_rad, driven_rad = (
+            abs(float(np.median([of(turn).sum() for turn in each]))) for of in (np.array, np.abs)
+        )
         if round_rad <= driven_rad / 2.0:
-            raise JobError("laps turn to both sides; import it with --speed and --turn-rate, and give that")
+            raise JobError(
+                "laps turn to both sides; import it with --speed and --turn-rate, and give that"
+            )
         drives = [_turning(one, math.tau / round_rad) for one in drives]
     return [(_part(drives[lap.piece], lap.first, lap.last), lap) for lap in laps]
 
@@ -67,7 +83,9 @@ def laps_of(drives: Sequence[Demonstration], *, reckoned: bool = False) -> list[
 def _turns(drive: Demonstration) -> NDArray[np.float64]:
     """Return how far it turned left after each frame, (f,): radians by its wheels, or 1 where it only was told to."""
     if drive.odometry is None:
-        return np.where(drive.atoms == Atom.LEFT, 1.0, np.where(drive.atoms == Atom.RIGHT, -1.0, 0.0))
+        return np.where(
+            drive.atoms == Atom.LEFT, 1.0, np.where(drive.atoms == Atom.RIGHT, -1.0, 0.0)
+        )
     turned: NDArray[np.float64] = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, 2]
     return np.append(turned, 0.0)
 
@@ -78,17 +96,32 @@ def _frames(drives: Sequence[Demonstration], turns: Sequence[NDArray[np.float64]
     centering = Centering.fit(raw, _FINDING)
     scale = math.sqrt(2.0 * _TURN_WEIGHT) / max(float(every.std()), 1e-9)
     both = zip(raw, turns, strict=True)
-    return [np.column_stack([centering.apply(each), scale * (turn - every.mean())]) for each, turn in both]
+    return [
+        np.column_stack([centering.apply(each), scale * (turn - every.mean())])
+        for each, turn in both
+    ]
 
 
 def _turning(drive: Demonstration, times: float) -> Demonstration:
     assert drive.odometry is not None  # noqa: S101 - it was asked for
     steps = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, [0, 2]] * (1.0, times)
-    return replace(drive, odometry=dead_reckoning(np.arange(len(drive.atoms)), np.vstack([steps, np.zeros(2)])))
+    return replace(
+        drive, odometry=dead_reckoning(np.arange(len(drive.atoms)), np.vstack([steps, np.zeros(2)]))
+    )
 
 
 def _part(drive: Demonstration, first: int, last: int) -> Demonstration:
-    of_frames = {name: getattr(drive, name) for name in ("features", "atoms", "images", "odometry", "ahead")}
-    cut: dict[str, Any] = {name: None if every is None else every[first:last] for name, every in of_frames.items()}
+    of_frames = {
+        name: getattr(drive, name) for name in ("features", "atoms", "images", "odometry", "ahead")
+    }
+    cut: dict[str, Any] = {
+        name: None if every is None else every[first:last] for name, every in of_frames.items()
+    }
     cut["features"] = select(cut["features"], HELD, JUDGED)
-    return replace(drive, name=f"{drive.name}, frames {first} to {last - 1}", episode="", successful=True, **cut)
+    return replace(
+        drive,
+        name=f"{drive.name}, frames {first} to {last - 1}",
+        episode="",
+        successful=True,
+        **cut,
+    )

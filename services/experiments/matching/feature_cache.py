@@ -17,19 +17,27 @@ from numpy.typing import NDArray
 from smal.features import FeatureSettings
 
 Features = NDArray[np.float16]
-MOST_IMAGES: Final = 90_000  # Most images; with the usual features they take 2 GB. The oldest go first.
+MOST_IMAGES: Final = (
+    90_000  # Most images; with the usual features they take 2 GB. The oldest go first.
+)
 _AT_ONCE: Final = 500  # Features that are written at a time.
 
 
 def cache_file() -> Path:
     """Return the file, below `$XDG_CACHE_HOME` or `~/.cache`."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "smal" / "features.sqlite"
+    return (
+        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        / "smal"
+        / "features.sqlite"
+    )
 
 
 class FeatureCache:
     """Finds and keeps features of some settings, in threads; where the file cannot be used it says so and goes on."""
 
-    _said: ClassVar[set[str]] = set()  # Of the file, once: references and queries have a cache each.
+    _said: ClassVar[set[str]] = (
+        set()
+    )  # Of the file, once: references and queries have a cache each.
 
     def __init__(self, settings: FeatureSettings) -> None:
         self._settings = settings
@@ -74,7 +82,9 @@ class FeatureCache:
     def _open(self) -> None:
         cache_file().parent.mkdir(parents=True, exist_ok=True)
         self._file = sqlite3.connect(cache_file(), check_same_thread=False)
-        self._file.execute("CREATE TABLE IF NOT EXISTS features (key BLOB UNIQUE, vector BLOB, checksum INTEGER)")
+        self._file.execute(
+            "CREATE TABLE IF NOT EXISTS features (key BLOB UNIQUE, vector BLOB, checksum INTEGER)"
+        )
 
     def _write(self) -> None:
         rows = [(key, one.tobytes(), zlib.crc32(one.tobytes())) for key, one in self._new.items()]
@@ -83,7 +93,9 @@ class FeatureCache:
             if self._file is not None:
                 with self._file:
                     self._file.executemany("REPLACE INTO features VALUES (?, ?, ?)", rows)
-                    old = "DELETE FROM features WHERE rowid <= (SELECT max(rowid) FROM features) - ?"
+                    old = (
+                        "DELETE FROM features WHERE rowid <= (SELECT max(rowid) FROM features) - ?"
+                    )
                     self._file.execute(old, (MOST_IMAGES,))
 
     @contextmanager
@@ -94,10 +106,14 @@ class FeatureCache:
         except (sqlite3.Error, OSError) as error:
             self._file = None
             why = str(error)
-            went_on = "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)"
+            went_on = (
+                "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)"
+            )
             if isinstance(error, OSError):
                 why = error.strerror or why
-            elif isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):
+            elif isinstance(error, sqlite3.DatabaseError) and not isinstance(
+                error, sqlite3.OperationalError
+            ):
                 with suppress(sqlite3.Error, OSError):
                     cache_file().unlink()
                     self._open()

@@ -30,7 +30,10 @@ def judging_page(result: Result) -> str:
     cards = []
     for query, reference in zip(shown, found, strict=True):
         name = printable(result.queries.source.frames[query], 255)
-        pair = {f"query {query}: {name}": asked[query], f"reference {reference}: {names[reference]}": known[reference]}
+        pair = {
+            f"query {query}: {name}": asked[query],
+            f"reference {reference}: {names[reference]}": known[reference],
+        }
         said = f"{html.strip(pair)}{_QUESTION.format(query=query, last=len(names) - 1)}"
         score = f"score {matches.score[query]:.3f}"
         cards.append(f'<fieldset data-query="{query}" data-reference="{reference}"><legend>{score}</legend>'

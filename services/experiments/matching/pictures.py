@@ -18,7 +18,11 @@ _WRONG: Final = "#c62828"
 
 @styled
 def draw_matches(
-    matches: Matches, references: int, truth: IntervalTruth | None, quality: MatchQuality | None, title: str
+    matches: Matches,
+    references: int,
+    truth: IntervalTruth | None,
+    quality: MatchQuality | None,
+    title: str,
 ) -> Figure:
     """Draw which reference, of so many, every query frame matches; below it the truth, beside it how good they are."""
     reliability = None if quality is None else quality.reliability
@@ -29,7 +33,9 @@ def draw_matches(
     axes.grid(visible=False)
     if truth is not None:
         spans = truth.last - truth.first + 1
-        axes.bar(truth.query, spans, 1.0, truth.first - 0.5, color=_BAND, label="same place", zorder=1)
+        axes.bar(
+            truth.query, spans, 1.0, truth.first - 0.5, color=_BAND, label="same place", zorder=1
+        )
     _draw_points(figure, axes, matches, truth)
     # A little more than all frames, so that no point is cut.
     across = matches.reference.size
@@ -45,13 +51,23 @@ def draw_matches(
         precision = np.concatenate([curve.precision[:1], curve.precision])
         panel.step(recall, precision, where="pre", color=COLOURS[0], lw=2)
         if (at_100 := curve.recall_at_100_precision) > 0.0:
-            panel.plot([at_100], [1.0], "o", color=COLOURS[0], label=f"recall {at_100:.2f} at 100 % precision")
-        panel.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal")
+            panel.plot(
+                [at_100],
+                [1.0],
+                "o",
+                color=COLOURS[0],
+                label=f"recall {at_100:.2f} at 100 % precision",
+            )
+        panel.set(
+            xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal"
+        )
         panel.set_title(f"area under the curve {curve.auc:.3f}")
     if reliability is not None:
         draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():
-        figure.legend(loc="outside lower center", ncols=4)  # Beside the matches, where it hides none.
+        figure.legend(
+            loc="outside lower center", ncols=4
+        )  # Beside the matches, where it hides none.
     return figure
 
 
@@ -61,7 +77,9 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
 
     def mark(queries: NDArray[np.intp], label: str, **style: Any) -> None:  # noqa: ANN401 - matplotlib's
         if queries.size:
-            axes.scatter(queries, matches.reference[queries], label=f"{label} ({queries.size})", **style)
+            axes.scatter(
+                queries, matches.reference[queries], label=f"{label} ({queries.size})", **style
+            )
 
     if matched.any():
         points = axes.scatter(np.flatnonzero(matched), matches.reference[matched], c=matches.score[matched], s=size,
@@ -71,10 +89,25 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
         axes.text(0.5, 0.5, "no match", transform=axes.transAxes, ha="center", color=MUTED)
     if truth is not None:
         # What the truth says nothing about is neither right nor wrong.
-        mark(np.flatnonzero(matched & ~truth.judged), "not judged", s=1.3 * size, color="#b8b8b8", lw=0, zorder=4)
+        mark(
+            np.flatnonzero(matched & ~truth.judged),
+            "not judged",
+            s=1.3 * size,
+            color="#b8b8b8",
+            lw=0,
+            zorder=4,
+        )
         judgement = truth.judge(matches)
         wrong = np.flatnonzero(judgement.answered & judgement.judged & ~judgement.right)
-        mark(wrong, "wrong", s=3.0 * size, facecolors="none", edgecolors=_WRONG, linewidths=0.9, zorder=2)
+        mark(
+            wrong,
+            "wrong",
+            s=3.0 * size,
+            facecolors="none",
+            edgecolors=_WRONG,
+            linewidths=0.9,
+            zorder=2,
+        )
     if (without := np.flatnonzero(~matched)).size:
         # At the lower edge: they count in the recall, and would go unnoticed.
         axes.plot(without, np.zeros(without.size), "|", color=MUTED, ms=9, transform=axes.get_xaxis_transform(),

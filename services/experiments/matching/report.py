@@ -90,7 +90,12 @@ def as_json(result: Result) -> str:
         "references": str(references.source.path),
         "queries": str(queries.source.path),
         "matches": [
-            {"query": query, "reference": None if reference == NONE else reference, "score": score, "unknown": unknown}
+            {
+                "query": query,
+                "reference": None if reference == NONE else reference,
+                "score": score,
+                "unknown": unknown,
+            }
             for query, (reference, score, unknown) in enumerate(rows)
         ],
         "modalities": list(features.modalities),
@@ -139,7 +144,9 @@ def as_g2o(result: Result) -> str:
 
 def title_of(result: Result) -> str:
     """Return the method and what was chosen of it."""
-    return ", ".join(f"{name} {value}" for name, value in result.chosen.items() if value is not None)
+    return ", ".join(
+        f"{name} {value}" for name, value in result.chosen.items() if value is not None
+    )
 
 
 def _why_not_all(result: Result) -> str:
@@ -160,7 +167,9 @@ def _some_matches(result: Result) -> Iterator[str]:
     matches = result.matches
     count = result.matches.matched.size
     shown = evenly(count, _SHOWN).tolist()
-    references, queries = (_printable(one.source.frames) for one in (result.references, result.queries))
+    references, queries = (
+        _printable(one.source.frames) for one in (result.references, result.queries)
+    )
     rows = [["query", "", "reference", "", "score"]]
     for query in shown:
         reference = int(matches.reference[query])

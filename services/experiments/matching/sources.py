@@ -34,7 +34,10 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 LEAST_ROWS = 24
 LEAST_COLUMNS = 32
 MOST_BYTES: Final = 256 * 2**20  # A larger file is no camera's image; it is not read at all.
-_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")  # How a PNG file begins, and what every whole one ends with.
+_PNG: Final = (
+    b"\x89PNG\r\n\x1a\n",
+    b"IEND",
+)  # How a PNG file begins, and what every whole one ends with.
 Picture = Path | bytes  # A file, or what stands in one.
 _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
@@ -52,7 +55,11 @@ class TraverseSource:
         """Return the images, RGB, of those of some frames that can be read."""
         wanted = set(numbers)
         with quiet_opencv():
-            read = {number: read_color(one) for number, one in enumerate(self.pictures()) if number in wanted}
+            read = {
+                number: read_color(one)
+                for number, one in enumerate(self.pictures())
+                if number in wanted
+            }
         return {number: image for number, image in read.items() if image is not None}
 
 
@@ -75,24 +82,34 @@ def _folder(path: Path, argument: str) -> TraverseSource:
         with os.scandir(path) as entries:
             # What is neither a file nor a folder could be a pipe, which nobody ever writes to; a link to nothing was
             # meant to be a frame.
-            files = [e for e in entries if not e.name.startswith(".") and (e.is_file() or e.is_symlink())]
+            files = [
+                e for e in entries if not e.name.startswith(".") and (e.is_file() or e.is_symlink())
+            ]
             names = [e.name for e in files if not e.is_dir()]
     except OSError as error:
         raise UsageError(f"{argument} {path}: {error.strerror}") from None
     names.sort(key=natural_key)
     with quiet_opencv():
-        frames = tuple(name for name in names if is_named_as_image(name) or read_color(path / name) is not None)
+        frames = tuple(
+            name for name in names if is_named_as_image(name) or read_color(path / name) is not None
+        )
     if not frames:
         raise UsageError(f"{argument} {path}: no image in this folder (files: {len(names)})")
     known = set(frames)
     pictures = [path / name for name in frames]
-    return TraverseSource(path, frames, tuple(name for name in names if name not in known), lambda: pictures)
+    return TraverseSource(
+        path, frames, tuple(name for name in names if name not in known), lambda: pictures
+    )
 
 
 def _recording(path: Path) -> TraverseSource:
     recording = read_recording(path, topics=[JPEG])
     remark(recording.remarks())
-    frames = [(one.episode, tick, one.images[tick]) for one in recording.episodes for tick in sorted(one.images)]
+    frames = [
+        (one.episode, tick, one.images[tick])
+        for one in recording.episodes
+        for tick in sorted(one.images)
+    ]
     names = tuple(f"{episode} frame {tick}" for episode, tick, _ in frames)
     return TraverseSource(path, names, (), lambda: (_jpeg(payload) for _, _, payload in frames))
 
@@ -115,8 +132,12 @@ def _video(path: Path, argument: str) -> TraverseSource:
         neither = "neither a folder of images, nor a recording, nor a video that OpenCV reads"
         raise UsageError(f"{argument} {path}: {neither}")
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
-        remark([f"{path}: only {len(times_s)} of the {said} frames that it should have can be read"])
-    return TraverseSource(path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path))
+        remark(
+            [f"{path}: only {len(times_s)} of the {said} frames that it should have can be read"]
+        )
+    return TraverseSource(
+        path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path)
+    )
 
 
 def _bitmaps(path: Path) -> Iterator[bytes]:
@@ -152,7 +173,11 @@ def read_color(picture: Picture) -> NDArray[np.uint8] | None:
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     height, width = rgb.shape[:2]
     if height < LEAST_ROWS or width < LEAST_COLUMNS:
-        rgb = cv2.resize(rgb, (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)), interpolation=cv2.INTER_LINEAR)
+        rgb = cv2.resize(
+            rgb,
+            (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)),
+            interpolation=cv2.INTER_LINEAR,
+        )
     return np.asarray(rgb, dtype=np.uint8)
 
 

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from schemas.codec import printable
 from services.experiments.engine import Engine
 from services.experiments.matching.feature_cache import FeatureCache, Features
-from services.experiments.matching.sources import Picture, TraverseSource, loaded, quiet_opencv, read_color, read_depth
+from services.experiments.matching.sources import (
+    Picture,
+    TraverseSource,
+    loaded,
+    quiet_opencv,
+    read_color,
+    read_depth,
+)
 from services.experiments.progress import bar_of
 from services.experiments.words import listed, remark
 from services.kit.errors import JobError
@@ -36,29 +43,46 @@ class Traverse:
 
     def say_skipped(self) -> None:
         """Name on standard error what of the source was skipped."""
-        skipped = {"no images": self.source.others, "unreadable, and kept in the count of frames": self.unreadable}
-        said = {why: f"skipped {len(names)}, {why}: {_named(names)}" for why, names in skipped.items() if names}
+        skipped = {
+            "no images": self.source.others,
+            "unreadable, and kept in the count of frames": self.unreadable,
+        }
+        said = {
+            why: f"skipped {len(names)}, {why}: {_named(names)}"
+            for why, names in skipped.items()
+            if names
+        }
         remark(f"{self.source.path}: {line}" for line in said.values())
 
 
 class _Frame(NamedTuple):
     name: str
     key: bytes | None = None
-    read: Sequence[bytes] = ()  # The colour image, and the depth image if there is such, as in their files.
+    read: Sequence[
+        bytes
+    ] = ()  # The colour image, and the depth image if there is such, as in their files.
     known: Features | None = None
 
 
 def describe_frames(
-    source: TraverseSource, settings: FeatureSettings, depth: TraverseSource | None, title: str, engine: Engine
+    source: TraverseSource,
+    settings: FeatureSettings,
+    depth: TraverseSource | None,
+    title: str,
+    engine: Engine,
 ) -> Traverse:
     """Compute the features of frames and, where they need it, of depth images; JobError where that cannot be."""
     count = len(source.frames)
     try:
         features = np.zeros((count, settings.size), dtype=np.float16)
     except MemoryError:
-        raise JobError(f"{source.path}: the features of {count} frames do not fit into memory") from None
+        raise JobError(
+            f"{source.path}: the features of {count} frames do not fit into memory"
+        ) from None
     numbers: list[int] = []
-    frames = zip(source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True)
+    frames = zip(
+        source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True
+    )
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
         looked_up = in_parallel(partial(_looked_up, cache), frames)
         described = engine.map(partial(_described, str(source.path), settings), looked_up)
@@ -68,7 +92,11 @@ def describe_frames(
                 features[len(numbers)] = one if key is None else cache.keep(key, one)
                 numbers.append(number)
     if not numbers:
-        without = "" if depth is None else f" with a depth image, of one channel of 16 bits, in {depth.path}"
+        without = (
+            ""
+            if depth is None
+            else f" with a depth image, of one channel of 16 bits, in {depth.path}"
+        )
         raise JobError(f"{source.path}: no image can be read{without}: {_named(source.frames)}")
     return Traverse(source, features[: len(numbers)], np.array(numbers, np.int64))
 
@@ -84,7 +112,9 @@ def _looked_up(cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]) -> 
     return _Frame(name, key, read) if known is None else _Frame(name, known=known)
 
 
-def _described(path: str, settings: FeatureSettings, frame: _Frame) -> tuple[bytes | None, Features | None]:
+def _described(
+    path: str, settings: FeatureSettings, frame: _Frame
+) -> tuple[bytes | None, Features | None]:
     """Return the raw features of a frame, None if it cannot be read, and by what they are known where they are new."""
     if not frame.read:
         return None, frame.known

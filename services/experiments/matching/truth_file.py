@@ -42,7 +42,9 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
     def take(row: dict[Any, Any]) -> None:
         query, interval = _interval(row, queries, references)
         if unknown[query] or (judged[query] and interval is None):
-            raise ValueError(f"query {query} has a row already, and one of them says that no reference shows it")
+            raise ValueError(
+                f"query {query} has a row already, and one of them says that no reference shows it"
+            )
         judged[query] = True
         unknown[query] = interval is None
         if interval is not None:
@@ -52,17 +54,24 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
     return _truth(intervals, judged, f"--truth {path}")
 
 
-def truth_by_names(references: Sequence[str], queries: Sequence[str], tolerance: int) -> IntervalTruth:
+def truth_by_names(
+    references: Sequence[str], queries: Sequence[str], tolerance: int
+) -> IntervalTruth:
     """Take frames of one name for one place, so many frames to both sides as well; others are not judged."""
     numbers = {name: number for number, name in enumerate(references)}
     last = len(references) - 1
     pairs = [(query, numbers[name]) for query, name in enumerate(queries) if name in numbers]
-    intervals = [(query, max(number - tolerance, 0), min(number + tolerance, last)) for query, number in pairs]
+    intervals = [
+        (query, max(number - tolerance, 0), min(number + tolerance, last))
+        for query, number in pairs
+    ]
     judged = np.array([name in numbers for name in queries])
     return _truth(intervals, judged, "--truth names")
 
 
-def truth_by_positions(references: Positions, queries: Positions, radius_m: float, named: str) -> IntervalTruth:
+def truth_by_positions(
+    references: Positions, queries: Positions, radius_m: float, named: str
+) -> IntervalTruth:
     """Take frames within a radius for one place; queries whose position is not known are not judged."""
     known = np.flatnonzero(np.isfinite(references[:, 0]))
     judged = np.isfinite(queries[:, 0])
@@ -82,14 +91,18 @@ def read_positions(path: Path, frames: int) -> Positions:
     def take(row: dict[Any, Any]) -> None:
         place = [float(row[name] or "") for name in POSE_COLUMNS[1:]]
         if not all(map(math.isfinite, place)):
-            raise ValueError("x_m and y_m must be finite; leave out the row of a frame whose pose is not known")
+            raise ValueError(
+                "x_m and y_m must be finite; leave out the row of a frame whose pose is not known"
+            )
         positions[_frame(row, "frame", frames)] = place
 
     _read_table(path, "--poses", POSE_COLUMNS, take)
     return positions
 
 
-def gps_positions(references: TraverseSource, queries: TraverseSource) -> tuple[Positions, Positions]:
+def gps_positions(
+    references: TraverseSource, queries: TraverseSource
+) -> tuple[Positions, Positions]:
     """Return where EXIF says that images were taken, metres on one plane; UsageError where none says it."""
     degrees = []
     for source in (references, queries):
@@ -98,7 +111,9 @@ def gps_positions(references: TraverseSource, queries: TraverseSource) -> tuple[
             raise UsageError(f"--truth gps: no image of {source.path} has a position in its EXIF")
     latitude, longitude = np.nanmean(degrees[0], axis=0)
     scale = _DEGREE_M * np.array([math.cos(math.radians(latitude)), 1.0])
-    first, second = (np.mod(each[:, ::-1] - (longitude, latitude) + 180.0, 360.0) - 180.0 for each in degrees)
+    first, second = (
+        np.mod(each[:, ::-1] - (longitude, latitude) + 180.0, 360.0) - 180.0 for each in degrees
+    )
     return first * scale, second * scale
 
 
@@ -108,22 +123,36 @@ def _latitude_longitude(data: bytes | None) -> tuple[float, float]:
     try:
         gps = Image.open(BytesIO(data or b"")).getexif().get_ifd(_GPS)
         parts = [float(np.array(gps[tag], float) @ [1.0, 1 / 60, 1 / 3600]) for tag in (2, 4)]
-    except (OSError, SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, Image.DecompressionBombError):
+    except (
+        OSError,
+        SyntaxError,
+        LookupError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        Image.DecompressionBombError,
+    ):
         return math.nan, math.nan
     return parts[0] * (-1 if gps.get(1) == "S" else 1), parts[1] * (-1 if gps.get(3) == "W" else 1)
 
 
-def _truth(intervals: list[tuple[int, int, int]], judged: NDArray[np.bool_], named: str) -> IntervalTruth:
+def _truth(
+    intervals: list[tuple[int, int, int]], judged: NDArray[np.bool_], named: str
+) -> IntervalTruth:
     if not intervals:
         raise UsageError(f"{named}: no query has a reference, so that there is nothing to find")
     query, first, last = np.array(intervals, dtype=np.int64).T
     return IntervalTruth(query, first, last, judged)
 
 
-def _read_table(path: Path, option: str, columns: Sequence[str], take: Callable[[dict[Any, Any]], None]) -> None:
+def _read_table(
+    path: Path, option: str, columns: Sequence[str], take: Callable[[dict[Any, Any]], None]
+) -> None:
     """Give the rows of a CSV file that has these columns; UsageError names the line in which ValueError is raised."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")  # Spreadsheets begin UTF-8 with a byte order mark.
+        text = path.read_bytes().decode(
+            "utf-8-sig"
+        )  # Spreadsheets begin UTF-8 with a byte order mark.
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -133,16 +162,22 @@ def _read_table(path: Path, option: str, columns: Sequence[str], take: Callable[
         table.fieldnames = [name.strip() for name in table.fieldnames or ()]
         for name in columns:
             if table.fieldnames.count(name) != 1:
-                raise ValueError(f"needs the column {name} once; the columns are {_quoted(','.join(table.fieldnames))}")
+                raise ValueError(
+                    f"needs the column {name} once; the columns are {_quoted(','.join(table.fieldnames))}"
+                )
         for row in table:
             if None in row:
                 raise ValueError("has more values than columns")
             take(row)
     except (ValueError, csv.Error) as error:
-        raise UsageError(f"{option} {path}: line {max(1, table.reader.line_num)}: {error}") from None
+        raise UsageError(
+            f"{option} {path}: line {max(1, table.reader.line_num)}: {error}"
+        ) from None
 
 
-def _interval(row: dict[Any, Any], queries: int, references: int) -> tuple[int, tuple[int, int] | None]:
+def _interval(
+    row: dict[Any, Any], queries: int, references: int
+) -> tuple[int, tuple[int, int] | None]:
     """Return query, and first and last reference of a row, None where there is nothing to find."""
     query = _frame(row, "query", queries)
     if not any((row[name] or "").strip() for name in COLUMNS[1:]):
@@ -158,7 +193,9 @@ def _frame(row: dict[str, str | None], name: str, count: int) -> int:
     if not re.fullmatch("[0-9]{1,15}", text):
         raise ValueError(f"{name} must be a frame's number, counted from 0, got {_quoted(text)}")
     if int(text) >= count:
-        raise ValueError(f"{name} {int(text)} is beyond the traverse: it has {count} frames, counted from 0")
+        raise ValueError(
+            f"{name} {int(text)} is beyond the traverse: it has {count} frames, counted from 0"
+        )
     return int(text)
 
 

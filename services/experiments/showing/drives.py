@@ -30,7 +30,9 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
     for path in recordings:
         teacher.read(path)
     recorded = {one.name: one for one in teacher.teaching.demonstrations}
-    whole = {(name,): one for name, one in recorded.items()} | dict(drives_to_goals(recorded.values()))
+    whole = {(name,): one for name, one in recorded.items()} | dict(
+        drives_to_goals(recorded.values())
+    )
     found = {}
     missing = []
     for number, (parts, count, _) in enumerate(taught_drives(model)):

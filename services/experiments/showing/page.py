@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from schemas.codec import printable
 from services.experiments import html
-from services.experiments.drawing import BACK, COLOURS, DASHES, LINE, MUTED, TEXT, WIDTH_IN, legend, styled
+from services.experiments.drawing import (
+    BACK,
+    COLOURS,
+    DASHES,
+    LINE,
+    MUTED,
+    TEXT,
+    WIDTH_IN,
+    legend,
+    styled,
+)
 from services.experiments.drawing import figure as new_figure
 from services.experiments.showing.drives import TaughtDrives
 from services.experiments.showing.summary import facts, goals_of, taught_drives
@@ -58,7 +68,9 @@ def _missing(drives: TaughtDrives | None) -> Iterator[str]:
         )
     elif drives.missing:
         items = "".join(f"<li>{escape(line)}</li>" for line in drives.missing)
-        count = f"{len(drives.missing)} of {counted(len(drives.missing) + len(drives.found), 'drive')}"
+        count = (
+            f"{len(drives.missing)} of {counted(len(drives.missing) + len(drives.found), 'drive')}"
+        )
         yield f'<div class="note" role="note"><b>Missing:</b> {count}.<ul>{items}</ul></div>'
 
 
@@ -72,7 +84,12 @@ def _seen(model: Model | PaperModel, found: dict[int, Demonstration]) -> Iterato
         frames = np.unique(np.linspace(0, len(one.atoms) - 1, _SHOWN).astype(int)).tolist()
         yield html.strip({f"{names[number]}, frame {frame}": one.images[frame] for frame in frames})
     rows = [
-        [names[number], printable(one.end), "there" if number in found else "not there", f"{one.frames:,}"]
+        [
+            names[number],
+            printable(one.end),
+            "there" if number in found else "not there",
+            f"{one.frames:,}",
+        ]
         for number, one in enumerate(taught)
     ]
     yield html.table(["name", "leads", "recording", "frames"], rows, left=3)
@@ -85,7 +102,9 @@ def _map(model: Model, drives: Mapping[int, Demonstration], advance: html.Advanc
     done = count(1)
     believed_on = {}
     for number, one in drives.items():
-        believed_on[number] = believed(model, ways, number, one, lambda: advance("recognizing", next(done), total))
+        believed_on[number] = believed(
+            model, ways, number, one, lambda: advance("recognizing", next(done), total)
+        )
     yield "<h2>The taught ways</h2>"
     yield from _ways(ways, goals_of(model), names, believed_on)
     yield "<h2>Cost to go</h2>"
@@ -94,8 +113,14 @@ def _map(model: Model, drives: Mapping[int, Demonstration], advance: html.Advanc
     yield from _belief(ways, names, believed_on)
 
 
-def _ways(ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: Mapping[int, Believed]) -> Iterator[str]:
-    how = "by odometry" if ways.map.odometry else "by what atoms usually do, since they are without odometry"
+def _ways(
+    ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: Mapping[int, Believed]
+) -> Iterator[str]:
+    how = (
+        "by odometry"
+        if ways.map.odometry
+        else "by what atoms usually do, since they are without odometry"
+    )
     said = f"{counted(len(names), 'drive')} {how}; {counted(int(ways.shared.sum()), 'keyframe')} shared by drives."
     yield html.titled(draw_ways(ways, goals, believed_on), "Where they run", said)
     lines = []
@@ -103,7 +128,9 @@ def _ways(ways: Ways, goals: Sequence[str], names: Sequence[str], believed_on: M
         here = int(ways.of[one.keyframe])
         others = " and ".join(names[drive] for drive in one.drives if drive != here)
         what = "fork" if one.fork else "the ways meet"
-        lines.append(f"{number}: {what} {ways.way[one.keyframe]:.1f} {ways.unit} along {names[here]}, with {others}")
+        lines.append(
+            f"{number}: {what} {ways.way[one.keyframe]:.1f} {ways.unit} along {names[here]}, with {others}"
+        )
     if lines:
         yield f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
     elif len(names) > 1:
@@ -152,7 +179,14 @@ def _look(number: int) -> dict[str, Any]:
     return {"color": COLOURS[number % len(COLOURS)], "ls": DASHES[number % len(DASHES)]}
 
 
-def _mark(axes: Axes, at: NDArray[np.float64], marker: str, size: float, label: str, **style: Any) -> None:  # noqa: ANN401
+def _mark(
+    axes: Axes,
+    at: NDArray[np.float64],
+    marker: str,
+    size: float,
+    label: str,
+    **style: Any,  # noqa: ANN401
+) -> None:
     usual: dict[str, Any] = {"mec": BACK, "ls": "", "zorder": 5}
     axes.plot(*at.T, marker, ms=size, label=label, **usual | style)
 
@@ -175,24 +209,42 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
                 frames = ways.map.keyframes[keys] - int(np.searchsorted(ways.map.drives, drive))
                 wide = keys[believed[drive].here[frames] < 0.5]
                 if wide.size:
-                    _mark(axes, places[wide], "o", 9, "wide belief", mfc="none", mec=COLOURS[1], zorder=3)
+                    _mark(
+                        axes,
+                        places[wide],
+                        "o",
+                        9,
+                        "wide belief",
+                        mfc="none",
+                        mec=COLOURS[1],
+                        zorder=3,
+                    )
         for number, one in enumerate(ways.partings, 1):
             if one.drives[0] in drives:
                 label, marker = ("fork", _FORK) if one.fork else ("ways meet", _MEETING)
                 _mark(axes, places[one.keyframe], marker, 8, label, color=TEXT)
                 x, y = places[one.keyframe].tolist()
-                axes.annotate(str(number), (x, y), (7, 5), textcoords="offset points", weight="bold", zorder=9)
+                axes.annotate(
+                    str(number), (x, y), (7, 5), textcoords="offset points", weight="bold", zorder=9
+                )
     legend(figure, panels, 3)
     return figure
 
 
 def _draw_way(
-    axes: Axes, ways: Ways, way: NDArray[np.float64], shared: NDArray[np.bool_], drive: int, goals: Sequence[str]
+    axes: Axes,
+    ways: Ways,
+    way: NDArray[np.float64],
+    shared: NDArray[np.bool_],
+    drive: int,
+    goals: Sequence[str],
 ) -> None:
     goal = ways.map.goals[drive]
     line = _look(goals.index(goal))
     if shared.any():
-        axes.plot(*np.where(shared[:, None], way, np.nan).T, color=LINE, lw=7, label="shared", zorder=1)
+        axes.plot(
+            *np.where(shared[:, None], way, np.nan).T, color=LINE, lw=7, label="shared", zorder=1
+        )
     axes.plot(*way.T, lw=1.6, label=f"to {goal}", zorder=2, **line)
     _mark(axes, way[0], "o", 6, "start", mfc=BACK, mec=TEXT)
     _mark(axes, way[-1], "*", 12, f"goal {goal}", color=line["color"])
@@ -206,7 +258,9 @@ def draw_cost_to_go(ways: Ways, costs: NDArray[np.float64], names: Sequence[str]
     for drive, name in enumerate(names):
         on = ways.of == drive
         if np.isfinite(costs[on]).any():
-            label = (name if len(name) <= 30 else f"{name[:29]}…") if len(names) <= MOST_NAMED else None
+            label = (
+                (name if len(name) <= 30 else f"{name[:29]}…") if len(names) <= MOST_NAMED else None
+            )
             axes.plot(ways.way[on], costs[on], lw=1.6, label=label, **_look(drive))
     axes.set(xlabel=f"along the drive ({ways.unit})", ylabel="to go (s)")
     axes.set_xlim(left=0)

@@ -53,14 +53,17 @@ class TaughtSummary(NamedTuple):
 def taught_drives(model: Model | PaperModel) -> list[TaughtSummary]:
     """Return the drives of a model, in their order."""
     if isinstance(model, Model):
-        each = zip(model.mapped.names, model.mapped.frames.tolist(), model.mapped.goals, strict=True)
+        each = zip(
+            model.mapped.names, model.mapped.frames.tolist(), model.mapped.goals, strict=True
+        )
         return [TaughtSummary(parts, frames, f"to {goal}") for parts, frames, goal in each]
     ends = [
         f"{'recovery: ' if recovery else ''}{'reached' if good else 'did not reach'} the goal"
         for recovery, good in zip(model.recovery, model.successful, strict=True)
     ]
     return [
-        TaughtSummary((name,), len(atoms), end) for name, atoms, end in zip(model.names, model.atoms, ends, strict=True)
+        TaughtSummary((name,), len(atoms), end)
+        for name, atoms, end in zip(model.names, model.atoms, ends, strict=True)
     ]
 
 

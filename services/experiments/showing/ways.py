@@ -36,7 +36,9 @@ class Ways:
         self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
         one, other = self.of[taught.stitched].T
         drives = len(taught.goals)
-        _, self.groups = connected_components(coo_array((np.ones(one.size), (one, other)), (drives, drives)), False)
+        _, self.groups = connected_components(
+            coo_array((np.ones(one.size), (one, other)), (drives, drives)), False
+        )
         #: (k,) whether another drive shows the place too; and how far it is from the start of its drive.
         self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
         arc = taught.arc[taught.keyframes]
@@ -53,7 +55,11 @@ class Ways:
         found: list[Parting] = []
         for one, other in np.unique(self.of[self.map.stitched], axis=0).tolist():
             for fork, keyframe in self._partings_of(one, other):
-                same = [each for each in found if each.fork == fork and self._is_near(each.keyframe, keyframe)]
+                same = [
+                    each
+                    for each in found
+                    if each.fork == fork and self._is_near(each.keyframe, keyframe)
+                ]
                 found = [each for each in found if each not in same]
                 drives = {one, other}.union(*(each.drives for each in same))
                 first = min([keyframe, *(each.keyframe for each in same)])
@@ -88,10 +94,14 @@ class Believed:
 
     here: NDArray[np.float64]  # Probability of being within a correlation length of the robot.
     lost: NDArray[np.float64]  # Of being nowhere near a taught way.
-    spread: NDArray[np.float64]  # Standard deviation of the place on this drive and those that are joined to it.
+    spread: NDArray[
+        np.float64
+    ]  # Standard deviation of the place on this drive and those that are joined to it.
 
 
-def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]) -> Believed:
+def believed(
+    model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]
+) -> Believed:
     """Let recognition follow a taught drive of the map from its beginning; advance is called after each frame."""
     localizer = Localizer(model)
     found = []
@@ -104,6 +114,8 @@ def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: 
         near = np.hypot(*(at - ways.poses[first + k, :2]).T) < ways.map.correlation_length
         here = (1.0 - belief.lost) * float(weights @ near)
         weights /= max(float(weights.sum()), 1e-12)
-        found.append((here, belief.lost, float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1)))))
+        found.append(
+            (here, belief.lost, float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1))))
+        )
         advance()
     return Believed(*np.array(found).T)

@@ -38,14 +38,22 @@ def body(name: str) -> Iterator[Piece]:
                 yield Finish(material), ball((x, side * y, z), radii, detail)
         for material, (x, y, z), (to_x, to_y, to_z), ends, sectors in made.limbs:
             if y or side > 0:
-                yield Finish(material), tube((x, side * y, z), (to_x, side * to_y, to_z), ends, sectors)
+                yield (
+                    Finish(material),
+                    tube((x, side * y, z), (to_x, side * to_y, to_z), ends, sectors),
+                )
 
 
 def turtlebot(model: RobotModel) -> Iterator[Piece]:
     """Yield a TurtleBot II as the camera above sees it: plates on a round base, and wheels."""
     top = model.height_m
     wheel = model.drive.wheel_radius_m
-    for size, low, high in ((0.94, 0.02, 0.1), (0.9, 0.17, 0.176), (0.9, 0.29, 0.296), (0.9, top - 0.006, top)):
+    for size, low, high in (
+        (0.94, 0.02, 0.1),
+        (0.9, 0.17, 0.176),
+        (0.9, 0.29, 0.296),
+        (0.9, top - 0.006, top),
+    ):
         yield Finish("black_plastic"), drum((0.0, 0.0, low), (0.0, 0.0, high), 0.177 * size, 40)
     for side in (-model.drive.track_m / 2, model.drive.track_m / 2):
         yield Finish("tyre"), drum((0.0, side - 0.011, wheel), (0.0, side + 0.011, wheel), wheel)
@@ -58,5 +66,8 @@ def tag(marker: TagMount) -> Surface:
     # A margin of one white module is what finds markers needs.
     plate = np.pad(square, _MODULE_PX, constant_values=255)
     half = marker.side_m * (0.5 + 1 / _MODULES)
-    corners = [(x, y, marker.height_m) for x, y in ((-half, half), (-half, -half), (half, -half), (half, half))]
+    corners = [
+        (x, y, marker.height_m)
+        for x, y in ((-half, half), (-half, -half), (half, -half), (half, half))
+    ]
     return Surface(quads([corners], [UPRIGHT]), np.repeat(plate[..., None], 3, axis=2))

@@ -27,7 +27,11 @@ _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "tall": (0.2, 0.22),
     "conifer": (0.22, 0.12),
 }
-_LEAVES: Final[dict[TreeKind, str]] = {"round": "leaves", "tall": "dark_leaves", "conifer": "needles"}
+_LEAVES: Final[dict[TreeKind, str]] = {
+    "round": "leaves",
+    "tall": "dark_leaves",
+    "conifer": "needles",
+}
 # Leaves hide how few faces a crown has; a town has thousands of trees.
 _DETAIL: Final = 5
 _SMALL_DETAIL: Final = 3
@@ -42,7 +46,11 @@ def build_scene(world: World, light: Daylight) -> SceneSurfaces:
     if not isinstance(terrain, Terrain):
         raise TypeError(f"a {type(terrain).__name__} cannot be drawn")
     # Where the sun is too weak for shadows to be seen, there are none.
-    shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if max(light.sun) > 0.5 else Polygon()
+    shade = (
+        cast_shade(terrain, light.direction, crowns(terrain.trees))
+        if max(light.sun) > 0.5
+        else Polygon()
+    )
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
     # More sky shines from opposite the sun than from elsewhere, so that shaded walls keep their shape.
@@ -62,7 +70,9 @@ def _sky(light: Daylight) -> Surface:
     detail = 24
     dome = ball((0, 0, 0), (1, 1, 1), detail)
     elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
-    uvs = np.column_stack([dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)])
+    uvs = np.column_stack(
+        [dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)]
+    )
     inside = make(dome.vertices * _SKY_RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
     return Surface(inside, paint_sky(_SKY_SEED, light), glows=True)
 
@@ -98,7 +108,11 @@ def _crown(tree: Tree, rng: np.random.Generator) -> Iterator[Mesh]:
     for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False) + rng.uniform(0, 1.5):
         out = radius * rng.uniform(0.35, 0.5)
         size = radius * rng.uniform(0.5, 0.65)
-        centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + half * rng.uniform(-0.45, 0.35))
+        centre = (
+            tree.x + out * np.cos(angle),
+            tree.y + out * np.sin(angle),
+            middle + half * rng.uniform(-0.45, 0.35),
+        )
         yield ball(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL)
 
 
@@ -107,4 +121,6 @@ def _tiers(tree: Tree) -> Iterator[Mesh]:
     for step in np.arange(_TIERS) / _TIERS:
         foot = low + (tree.height_m - low) * step * 0.8
         tip = low + (tree.height_m - low) * min(1.0, step + 0.4)
-        yield tube((tree.x, tree.y, foot), (tree.x, tree.y, tip), (radius * (1 - 0.8 * step), 0.0), 10)
+        yield tube(
+            (tree.x, tree.y, foot), (tree.x, tree.y, tip), (radius * (1 - 0.8 * step), 0.0), 10
+        )

@@ -9,8 +9,28 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from services.kit.going_on import each
-from services.simulator.scene.facades import BARE, BAY_M, BAYS, GROUND, STOREY_M, STOREYS, UPPER, alike, in_steps
-from services.simulator.scene.meshes import Mesh, band, faces, flat, outline, running, triangles, tube, walls
+from services.simulator.scene.facades import (
+    BARE,
+    BAY_M,
+    BAYS,
+    GROUND,
+    STOREY_M,
+    STOREYS,
+    UPPER,
+    alike,
+    in_steps,
+)
+from services.simulator.scene.meshes import (
+    Mesh,
+    band,
+    faces,
+    flat,
+    outline,
+    running,
+    triangles,
+    tube,
+    walls,
+)
 from services.simulator.scene.surfaces import Finish, Piece
 from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Building, Facade
 
@@ -51,7 +71,10 @@ def buildings(items: Sequence[Building]) -> Iterator[Piece]:
         yield from _flat(building) if building.roof == "flat" else _pitched(building, facade)
         if low > 0.0:
             yield _TRIM, flat(building.footprint, low, 4.0).flipped()
-            yield from ((_TRIM, tube((x, y, 0.0), (x, y, low), (POST_M, POST_M), 6)) for x, y in building.posts)
+            yield from (
+                (_TRIM, tube((x, y, 0.0), (x, y, low), (POST_M, POST_M), 6))
+                for x, y in building.posts
+            )
 
 
 def barriers(items: Iterable[Barrier]) -> Iterator[Piece]:
@@ -71,7 +94,10 @@ def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Ite
         wide[:] = False
     if not wide.all():
         rows = (-low / STOREY_M, -top / STOREY_M)
-        yield Finish(facade, None, BARE), walls(ring, low, top, running(ring) / (BAYS * BAY_M), rows, ~wide)
+        yield (
+            Finish(facade, None, BARE),
+            walls(ring, low, top, running(ring) / (BAYS * BAY_M), rows, ~wide),
+        )
     if not wide.any():
         return
     storeys = max(1, round((top - low) / STOREY_M))
@@ -81,7 +107,10 @@ def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Ite
         yield Finish(facade, None, GROUND), walls(ring, 0.0, first, _bays(ring), _GROUND_ROWS, wide)
         storeys -= 1
     if storeys:
-        yield Finish(facade, None, UPPER), walls(ring, first, top, _bays(ring), (storeys / STOREYS, 0.0), wide)
+        yield (
+            Finish(facade, None, UPPER),
+            walls(ring, first, top, _bays(ring), (storeys / STOREYS, 0.0), wide),
+        )
 
 
 def _bays(ring: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -107,13 +136,19 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     footprint = building.footprint
     cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)
     box = footprint.minimum_rotated_rectangle
-    fills = isinstance(box, Polygon) and not footprint.interiors and footprint.area >= _OBLONG * box.area
+    fills = (
+        isinstance(box, Polygon)
+        and not footprint.interiors
+        and footprint.area >= _OBLONG * box.area
+    )
     gabled = fills and building.roof == "gabled"
     eaves = (box if gabled else footprint).buffer(_OVERHANG_M, join_style="mitre")
     yield _TRIM, flat(eaves, top - _FASCIA_M, 4.0).flipped()
     yield _TRIM, band(eaves, top - _FASCIA_M, top, 4.0)
     if not gabled:
-        around, level = _around(eaves, top, building.roof_height_m, _TO_THE_RIDGE if fills else _SLOPED)
+        around, level = _around(
+            eaves, top, building.roof_height_m, _TO_THE_RIDGE if fills else _SLOPED
+        )
         yield cover, around
         yield from ((Finish("gravel"), part) for part in level)
         return
@@ -123,7 +158,10 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
     rise = building.roof_height_m or _SLOPE * float(np.linalg.norm(c - b)) / 2
     first = (a + d) / 2 + (0.0, 0.0, rise)
     last = (b + c) / 2 + (0.0, 0.0, rise)
-    yield cover, faces(np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]]), _METRES)
+    yield (
+        cover,
+        faces(np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]]), _METRES),
+    )
     yield Finish(facade, None, BARE), faces(np.array([[b, c, last], [d, a, first]]), _WALL_METRES)
 
 

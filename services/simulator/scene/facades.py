@@ -27,7 +27,16 @@ MOST_LOOKS: Final = 64  # Most façades that are painted for one world; one take
 
 _CELL_PX: Final = 256
 # Step of colours, and number of variants, from the finest to the coarsest: 5 styles by 8 colours or none.
-_ROUNDINGS: Final = ((1, 2**32), (16, 2**32), (64, 2**32), (64, 8), (64, 4), (128, 4), (128, 2), (128, 1))
+_ROUNDINGS: Final = (
+    (1, 2**32),
+    (16, 2**32),
+    (64, 2**32),
+    (64, 8),
+    (64, 4),
+    (128, 4),
+    (128, 2),
+    (128, 1),
+)
 _WALL_COLOURS: Final = table("facades", dict[FacadeStyle, tuple[Rgb, ...]])
 
 
@@ -47,7 +56,9 @@ def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
         found = {
-            one: Facade(one.style, one.colour and in_steps(one.colour, colours), one.variant % variants)
+            one: Facade(
+                one.style, one.colour and in_steps(one.colour, colours), one.variant % variants
+            )
             for one in wanted
         }
         if len(set(found.values())) <= MOST_LOOKS:
@@ -97,7 +108,14 @@ def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
     if facade.style == "concrete":
         width = rng.uniform(0.55, 0.9)
     panes = int(rng.integers(1, 4)), int(rng.integers(1, 4))
-    return _Plan(wall, frame, float(width), float(height), panes, facade.style in {"brick", "plaster", "wood"})
+    return _Plan(
+        wall,
+        frame,
+        float(width),
+        float(height),
+        panes,
+        facade.style in {"brick", "plaster", "wood"},
+    )
 
 
 def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generator) -> Picture:
@@ -123,7 +141,9 @@ def _weather_sheet() -> NDArray[np.float64]:
     return layered(np.random.default_rng(0), (STOREYS * _CELL_PX, BAYS * _CELL_PX), (2.0, 60.0))
 
 
-def _courses(shape: tuple[int, int], rng: np.random.Generator, course_px: int, brick_px: int) -> NDArray[np.float64]:
+def _courses(
+    shape: tuple[int, int], rng: np.random.Generator, course_px: int, brick_px: int
+) -> NDArray[np.float64]:
     row, column = np.indices(shape)
     course = row // course_px
     shifted = (column + (course % 2) * (brick_px // 2)) % shape[1]
@@ -138,7 +158,11 @@ def _window(picture: Picture, plan: _Plan, bay: int, storey: int, rng: np.random
     left = bay * _CELL_PX + (_CELL_PX - width) // 2
     top = storey * _CELL_PX + int((_CELL_PX - height) * 0.42)
     if plan.surround:
-        fill(picture, (left - 10, top - 16, width + 20, 12), tuple(int(0.5 * c + 110) for c in plan.wall))
+        fill(
+            picture,
+            (left - 10, top - 16, width + 20, 12),
+            tuple(int(0.5 * c + 110) for c in plan.wall),
+        )
         fill(picture, (left - 12, top + height + 5, width + 24, 9), (198, 194, 184))
     fill(picture, (left - 5, top - 5, width + 10, height + 10), plan.frame)
     _glaze(picture, (left, top, width, height), rng)
@@ -155,10 +179,14 @@ def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Gene
     fade = np.linspace(1.0, 0.0, height)[:, None, None]
     sky = np.array([132, 152, 170])
     dark = np.array([44, 52, 60])
-    pane = np.broadcast_to(dark + (sky - dark) * fade**1.5, (height, width, 3)) * rng.uniform(0.75, 1.1)
+    pane = np.broadcast_to(dark + (sky - dark) * fade**1.5, (height, width, 3)) * rng.uniform(
+        0.75, 1.1
+    )
     pane = pane.copy()
     if rng.random() < 0.35:
-        pane[: int(height * rng.uniform(0.2, 0.7))] = np.array([206, 200, 186]) * rng.uniform(0.8, 1.0)
+        pane[: int(height * rng.uniform(0.2, 0.7))] = np.array([206, 200, 186]) * rng.uniform(
+            0.8, 1.0
+        )
     pane[:6] *= 0.6
     picture[top : top + height, left : left + width] = as_picture(pane)
 

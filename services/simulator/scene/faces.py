@@ -51,13 +51,17 @@ def pick(rng: np.random.Generator) -> Rgb:
     return STRONG[int(rng.integers(len(STRONG)))]
 
 
-def fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...], outline: int = -1) -> None:
+def fill(
+    picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...], outline: int = -1
+) -> None:
     """Fill a rectangle, given its left, top, width and height; or draw an outline of so many pixels."""
     left, top, width, height = box
     cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, outline)
 
 
-def lines(picture: Picture, box: tuple[int, int, int, int], count: int, colour: Rgb, thick: int) -> None:
+def lines(
+    picture: Picture, box: tuple[int, int, int, int], count: int, colour: Rgb, thick: int
+) -> None:
     """Draw lines of text as bars, the last one shorter."""
     left, top, width, height = box
     for row in range(count):
@@ -71,7 +75,9 @@ def paint_face(face: str, variant: int, colour: Rgb | None) -> Picture:
 
 
 def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    picture = coloured(colour or (244, 245, 244), 1.0 + 0.01 * layered(rng, (SIZE, SIZE), (3.0, 90.0)))
+    picture = coloured(
+        colour or (244, 245, 244), 1.0 + 0.01 * layered(rng, (SIZE, SIZE), (3.0, 90.0))
+    )
     pens = ((36, 62, 140), (170, 40, 40), (40, 40, 44), (30, 110, 60))
     centres = np.stack([rng.integers(50, 300, 5), rng.integers(70, 440, 5)], axis=1).tolist()
     for first, second in pairwise(centres):
@@ -80,7 +86,10 @@ def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
         fill(picture, (x - 34, y - 24, 68, 48), (244, 245, 244))
         fill(picture, (x - 34, y - 24, 68, 48), pens[number % 4], 3)
     for row in range(10):
-        words = np.stack([np.linspace(350, rng.integers(420, 490), 40), 90 + 36 * row + rng.normal(0, 5, 40)], axis=1)
+        words = np.stack(
+            [np.linspace(350, rng.integers(420, 490), 40), 90 + 36 * row + rng.normal(0, 5, 40)],
+            axis=1,
+        )
         cv2.polylines(picture, [words.astype(np.int32)], False, pens[row % 4], 2, cv2.LINE_AA)
     fill(picture, (0, 0, SIZE, SIZE), (150, 154, 158), 14)
     return picture
@@ -103,7 +112,9 @@ def _fading(top: ArrayLike, low: ArrayLike, more: ArrayLike = 0.0) -> Picture:
     """Return a picture that fades from a colour at its top to another one, each pixel by so much lighter."""
     fade = np.linspace(0, 1, SIZE)[:, None, None]
     sky = np.asarray(top) * (1 - fade) + np.asarray(low) * fade
-    return as_picture(np.broadcast_to(sky, (SIZE, SIZE, 3)) + np.broadcast_to(more, (SIZE, SIZE))[..., None])
+    return as_picture(
+        np.broadcast_to(sky, (SIZE, SIZE, 3)) + np.broadcast_to(more, (SIZE, SIZE))[..., None]
+    )
 
 
 def _ridge(picture: Picture, tops: ArrayLike, tint: ArrayLike) -> None:
@@ -124,9 +135,15 @@ def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
         width = min(width, SIZE - 6 - left)
         back = np.array(colour or pick(rng)) * rng.uniform(0.55, 1.1) + rng.uniform(0, 40)
         shade = np.sin(np.linspace(0.35, 2.6, width))[None, :, None]
-        picture[SIZE - height :, left : left + width] = as_picture(back * shade * np.ones((height, 1, 1)))
+        picture[SIZE - height :, left : left + width] = as_picture(
+            back * shade * np.ones((height, 1, 1))
+        )
         for band in (0.12, 0.2, 0.8):
-            fill(picture, (left + 2, SIZE - height + int(band * height), width - 4, 7), (222, 210, 170))
+            fill(
+                picture,
+                (left + 2, SIZE - height + int(band * height), width - 4, 7),
+                (222, 210, 170),
+            )
         left += width + 1
     return picture
 
@@ -158,7 +175,9 @@ def _paper_poster(rng: np.random.Generator, accent: Rgb) -> Picture:
 
 def _landscape(rng: np.random.Generator, accent: Rgb) -> Picture:
     picture = _fading(np.array(pick(rng)) * 0.6 + 90, (250, 226, 190))
-    cv2.circle(picture, rng.integers(110, [400, 220]).tolist(), 52, (252, 240, 200), -1, cv2.LINE_AA)
+    cv2.circle(
+        picture, rng.integers(110, [400, 220]).tolist(), 52, (252, 240, 200), -1, cv2.LINE_AA
+    )
     for depth in range(4):
         ridge = 230 + 62 * depth + 46 * layered(rng, (1, SIZE), (24.0, 90.0 + 20 * depth))[0]
         _ridge(picture, ridge, np.array(accent) * (0.45 + 0.15 * depth) + 90 * (1 - depth / 3))
@@ -182,7 +201,9 @@ def _sign(rng: np.random.Generator, accent: Rgb) -> Picture:
     picture = sheet(PAPER)
     fill(picture, (0, 0, SIZE, 340), accent)
     turn = np.linspace(0, 2 * np.pi, int(rng.integers(3, 7)), endpoint=False) - np.pi / 2
-    corners = [np.stack([256 + 140 * np.cos(turn), 178 + 140 * np.sin(turn)], axis=1).astype(np.int32)]
+    corners = [
+        np.stack([256 + 140 * np.cos(turn), 178 + 140 * np.sin(turn)], axis=1).astype(np.int32)
+    ]
     cv2.fillPoly(picture, corners, (250, 248, 240), cv2.LINE_AA)
     fill(picture, (240, 110, 32, 90), INK)
     cv2.circle(picture, (256, 226), 18, INK, -1, cv2.LINE_AA)

@@ -52,7 +52,9 @@ def _shelf(piece: Furniture) -> Iterator[Piece]:
     x = piece.depth_m / 2
     y = piece.width_m / 2
     bays = np.linspace(-y, y - _BOARD_M, max(1, round(piece.width_m / _BAY_M)) + 1).tolist()
-    rows = np.linspace(0.04, piece.height_m - _BOARD_M, max(1, round(piece.height_m / _COMPARTMENT_M)) + 1).tolist()
+    rows = np.linspace(
+        0.04, piece.height_m - _BOARD_M, max(1, round(piece.height_m / _COMPARTMENT_M)) + 1
+    ).tolist()
     wood = Finish("wood", piece.colour)
     yield wood, block((-x, -y, 0.012 - x, y), 0.0, piece.height_m)
     yield from ((wood, block((-x, left, x, left + _BOARD_M), 0.0, piece.height_m)) for left in bays)
@@ -67,7 +69,10 @@ def _plant(piece: Furniture) -> Iterator[Piece]:
     radius = piece.width_m / 2
     height = piece.height_m
     pot = 0.3 * height
-    yield Finish("pot", piece.colour), tube((0, 0, 0), (0, 0, pot), (0.45 * radius, 0.62 * radius), 20)
+    yield (
+        Finish("pot", piece.colour),
+        tube((0, 0, 0), (0, 0, pot), (0.45 * radius, 0.62 * radius), 20),
+    )
     yield Finish("soil"), flat(shapely.Point(0, 0).buffer(0.6 * radius), 0.92 * pot, 0.3)
     for up, out, size in ((0.38, 0.4, 0.45), (0.6, 0.45, 0.5), (0.8, 0.2, 0.4)):
         for turn in 2.1 * np.arange(3) + 9 * up:

@@ -43,22 +43,30 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
     claims = _claims(terrain)
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)
-    for tile in each(_tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)):
+    for tile in each(
+        _tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)
+    ):
         for material, layer in _layers(claims, tile).items():
             yield from _laid(material, layer, shade, 0.0)
-    marks = shapely.union_all(list(_dashes([road for road in terrain.roads if road.kind == "street"])))
+    marks = shapely.union_all(
+        list(_dashes([road for road in terrain.roads if road.kind == "street"]))
+    )
     yield from _laid("marking", marks, shade, _PAINT_M)
 
 
 def _laid(material: str, area: BaseGeometry, shade: BaseGeometry, z: float) -> Iterator[Piece]:
     for parts, normal in ((area.difference(shade), UP), (area.intersection(shade), -UP)):
-        yield from ((Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in polygons(parts, 1e-4))
+        yield from (
+            (Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in polygons(parts, 1e-4)
+        )
 
 
 def _tiles(bounds: Bounds) -> list[Polygon]:
     """Return squares along the lines of a grid of `_TILE_M` that cover bounds, the outer ones cut to fit."""
     columns, rows = (
-        np.unique(np.clip(_TILE_M * np.arange(low // _TILE_M, high // _TILE_M + 2), low, high)).tolist()
+        np.unique(
+            np.clip(_TILE_M * np.arange(low // _TILE_M, high // _TILE_M + 2), low, high)
+        ).tolist()
         for low, high in (bounds[::2], bounds[1::2])
     )
     sides = itertools.product(itertools.pairwise(columns), itertools.pairwise(rows))
@@ -73,11 +81,19 @@ def _claims(terrain: Terrain) -> list[tuple[str, BaseGeometry]]:
     claims: list[tuple[str, BaseGeometry]] = [
         ("asphalt", asphalt),
         ("kerb", asphalt.buffer(_KERB_M, quad_segs=_ROUND)),
-        ("sidewalk", shapely.union_all([_widened(road, _SIDEWALK_M) for road in streets if road.sidewalks])),
+        (
+            "sidewalk",
+            shapely.union_all([_widened(road, _SIDEWALK_M) for road in streets if road.sidewalks]),
+        ),
         ("path", shapely.union_all([_widened(road) for road in paths])),
     ]
     for kind, material in _AREA_MATERIAL.items():
-        claims.append((material, shapely.union_all([area.footprint for area in terrain.areas if area.kind == kind])))
+        claims.append(
+            (
+                material,
+                shapely.union_all([area.footprint for area in terrain.areas if area.kind == kind]),
+            )
+        )
     frame = shapely.box(*terrain.bounds)
     return [(material, claim.intersection(frame)) for material, claim in claims]
 
@@ -120,10 +136,16 @@ def cast_shade(
     """Return where the ground is shaded by buildings, barriers and crowns (outline, low, high), as `sun` goes."""
     step = np.array(sun[:2]) / -sun[2]
     solids = [
-        (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2) for house in terrain.buildings
+        (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2)
+        for house in terrain.buildings
     ]
-    solids += [(barrier.line.buffer(0.15, cap_style="flat"), 0.0, barrier.height_m) for barrier in terrain.barriers]
-    swept = [_swept(outline, step * low, step * high) for outline, low, high in each([*solids, *crowns])]
+    solids += [
+        (barrier.line.buffer(0.15, cap_style="flat"), 0.0, barrier.height_m)
+        for barrier in terrain.barriers
+    ]
+    swept = [
+        _swept(outline, step * low, step * high) for outline, low, high in each([*solids, *crowns])
+    ]
     return shapely.union_all(swept).simplify(_SHADE_M)
 
 

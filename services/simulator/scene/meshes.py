@@ -38,7 +38,12 @@ class Mesh:
         cos = math.cos(pose.heading)
         sin = math.sin(pose.heading)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return make(self.vertices @ turn + (pose.x, pose.y, 0.0), self.normals @ turn, self.uvs, self.triangles)
+        return make(
+            self.vertices @ turn + (pose.x, pose.y, 0.0),
+            self.normals @ turn,
+            self.uvs,
+            self.triangles,
+        )
 
     def flipped(self) -> "Mesh":
         """Return the mesh with its inside out; the renderer draws outsides only."""
@@ -63,7 +68,9 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.normals for part in parts]),
         np.concatenate([part.uvs for part in parts]),
-        np.concatenate([part.triangles + offset for part, offset in zip(parts, offsets, strict=True)]),
+        np.concatenate(
+            [part.triangles + offset for part, offset in zip(parts, offsets, strict=True)]
+        ),
     )
 
 
@@ -74,10 +81,14 @@ def quads(corners: ArrayLike, uvs: ArrayLike) -> Mesh:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     first = 4 * np.arange(len(points))[:, None]
     triangles = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
-    return make(points.reshape(-1, 3), np.repeat(normal, 4, axis=0), np.reshape(uvs, (-1, 2)), triangles)
+    return make(
+        points.reshape(-1, 3), np.repeat(normal, 4, axis=0), np.reshape(uvs, (-1, 2)), triangles
+    )
 
 
-def grid(vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArray[np.float64]) -> Mesh:
+def grid(
+    vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
+) -> Mesh:
     """Return the surface over a grid of points, given as arrays (rows, columns, 3), the uvs (rows, columns, 2)."""
     rows, columns = vertices.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -104,7 +115,13 @@ def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.floa
     foot = np.full((len(begin), 1), low)
     top = np.full((len(begin), 1), high)
     return np.stack(
-        [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
+        [
+            np.hstack([begin, foot]),
+            np.hstack([end, foot]),
+            np.hstack([end, top]),
+            np.hstack([begin, top]),
+        ],
+        axis=1,
     )
 
 
@@ -132,7 +149,8 @@ def walls(
 def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Mesh:
     """Return plain walls around a polygon whose texture repeats every `metres`."""
     return merge(
-        walls(ring, low, high, running(ring) / metres, (high / metres, low / metres)) for ring in outline(polygon)
+        walls(ring, low, high, running(ring) / metres, (high / metres, low / metres))
+        for ring in outline(polygon)
     )
 
 
@@ -142,7 +160,9 @@ def triangles(polygon: BaseGeometry) -> NDArray[np.float64]:
     return shapely.get_coordinates(shapely.orient_polygons(parts)).reshape(-1, 4, 2)[:, :3]
 
 
-def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.float64] = UP) -> Mesh:
+def flat(
+    polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.float64] = UP
+) -> Mesh:
     """Return a level area seen from above whose texture repeats every `metres`."""
     points = triangles(polygon).reshape(-1, 2)
     vertices = np.column_stack([points, np.full(len(points), z)])
@@ -161,9 +181,13 @@ def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
     tilt = np.linalg.norm(level, axis=1, keepdims=True)
     level = np.where(tilt > 1e-6, level / np.maximum(tilt, 1e-6), (1.0, 0.0, 0.0))
     up = np.cross(normal, level)
-    uvs = np.stack([np.einsum("nij,nj->ni", corners, level), -np.einsum("nij,nj->ni", corners, up)], axis=-1)
+    uvs = np.stack(
+        [np.einsum("nij,nj->ni", corners, level), -np.einsum("nij,nj->ni", corners, up)], axis=-1
+    )
     order = np.arange(3 * len(corners)).reshape(-1, 3)
-    return make(corners.reshape(-1, 3), np.repeat(normal, 3, axis=0), uvs.reshape(-1, 2) / metres, order)
+    return make(
+        corners.reshape(-1, 3), np.repeat(normal, 3, axis=0), uvs.reshape(-1, 2) / metres, order
+    )
 
 
 def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
@@ -171,7 +195,9 @@ def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
     polar, around = np.meshgrid(
         np.linspace(0, np.pi, detail + 1), np.linspace(0, 2 * np.pi, 2 * detail + 1), indexing="ij"
     )
-    unit = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
+    unit = np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1
+    )
     vertices = np.asarray(centre) + unit * np.asarray(radii)
     normals = unit / np.asarray(radii)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -192,9 +218,13 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: 
     spokes = np.cos(around)[:, None] * side + np.sin(around)[:, None] * np.cross(axis, side)
     vertices = np.stack([finish + radii[1] * spokes, begin + radii[0] * spokes])
     slanted = spokes + axis * (radii[0] - radii[1]) / length
-    normals = np.broadcast_to(slanted / np.linalg.norm(slanted, axis=1, keepdims=True), vertices.shape)
+    normals = np.broadcast_to(
+        slanted / np.linalg.norm(slanted, axis=1, keepdims=True), vertices.shape
+    )
     u = around / np.pi
-    uvs = np.stack([np.column_stack([u, np.zeros_like(u)]), np.column_stack([u, np.full_like(u, length)])])
+    uvs = np.stack(
+        [np.column_stack([u, np.zeros_like(u)]), np.column_stack([u, np.full_like(u, length)])]
+    )
     return grid(vertices, normals, uvs)
 
 
@@ -203,7 +233,10 @@ def drum(start: ArrayLike, end: ArrayLike, radius: float, sectors: int = 16) -> 
     begin = np.asarray(start, dtype=np.float64)
     finish = np.asarray(end, dtype=np.float64)
     out = 1e-4 * (finish - begin) / np.linalg.norm(finish - begin)
-    ends = [tube(begin, begin - out, (radius, 0.0), sectors), tube(finish, finish + out, (radius, 0.0), sectors)]
+    ends = [
+        tube(begin, begin - out, (radius, 0.0), sectors),
+        tube(finish, finish + out, (radius, 0.0), sectors),
+    ]
     return merge([tube(begin, finish, (radius, radius), sectors), *ends])
 
 

@@ -26,7 +26,9 @@ def probed() -> dict[str, str | bool | float]:
         camera.set_local_pose(sapien.Pose([-3.0, 0.0, 0.0]))
         scene.update_render()
         camera.take_picture()
-        red, green, blue = (round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3])
+        red, green, blue = (
+            round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3]
+        )
     except UnavailableError as error:
         return {"error": " ".join(str(error).split())}
     except RuntimeError as error:

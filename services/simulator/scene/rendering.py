@@ -96,7 +96,9 @@ class SceneCamera:
         self._seen_from = None
         for entity in self._obstacles:
             self._scene.remove_entity(entity)
-        self._obstacles = [self._add(self._body(surfaces(furnish(one.piece)), STILL)) for one in things]
+        self._obstacles = [
+            self._add(self._body(surfaces(furnish(one.piece)), STILL)) for one in things
+        ]
         for entity, one in zip(self._obstacles, things, strict=True):
             self._move(entity, one.pose)
 
@@ -198,7 +200,9 @@ class SceneCamera:
 
     def _lens(self, width: int, height: int, focal_px: float) -> Any:
         camera = self._sapien.render.RenderCameraComponent(width, height)
-        camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal_px, focal_px, width / 2, height / 2, 0.0)
+        camera.set_perspective_parameters(
+            _NEAR_M, _FAR_M, focal_px, focal_px, width / 2, height / 2, 0.0
+        )
         return camera
 
 
@@ -206,8 +210,12 @@ def _material(render: Any, surface: Surface, label: int) -> Any:
     height, width, _ = surface.picture.shape
     opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
     levels = int(math.log2(max(height, width))) + 1
-    texture = render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
-    material = render.RenderMaterial(base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0)
+    texture = render.RenderTexture2D(
+        opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False
+    )
+    material = render.RenderMaterial(
+        base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0
+    )
     if surface.glows:
         material.set_emission_texture(texture)
     else:

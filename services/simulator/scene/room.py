@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from services.simulator.scene import bodies
 from services.simulator.scene.furniture import furnish
 from services.simulator.scene.meshes import UPRIGHT, block, flat, front, quads
-from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, Surface, Vector, surfaces
+from services.simulator.scene.surfaces import (
+    Finish,
+    Piece,
+    SceneSurfaces,
+    Surface,
+    Vector,
+    surfaces,
+)
 from services.simulator.scene.textures import as_picture, coloured, layered, noise
 from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
@@ -26,7 +33,12 @@ _LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
 )
 _CEILING_M: Final = 2.4  # The ceiling's picture is four tiles of 0.6 m wide.
 #: How far each kind stands off the wall.
-_THICK_M: Final[dict[FittingKind, float]] = {"door": 0.03, "poster": 0.004, "whiteboard": 0.025, "window": 0.02}
+_THICK_M: Final[dict[FittingKind, float]] = {
+    "door": 0.03,
+    "poster": 0.004,
+    "whiteboard": 0.025,
+    "window": 0.02,
+}
 _SKIRTING_M: Final = 0.08
 _RIM: Final[dict[FittingKind, Finish]] = {
     "door": Finish("lacquer", (206, 206, 200)), "poster": Finish("white_plastic"),
@@ -60,12 +72,19 @@ def build(room: Room, light: Daylight) -> SceneSurfaces:
             *surfaces([*furniture, *hung]),
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
-            Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
+            Surface(
+                flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(),
+                paint_ceiling(),
+                glows=True,
+            ),
             Surface(quads([corners], [UPRIGHT]), paint_floor(room)),
         ),
         victim=surfaces(bodies.body("nao")),
         decoys=tuple(surfaces(bodies.body(name)) for name in ("bottle", "cartons", "bin")),
-        robot=(*surfaces(bodies.turtlebot(room.robot)), *(() if tag is None else (bodies.tag(tag),))),
+        robot=(
+            *surfaces(bodies.turtlebot(room.robot)),
+            *(() if tag is None else (bodies.tag(tag),)),
+        ),
     )
 
 
@@ -99,7 +118,11 @@ def paint_floor(room: Room) -> NDArray[np.uint8]:
     sheet = np.floor(across / _SHEET_M).astype(int)
     tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
     seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
-    grains: tuple[tuple[float, tuple[float, float]], ...] = ((0.045, (2, 2)), (0.03, (5, 14)), (0.015, (90, 90)))
+    grains: tuple[tuple[float, tuple[float, float]], ...] = (
+        (0.045, (2, 2)),
+        (0.03, (5, 14)),
+        (0.015, (90, 90)),
+    )
     marble = 1.0 + sum(much * _sheet(rng, shape, grain_px) for much, grain_px in grains)
     plain = coloured(_LINO, tone * seam * marble)
     shade = cv2.resize(floor_light(room), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -119,7 +142,10 @@ def floor_light(room: Room) -> NDArray[np.float64]:
     above = np.zeros(shape, np.uint8)
     parts = [(solid.shape, solid.low_m) for piece in room.furniture for solid in piece.solids]
     for outline, low_m in parts:
-        ring = (shapely.get_coordinates(shapely.get_exterior_ring(outline)) - (x_min, y_max)) * (scale, -scale)
+        ring = (shapely.get_coordinates(shapely.get_exterior_ring(outline)) - (x_min, y_max)) * (
+            scale,
+            -scale,
+        )
         # Points are centres of pixels, in sixteenths.
         corners = np.round((ring - 0.5) * 16).astype(np.int32)
         cv2.fillPoly(above, [corners], 1, cv2.LINE_8, 4)
@@ -128,7 +154,9 @@ def floor_light(room: Room) -> NDArray[np.float64]:
     walled = cv2.copyMakeBorder(1 - on_floor, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     away_m = cv2.distanceTransform(walled, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / scale
     depth, reach_m = _AROUND
-    soft = cv2.GaussianBlur(above.astype(np.float64), (0, 0), reach_m * scale, borderType=cv2.BORDER_REFLECT)
+    soft = cv2.GaussianBlur(
+        above.astype(np.float64), (0, 0), reach_m * scale, borderType=cv2.BORDER_REFLECT
+    )
     return (1.0 - _CONTACT[0] * np.exp(-away_m / _CONTACT[1])) * (1.0 - depth * soft)
 
 
@@ -139,7 +167,11 @@ def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDAr
     up = (np.arange(shape[0])[::-1, None] + 0.5) / shape[0] * height_m
     along = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * length_m
     corner = np.minimum(along, length_m - along)
-    light = (1 - 0.16 * np.exp(-up / 0.25)) * (1 - 0.13 * np.exp(-corner / 0.3)) * (1 - 0.08 * np.exp(-(height_m - up)))
+    light = (
+        (1 - 0.16 * np.exp(-up / 0.25))
+        * (1 - 0.13 * np.exp(-corner / 0.3))
+        * (1 - 0.08 * np.exp(-(height_m - up)))
+    )
     picture = coloured(colour, light * (1.0 + 0.012 * layered(rng, shape, (2.0, 70.0))))
     board = round(_SKIRTING_M / height_m * shape[0])
     picture[-board:] = (214, 211, 202)
@@ -166,7 +198,9 @@ def _pixels(metres: float) -> int:
     return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
 
 
-def _sheet(rng: np.random.Generator, shape: tuple[int, ...], grain_px: tuple[float, float]) -> NDArray[np.float64]:
+def _sheet(
+    rng: np.random.Generator, shape: tuple[int, ...], grain_px: tuple[float, float]
+) -> NDArray[np.float64]:
     """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
     rows, columns = (min(count, 1024) for count in shape)
     return np.tile(noise(rng, (rows, columns), grain_px), (shape[0] // rows, shape[1] // columns))

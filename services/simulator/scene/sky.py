@@ -49,12 +49,18 @@ def paint_sky(seed: int, light: Daylight) -> Picture:
 
 def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how much cloud covers each place, 0 to 1; clouds are flat and crowd towards the horizon."""
-    billows = 0.7 * noise(rng, _SKY_SHAPE, (60.0, 200.0)) + 0.45 * layered(rng, _SKY_SHAPE, (14.0, 40.0))
+    billows = 0.7 * noise(rng, _SKY_SHAPE, (60.0, 200.0)) + 0.45 * layered(
+        rng, _SKY_SHAPE, (14.0, 40.0)
+    )
     amount = np.clip((billows - 0.35) * 0.9, 0, 1)
     return np.asarray(amount * np.clip(elevation / 12.0, 0, 1) * 0.9, dtype=np.float64)
 
 
-def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float) -> NDArray[np.float64]:
+def _skyline(
+    rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float
+) -> NDArray[np.float64]:
     """Return the elevation in degrees of a rugged line around the horizon, (width,)."""
-    line = noise(rng, (1, _SKY_SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(rng, (1, _SKY_SHAPE[1]), (1.0, 4.0))
+    line = noise(rng, (1, _SKY_SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(
+        rng, (1, _SKY_SHAPE[1]), (1.0, 4.0)
+    )
     return np.asarray(mean_deg + spread_deg * line[0], dtype=np.float64)

@@ -29,11 +29,15 @@ class SceneSurfaces(NamedTuple):
     """Everything to be drawn."""
 
     ambient: Vector  # The light from everywhere.
-    lights: tuple[tuple[Vector, Vector], ...]  # Those far away: the direction that each goes, and its colour.
+    lights: tuple[
+        tuple[Vector, Vector], ...
+    ]  # Those far away: the direction that each goes, and its colour.
     still: tuple[Surface, ...]  # What never moves.
     victim: tuple[Surface, ...]  # The victim, about its own origin, x forward.
     decoys: tuple[tuple[Surface, ...], ...]  # What can lie in its place instead, of its size.
-    robot: tuple[Surface, ...] = ()  # The robot, about its own origin, x forward; nothing where no camera sees it.
+    robot: tuple[
+        Surface, ...
+    ] = ()  # The robot, about its own origin, x forward; nothing where no camera sees it.
     sky: Surface | None = None  # The dome that goes with the camera; None under a ceiling.
 
 

@@ -30,18 +30,26 @@ def noise(
     frequency_across = frequency_across[frequency_across * across < 4.2]
     keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))
     # Filtering by a product of spectra is a circular convolution, which is what makes the edges meet.
-    spectrum = np.fft.fft(np.fft.rfft(rng.standard_normal(shape))[:, : frequency_across.size], axis=0) * keep
+    spectrum = (
+        np.fft.fft(np.fft.rfft(rng.standard_normal(shape))[:, : frequency_across.size], axis=0)
+        * keep
+    )
     smooth = np.fft.irfft(np.fft.ifft(spectrum, axis=0), shape[1])
     smooth -= smooth.mean()
     return np.asarray(smooth / max(float(smooth.std()), 1e-9), dtype=np.float64)
 
 
-def layered(rng: np.random.Generator, shape: tuple[int, int], grains_px: ArrayLike) -> NDArray[np.float64]:
+def layered(
+    rng: np.random.Generator, shape: tuple[int, int], grains_px: ArrayLike
+) -> NDArray[np.float64]:
     """Return the sum of noises of several grains, coarse ones weighing more; standard deviation about 1."""
     grains = np.atleast_1d(np.asarray(grains_px, dtype=np.float64))
     weights = np.sqrt(grains / grains.sum())
     return np.asarray(
-        sum(weight * noise(rng, shape, float(grain)) for weight, grain in zip(weights, grains, strict=True)),
+        sum(
+            weight * noise(rng, shape, float(grain))
+            for weight, grain in zip(weights, grains, strict=True)
+        ),
         dtype=np.float64,
     )
 
@@ -67,15 +75,21 @@ def paint(material: str) -> Picture:
     """Return the picture of a material of the table `materials`, (h, w, 3) uint8 RGB with h and w powers of two."""
     how = dict(_MATERIALS[material])
     # A seed of its own, so that adding a material changes no other.
-    return _PAINTERS[how.pop("painter")](np.random.default_rng(zlib.crc32(material.encode())), **how)
+    return _PAINTERS[how.pop("painter")](
+        np.random.default_rng(zlib.crc32(material.encode())), **how
+    )
 
 
-def _rough(rng: np.random.Generator, colour: Rgb, layers: list[tuple[float, float, float]], cracks: int = 0) -> Picture:
+def _rough(
+    rng: np.random.Generator, colour: Rgb, layers: list[tuple[float, float, float]], cracks: int = 0
+) -> Picture:
     """Paint unevenness: of each layer how high and how wide its blobs are, pixels, and how strong; and cracks on it."""
     shades = (contrast * noise(rng, _SHAPE, (down, across)) for down, across, contrast in layers)
     picture = coloured(colour, 1.0 + sum(shades, np.zeros(_SHAPE)))
     for _ in range(cracks):
-        steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
+        steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(
+            60, 300, 2
+        )
         cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
     return picture
 
@@ -87,7 +101,10 @@ def _plain(_rng: np.random.Generator, colour: Rgb) -> Picture:
 def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
     shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
     dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
-    return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
+    return as_picture(
+        (np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry)
+        * shade[..., None]
+    )
 
 
 def _paving(
@@ -131,7 +148,9 @@ def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:
 def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
     down, across = np.indices(_SHAPE)
     threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
-    return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
+    return coloured(
+        colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0)
+    )
 
 
 _PAINTERS: Final[dict[str, Painter]] = {

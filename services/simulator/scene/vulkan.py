@@ -39,7 +39,9 @@ def load_sapien(*, rendering: bool = True) -> Any:
         if rendering:
             import sapien.render  # noqa: PLC0415
     except (ImportError, OSError) as error:
-        raise UnavailableError(f"SAPIEN cannot be loaded ({error}); pip install -e '.[simulator]'") from error
+        raise UnavailableError(
+            f"SAPIEN cannot be loaded ({error}); pip install -e '.[simulator]'"
+        ) from error
     return sapien
 
 
@@ -53,13 +55,17 @@ def _prepare() -> None:
         os.environ["VK_ICD_FILENAMES"] = str(driver)
 
 
-def choose_driver(environment: Mapping[str, str], folders: Sequence[Path], gpu: bool) -> Path | None:
+def choose_driver(
+    environment: Mapping[str, str], folders: Sequence[Path], gpu: bool
+) -> Path | None:
     """Return the software driver's file where there is no graphics device and no choice by the user; else None."""
     chosen = environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES")
     if chosen:
         missing = [name for name in chosen.split(os.pathsep) if not Path(name).is_file()]
         if missing:
-            raise UnavailableError(f"VK_ICD_FILENAMES names {missing[0]}, a missing file; unset it, or {INSTALL}")
+            raise UnavailableError(
+                f"VK_ICD_FILENAMES names {missing[0]}, a missing file; unset it, or {INSTALL}"
+            )
         return None
     installed = [path for folder in folders for path in sorted(folder.glob("*.json"))]
     if gpu and installed:

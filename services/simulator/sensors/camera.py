@@ -23,7 +23,9 @@ from services.simulator.world.place import OverheadMount, Pose, World
 from smal.obstacles.clearance import Mount
 
 FIELD_OF_VIEW_DEG: Final = 75.0  # How wide the robot's camera sees.
-FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)  # Its focal length over the image's width.
+FOCAL: Final = 0.5 / math.tan(
+    math.radians(FIELD_OF_VIEW_DEG) / 2
+)  # Its focal length over the image's width.
 # Time over which one picture collects light; what moves meanwhile is blurred.
 _EXPOSURE_S: Final = 0.02
 # Less than this moves no pixel visibly.
@@ -61,7 +63,9 @@ def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.ui
     count = math.ceil(longest_px / _STEP_PX) + 1
     total = np.zeros(image.shape, dtype=np.float32)
     for part in (np.arange(count) + 0.5) / count - 0.5:
-        affine = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), math.degrees(part * turn_rad), 1.0)
+        affine = cv2.getRotationMatrix2D(
+            ((width - 1) / 2, (height - 1) / 2), math.degrees(part * turn_rad), 1.0
+        )
         affine[:, 2] += part * right_px, part * down_px
         moved = cv2.warpAffine(image, affine, (width, height), borderMode=cv2.BORDER_REPLICATE)
         cv2.accumulate(moved, total)
@@ -69,10 +73,15 @@ def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.ui
 
 
 def hazy(
-    image: NDArray[np.uint8], depth_m: NDArray[np.float32], visibility_m: float, colour: tuple[float, float, float]
+    image: NDArray[np.uint8],
+    depth_m: NDArray[np.float32],
+    visibility_m: float,
+    colour: tuple[float, float, float],
 ) -> NDArray[np.uint8]:
     """Return an image (h, w, 3) in haze of a colour (Koschmieder's law); `depth_m` (h, w), infinity for the sky."""
-    through = np.exp(depth_m * np.float32(np.log(_CONTRAST_AT_VISIBILITY) / visibility_m))[..., None]
+    through = np.exp(depth_m * np.float32(np.log(_CONTRAST_AT_VISIBILITY) / visibility_m))[
+        ..., None
+    ]
     veiled = image * through + np.asarray(colour, dtype=np.float32) * (1 - through)
     return np.asarray(np.rint(veiled), dtype=np.uint8)
 
@@ -185,8 +194,15 @@ class SimulatedView:
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
         if PoseMessage.topic not in made:
-            yield PoseMessage.after(header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading)
-        if DEPTH.name not in made and self.mount is not None and self.depth is not None and self.wanted(DEPTH):
+            yield PoseMessage.after(
+                header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading
+            )
+        if (
+            DEPTH.name not in made
+            and self.mount is not None
+            and self.depth is not None
+            and self.wanted(DEPTH)
+        ):
             yield depth_message(header, self.depth, self.mount)
         above = self.world.place.overhead
         if OVERHEAD.name not in made and above is not None and self.wanted(OVERHEAD):
@@ -197,17 +213,23 @@ def depth_message(header: Message, depth_m: NDArray[np.float32], mount: Mount) -
     """Make the message of what a depth camera measured, (height, width) metres, 0 where nothing."""
     rows, columns = depth_m.shape
     millimetres = np.rint(1000 * depth_m).astype("<u2").tobytes()
-    return DepthImage.after(header, width=columns, height=rows, data=millimetres, mounting=Mounting(**mount._asdict()))
+    return DepthImage.after(
+        header, width=columns, height=rows, data=millimetres, mounting=Mounting(**mount._asdict())
+    )
 
 
-def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadMount) -> OverheadImage:
+def overhead_message(
+    header: Message, image: NDArray[np.uint8], mount: OverheadMount
+) -> OverheadImage:
     """Make the message of the overhead camera's image, (height, width, 3), with how that camera sees."""
     height, width, _ = image.shape
     calibration = Calibration(
         focal_px=mount.focal_px, centre_x_px=width / 2, centre_y_px=height / 2, x_m=mount.x_m, y_m=mount.y_m,
         height_m=mount.height_m, up_rad=math.remainder(math.radians(mount.up_deg), math.tau),
     )  # fmt: skip
-    return OverheadImage.after(header, width=width, height=height, data=encode_jpeg(image), calibration=calibration)
+    return OverheadImage.after(
+        header, width=width, height=height, data=encode_jpeg(image), calibration=calibration
+    )
 
 
 class FindVictim:

@@ -115,7 +115,13 @@ class InertialUnit:
         self._time_s = 0.0
 
     def step(
-        self, heading: float, velocity_m_s: Velocity, turn_rate_rad_s: float, duration_s: float, tilt: Tilt, rate: Tilt
+        self,
+        heading: float,
+        velocity_m_s: Velocity,
+        turn_rate_rad_s: float,
+        duration_s: float,
+        tilt: Tilt,
+        rate: Tilt,
     ) -> ImuReading:
         """Return the reading after a step that began with a heading.
 
@@ -132,7 +138,9 @@ class InertialUnit:
         sin = math.sin(heading)
         # It is pushed by the ground as if it fell upwards.
         level = np.array([east * cos + north * sin, north * cos - east * sin, GRAVITY_M_S2])
-        true = np.concatenate([[rate.roll, rate.pitch, rate.yaw + turn_rate_rad_s], tilt.matrix().T @ level])
+        true = np.concatenate(
+            [[rate.roll, rate.pitch, rate.yaw + turn_rate_rad_s], tilt.matrix().T @ level]
+        )
         gx, gy, gz, ax, ay, az = np.clip(true + self._bias + noise, -_GREATEST, _GREATEST).tolist()
         return ImuReading(self._time_s, (gx, gy, gz), (ax, ay, az))
 
@@ -193,7 +201,11 @@ class Sensors:
         self._error = error
 
     def begin(
-        self, start: Pose, odometry: np.random.Generator, imu: np.random.Generator, shake: np.random.Generator
+        self,
+        start: Pose,
+        odometry: np.random.Generator,
+        imu: np.random.Generator,
+        shake: np.random.Generator,
     ) -> None:
         """Begin an episode at a pose; each sensor has a source of noise of its own, so that none changes another's."""
         self._pose = start
@@ -206,7 +218,10 @@ class Sensors:
 
     def feel(self, motion: Motion, duration_s: float) -> None:
         """Feel what the base did in `duration_s`, greater than 0."""
-        self._rolled_m = (self._rolled_m[0] + motion.rolled_m[0], self._rolled_m[1] + motion.rolled_m[1])
+        self._rolled_m = (
+            self._rolled_m[0] + motion.rolled_m[0],
+            self._rolled_m[1] + motion.rolled_m[1],
+        )
         self._elapsed_s += duration_s
         if self._elapsed_s < STEP_S - 1e-9:
             return
@@ -214,10 +229,16 @@ class Sensors:
         after = motion.pose
         step_s = self._elapsed_s
         velocity_m_s = (after.x - before.x) / step_s, (after.y - before.y) / step_s
-        moved = velocity_m_s, math.remainder(after.heading - before.heading, math.tau) / step_s, step_s
+        moved = (
+            velocity_m_s,
+            math.remainder(after.heading - before.heading, math.tau) / step_s,
+            step_s,
+        )
         self.odometer.step(self._rolled_m, step_s)
         self.shake.step(*moved)
-        self._readings.append(self._unit.step(before.heading, *moved, self.shake.tilt, self.shake.rate))
+        self._readings.append(
+            self._unit.step(before.heading, *moved, self.shake.tilt, self.shake.rate)
+        )
         self._pose = after
         self._rolled_m = (0.0, 0.0)
         self._elapsed_s = 0.0

@@ -44,7 +44,9 @@ class Outline(NamedTuple):
     tags: Tags
 
 
-def compose(outlines: Sequence[Outline], parts: Sequence[Outline]) -> tuple[list[Building], Counter[str]]:
+def compose(
+    outlines: Sequence[Outline], parts: Sequence[Outline]
+) -> tuple[list[Building], Counter[str]]:
     """Return all buildings, those that parts cover to 70 % as parts; and how many parts are "used", or why not."""
     counts: Counter[str] = Counter()
     tree = STRtree([outline.shape for outline in outlines])
@@ -117,7 +119,9 @@ def _min_height_m(tags: Tags, top_m: float) -> float:
         return min(stated, highest_m)
     if levels is not None:
         return min(levels * _STOREY_M, highest_m)
-    return highest_m if tags.get("building", tags.get("building:part")) in MEANINGS.open_below else 0.0
+    return (
+        highest_m if tags.get("building", tags.get("building:part")) in MEANINGS.open_below else 0.0
+    )
 
 
 def _facade(tags: Tags, number: int) -> Facade:
@@ -145,14 +149,20 @@ def _roof(tags: Tags, footprint: Polygon) -> tuple[RoofShape, float]:
     if "roof:shape" in tags:
         shape = MEANINGS.roofs.get(tags["roof:shape"], "flat")
     else:
-        house = tags.get("building") in MEANINGS.houses and "building:part" not in tags and not footprint.interiors
+        house = (
+            tags.get("building") in MEANINGS.houses
+            and "building:part" not in tags
+            and not footprint.interiors
+        )
         shape = "gabled" if house and footprint.area > _ABOUT_A_RECTANGLE * box.area else "flat"
     if shape == "flat":
         return "flat", 0.0
     height = _stated_roof_m(tags)
     if height is None:
         corners = shapely.get_coordinates(box)
-        half_width = float(min(math.dist(corners[0], corners[1]), math.dist(corners[1], corners[2]))) / 2
+        half_width = (
+            float(min(math.dist(corners[0], corners[1]), math.dist(corners[1], corners[2]))) / 2
+        )
         angle = metres((tags.get("roof:angle") or "").removesuffix("°"))
         slope = math.tan(math.radians(min(angle, _STEEPEST_DEG))) if angle else _ROOF_SLOPE
         height = (half_width + _OVERHANG_M) * slope

@@ -14,8 +14,12 @@ from shapely import Polygon
 from services.simulator.tables import table
 from services.simulator.world.place import STRICT, Pose, Rgb, Solid
 
-FurnitureKind = Literal["cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
-ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})  # Kinds whose footprint is a circle, `width_m` across.
+FurnitureKind = Literal[
+    "cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"
+]
+ROUND: Final[frozenset[FurnitureKind]] = frozenset(
+    {"plant"}
+)  # Kinds whose footprint is a circle, `width_m` across.
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
 HIDING_M: Final = 0.6
 # Smallest width and depth of kinds that consist of parts.
@@ -70,10 +74,14 @@ class Furniture:
     y_m: Metres  # Middle of its footprint, from the south wall.
     facing_deg: Degrees = 0.0
     """Where its front looks; a shelf's front is the side with the books, a desk's the side where one sits."""
-    width_m: Size  # From its left to its right side, seen from the front; the diameter of what is round.
+    width_m: (
+        Size  # From its left to its right side, seen from the front; the diameter of what is round.
+    )
     depth_m: Metres = 0.0  # From its front to its back; left out for what is round.
     height_m: Size  # From the floor to its top.
-    colour: Colour | None = None  # Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind.
+    colour: Colour | None = (
+        None  # Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind.
+    )
 
     def __post_init__(self) -> None:
         """Refuse what no such piece can be."""
@@ -83,7 +91,9 @@ class Furniture:
             raise ValueError(f"depth_m: a {self.kind} needs one, of 0.02 m or more")
         width_m, depth_m = _SMALLEST_M.get(self.kind, (0.0, 0.0))
         if self.width_m < width_m or self.depth_m < depth_m:
-            raise ValueError(f"width_m, depth_m: a {self.kind} is at least {width_m:g} m wide and {depth_m:g} m deep")
+            raise ValueError(
+                f"width_m, depth_m: a {self.kind} is at least {width_m:g} m wide and {depth_m:g} m deep"
+            )
 
     @property
     def pose(self) -> Pose:
@@ -102,7 +112,12 @@ class Furniture:
             return (Solid(self.footprint, 0.0, self.height_m, opaque=False),)
         boxes = [self.box(part) for part in PARTS[self.kind] if part.solid]
         return tuple(
-            Solid(self.pose.place(shapely.box(*box)), low, high, opaque=low == 0.0 and high >= HIDING_M)
+            Solid(
+                self.pose.place(shapely.box(*box)),
+                low,
+                high,
+                opaque=low == 0.0 and high >= HIDING_M,
+            )
             for box, low, high in boxes
         )
 

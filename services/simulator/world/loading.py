@@ -27,7 +27,9 @@ from smal.files.confined import ConfinedError, Work, WorkLimits, confined, size_
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _SUFFIXES: Final = (".osm", ".json")
-LARGEST_FILE: Final = 32 * 1024 * 1024  # Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
+LARGEST_FILE: Final = (
+    32 * 1024 * 1024
+)  # Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
 MOST_MEMORY: Final = 4 * 2**30  # Bytes of memory to load a world.
 # Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
 _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
@@ -43,7 +45,9 @@ class Wishes:
     """What a person asks of the task in a map, and of how much of it to take."""
 
     start: Pose | None = None
-    victim: Pose | None = None  # By hand, in the metres of the world; None for what the map says, else by rule.
+    victim: Pose | None = (
+        None  # By hand, in the metres of the world; None for what the map says, else by rule.
+    )
     seed: int = 0  # Another one gives another task by rule.
     around: MapSurroundings | None = None  # The part of the map to take; None for all of it.
 
@@ -134,7 +138,9 @@ def _find(name_or_path: str | Path) -> Path:
     if found is None and named == [path]:
         raise WorldError(f"{path}: no such file")
     if found is None:
-        raise WorldError(f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path")
+        raise WorldError(
+            f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path"
+        )
     return found
 
 
@@ -143,13 +149,17 @@ def _read(path: Path) -> bytes:
     try:
         size = path.stat().st_size
         if size > LARGEST_FILE:
-            raise WorldError(f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB")
+            raise WorldError(
+                f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise WorldError(f"{path}: {error.strerror}") from error
     for mark, most in _MOST_OF.items():
         if data.count(mark) > most:
-            raise WorldError(f"{path}: more than {most:,} of '{mark.decode()}'; no world has so much in it")
+            raise WorldError(
+                f"{path}: more than {most:,} of '{mark.decode()}'; no world has so much in it"
+            )
     return data
 
 
@@ -170,9 +180,13 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except ValidationError as error:
         # What is wrong in a file is placed below the name of its format.
-        raise WorldError(f"{path}: {re.sub(r'^(smal[.][a-z]+/1[.:] ?|message: )', '', describe(error))}") from None
+        raise WorldError(
+            f"{path}: {re.sub(r'^(smal[.][a-z]+/1[.:] ?|message: )', '', describe(error))}"
+        ) from None
     except GEOSException as error:
-        raise WorldError(f"{path}: its outlines cannot be cut to size ({printable(str(error))})") from error
+        raise WorldError(
+            f"{path}: its outlines cannot be cut to size ({printable(str(error))})"
+        ) from error
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
 
@@ -185,9 +199,14 @@ def _check_content(terrain: Terrain) -> None:
 
 def _check_task(world: World) -> None:
     """Refuse a start or a victim in an obstacle, and a victim without a way."""
-    for name, pose, radius_m in (("start", world.start, world.robot.radius_m), ("victim", world.victim, 0.0)):
+    for name, pose, radius_m in (
+        ("start", world.start, world.robot.radius_m),
+        ("victim", world.victim, 0.0),
+    ):
         if not obstacles_of(world.place).is_free(pose.x, pose.y, radius_m):
-            raise WorldError(f"the {name} at ({pose.x:.1f}, {pose.y:.1f}) m stands in an obstacle or outside the world")
+            raise WorldError(
+                f"the {name} at ({pose.x:.1f}, {pose.y:.1f}) m stands in an obstacle or outside the world"
+            )
     plan_route(world, (world.start.x, world.start.y))
 
 

@@ -18,7 +18,11 @@ from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, Te
 _GROUND: Final = "#e7ecdd"
 _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}
 _ROAD: Final[dict[RoadKind, str]] = {"street": "#ffffff", "path": "#f3e9d8"}
-_BARRIER: Final[dict[BarrierKind, str]] = {"hedge": "#7ba05b", "wall": "#8a8278", "fence": "#b0a493"}
+_BARRIER: Final[dict[BarrierKind, str]] = {
+    "hedge": "#7ba05b",
+    "wall": "#8a8278",
+    "fence": "#b0a493",
+}
 _FURNITURE: Final[dict[FurnitureKind, str]] = {
     "cabinet": "#a9adb0", "car": "#46597a", "chair": "#6f8799", "crate": "#c39a66", "desk": "#d9c6a5",
     "partition": "#6f8799", "plant": "#7ba05b", "shelf": "#9a7652", "sofa": "#9c4f43", "table": "#d9c6a5",
@@ -32,7 +36,13 @@ _CROWN_OF_HEIGHT: Final = 0.28
 def draw_map(world: World, ax: Axes) -> None:
     """Draw a world, its start (arrow), victim (star) and camera above on axes in metres; later routes lie on top."""
     x_min, y_min, x_max, y_max = world.place.bounds
-    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
+    ax.set(
+        xlim=(x_min, x_max),
+        ylim=(y_min, y_max),
+        aspect="equal",
+        xlabel="east (m)",
+        ylabel="north (m)",
+    )
     if isinstance(world.place, Room):
         _draw_room(world.place, ax)
     elif isinstance(world.place, Terrain):
@@ -40,9 +50,23 @@ def draw_map(world: World, ax: Axes) -> None:
     arrow = 0.03 * (x_max - x_min)
     start = world.start
     tip = (start.x + arrow * math.cos(start.heading), start.y + arrow * math.sin(start.heading))
-    ax.annotate("", tip, (start.x, start.y), arrowprops={"arrowstyle": "-|>", "color": "#1f5fa8", "lw": 2}, zorder=4)
+    ax.annotate(
+        "",
+        tip,
+        (start.x, start.y),
+        arrowprops={"arrowstyle": "-|>", "color": "#1f5fa8", "lw": 2},
+        zorder=4,
+    )
     ax.plot(start.x, start.y, "o", color="#1f5fa8", markersize=6, label="start", zorder=4)
-    ax.plot(world.victim.x, world.victim.y, "*", color="#d62728", markersize=13, label="victim", zorder=4)
+    ax.plot(
+        world.victim.x,
+        world.victim.y,
+        "*",
+        color="#d62728",
+        markersize=13,
+        label="victim",
+        zorder=4,
+    )
 
 
 def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
@@ -56,7 +80,9 @@ def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
     for barrier in terrain.barriers:
         ax.plot(*barrier.line.xy, color=_BARRIER[barrier.kind], linewidth=1.5, zorder=1.6)
     crowns = [Circle((tree.x, tree.y), tree.height_m * _CROWN_OF_HEIGHT) for tree in terrain.trees]
-    ax.add_collection(PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7))
+    ax.add_collection(
+        PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7)
+    )
 
 
 def _draw_room(room: Room, ax: Axes) -> None:
@@ -74,8 +100,13 @@ def _draw_room(room: Room, ax: Axes) -> None:
         ax.plot(x, y, "x", color="#444444", markersize=7, label="camera above", zorder=3)
 
 
-def _fill(ax: Axes, polygon: shapely.Polygon, colour: str, *, order: float, edge: str = "none") -> None:
-    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.orient_polygons(polygon))]
+def _fill(
+    ax: Axes, polygon: shapely.Polygon, colour: str, *, order: float, edge: str = "none"
+) -> None:
+    rings = [
+        shapely.get_coordinates(ring)
+        for ring in shapely.get_rings(shapely.orient_polygons(polygon))
+    ]
     # Holes run the other way round than the outline, which is what leaves them open.
     outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
     ax.add_patch(PathPatch(outline, facecolor=colour, edgecolor=edge, linewidth=0.6, zorder=order))

@@ -19,13 +19,29 @@ from services.simulator.world.route import beside, obstacles_of, plan_route
 
 def _thing(kind: FurnitureKind, width_m: float, depth_m: float, height_m: float) -> Furniture:
     colour = (214, 120, 40) if kind == "partition" else None
-    return Furniture(kind=kind, x_m=0.0, y_m=0.0, width_m=width_m, depth_m=depth_m, height_m=height_m, colour=colour)
+    return Furniture(
+        kind=kind,
+        x_m=0.0,
+        y_m=0.0,
+        width_m=width_m,
+        depth_m=depth_m,
+        height_m=height_m,
+        colour=colour,
+    )
 
 
 #: What stands outdoors and indoors; of either the first closes a way.
 _THINGS: Final = {
-    False: (_thing("partition", 1.6, 0.3, 1.0), _thing("crate", 0.8, 0.8, 0.9), _thing("car", 1.8, 4.2, 1.46)),
-    True: (_thing("partition", 0.7, 0.12, 0.6), _thing("crate", 0.35, 0.35, 0.45), _thing("chair", 0.45, 0.45, 0.85)),
+    False: (
+        _thing("partition", 1.6, 0.3, 1.0),
+        _thing("crate", 0.8, 0.8, 0.9),
+        _thing("car", 1.8, 4.2, 1.46),
+    ),
+    True: (
+        _thing("partition", 0.7, 0.12, 0.6),
+        _thing("crate", 0.35, 0.35, 0.45),
+        _thing("chair", 0.45, 0.45, 0.85),
+    ),
 }
 _CLOSED: Final = 12.0  # What closes a way reaches so far to either side of it, in radii of the robot, or to a wall.
 #: What stays free is at most so far beside the way, in radii of the robot: the belief follows it there.
@@ -43,7 +59,10 @@ class Obstacle:
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Its solid parts where they stand."""
-        return tuple(one._replace(shape=self.pose.place(one.shape), opaque=False) for one in self.piece.solids)
+        return tuple(
+            one._replace(shape=self.pose.place(one.shape), opaque=False)
+            for one in self.piece.solids
+        )
 
     @cached_property
     def footprint(self) -> BaseGeometry:
@@ -66,7 +85,9 @@ def stand_in_the_way(
     for near, far in pairwise(np.linspace(*way.usable, count + 1).tolist()):
         standing += way.one(near, far, standing, rng)
     if len(standing) < count + blocked:
-        raise WorldError(f"{world.name}: on the way there is room for {len(standing) - blocked} of {count} obstacles")
+        raise WorldError(
+            f"{world.name}: on the way there is room for {len(standing) - blocked} of {count} obstacles"
+        )
     return tuple(standing)
 
 
@@ -85,9 +106,13 @@ class _Way:
         self.usable = (first_m, max(first_m, last_m))
         around = self._line.buffer(2 * _ASIDE * self._radius_m)
         solids = (one for one in world.place.solids if one.low_m < world.robot.top_m)
-        self._solid = shapely.union_all([one.shape for one in solids if one.shape.intersects(around)])
+        self._solid = shapely.union_all(
+            [one.shape for one in solids if one.shape.intersects(around)]
+        )
 
-    def one(self, near_m: float, far_m: float, others: list[Obstacle], rng: np.random.Generator) -> list[Obstacle]:
+    def one(
+        self, near_m: float, far_m: float, others: list[Obstacle], rng: np.random.Generator
+    ) -> list[Obstacle]:
         """Return a thing on a stretch of the way that leaves a passage; nothing where no place was found."""
         for _ in range(_TRIES):
             piece = self._things[int(rng.integers(len(self._things)))]
@@ -98,7 +123,9 @@ class _Way:
             there = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
             made = Obstacle(piece, Pose(there.x, there.y, there.heading + turned))
             off = self._solid.disjoint(made.footprint)
-            off &= all(made.footprint.distance(other.footprint) > 8 * self._radius_m for other in others)
+            off &= all(
+                made.footprint.distance(other.footprint) > 8 * self._radius_m for other in others
+            )
             if off and self._passes(along_m, made):
                 return [made]
         return []
@@ -106,11 +133,17 @@ class _Way:
     def _passes(self, along_m: float, made: Obstacle) -> bool:
         """Tell whether the middle of a passage twice as wide as the robot leads from before a thing to behind it."""
         length_m = made.footprint.length / 2 + 4 * self._radius_m
-        stretch = substring(self._line, max(0.0, along_m - length_m), min(self._line.length, along_m + length_m))
+        stretch = substring(
+            self._line, max(0.0, along_m - length_m), min(self._line.length, along_m + length_m)
+        )
         beside = stretch.buffer(_ASIDE * self._radius_m, cap_style="flat")
-        free = beside.difference(shapely.union_all([made.footprint, self._solid]).buffer(2 * self._radius_m))
+        free = beside.difference(
+            shapely.union_all([made.footprint, self._solid]).buffer(2 * self._radius_m)
+        )
         ends = [shapely.Point(stretch.coords[k]) for k in (0, -1)]
-        return any(all(part.distance(end) < 0.05 for end in ends) for part in shapely.get_parts(free))
+        return any(
+            all(part.distance(end) < 0.05 for end in ends) for part in shapely.get_parts(free)
+        )
 
     def closed(self, rng: np.random.Generator) -> Obstacle:
         """Return what closes the way about its middle, from wall to wall, or far to both sides."""

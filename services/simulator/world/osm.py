@@ -19,8 +19,12 @@ Tags = Mapping[str, str]
 Points = NDArray[np.float64]
 Shape = TypeVar("Shape")
 
-LARGEST_FILE: Final = 64 * 1024 * 1024  # Bytes; a town of several thousand buildings has a third of it.
-MOST_POINTS: Final = 1_000_000  # Points of all ways and relations together, and tagged nodes, ways and relations.
+LARGEST_FILE: Final = (
+    64 * 1024 * 1024
+)  # Bytes; a town of several thousand buildings has a third of it.
+MOST_POINTS: Final = (
+    1_000_000  # Points of all ways and relations together, and tagged nodes, ways and relations.
+)
 MOST_ELEMENTS: Final = 200_000
 #: OpenStreetMap's own limits; only a file made by hand has longer ones.
 MOST_POINTS_OF_A_WAY: Final = 2_000
@@ -40,7 +44,9 @@ _BEYOND_M: Final = 10.0
 OPEN: Final = "its outline is not closed"
 _BROKEN_RINGS: Final = "its rings do not close or cross each other"
 # Tags that say what kind of thing an area is.
-_KIND_KEYS: Final = frozenset({"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"})
+_KIND_KEYS: Final = frozenset(
+    {"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"}
+)
 
 
 class OutlineError(ValueError):
@@ -100,7 +106,9 @@ def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
-        raise WorldError(f"{path}: not a readable OpenStreetMap XML file ({printable(str(error))})") from error
+        raise WorldError(
+            f"{path}: not a readable OpenStreetMap XML file ({printable(str(error))})"
+        ) from error
     return extract
 
 
@@ -121,11 +129,15 @@ class _Found:
             tags = dict(element.tags) if len(element.tags) else {}
             if isinstance(element, osmium.osm.Node):
                 if tags and element.location.valid():
-                    self._nodes.append((element.id, (element.location.lon, element.location.lat), tags))
+                    self._nodes.append(
+                        (element.id, (element.location.lon, element.location.lat), tags)
+                    )
             elif isinstance(element, osmium.osm.Way):
                 self._way(element, tags)
             elif isinstance(element, osmium.osm.Relation) and tags.get("type") == "multipolygon":
-                roles = {member.ref: member.role for member in element.members if member.type == "w"}
+                roles = {
+                    member.ref: member.role for member in element.members if member.type == "w"
+                }
                 self._relations.append((element.id, roles, tags))
                 self._points += len(element.members)
             if self._points > MOST_POINTS:
@@ -155,8 +167,12 @@ class _Found:
     def bounds(self, box: osmium.osm.Box) -> NDArray[np.float64]:
         """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header where it has them."""
         if box.valid():
-            return np.array([[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)])
-        places = [np.array([xy]) for _, xy, _ in self._nodes] + [points for points, tags in self._ways.values() if tags]
+            return np.array(
+                [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
+            )
+        places = [np.array([xy]) for _, xy, _ in self._nodes] + [
+            points for points, tags in self._ways.values() if tags
+        ]
         if not places:
             raise WorldError("the file holds no located nodes or ways")
         every = np.concatenate(places)
@@ -193,20 +209,32 @@ class _Found:
             bounds=(x_min, y_min, x_max, y_max),
             latitude_deg=float(origin[1]),
             longitude_deg=float(origin[0]),
-            nodes=[Element(number, (np.array(xy) - origin) * scale, tags) for number, xy, tags in self._nodes],
-            ways=[Element(n, lines[n], tags) for n, (_, tags) in self._ways.items() if tags and n not in drawn],
+            nodes=[
+                Element(number, (np.array(xy) - origin) * scale, tags)
+                for number, xy, tags in self._nodes
+            ],
+            ways=[
+                Element(n, lines[n], tags)
+                for n, (_, tags) in self._ways.items()
+                if tags and n not in drawn
+            ],
             relations=relations,
             broken=self._broken,
-            repeated=[Unread(self._ways[number][1], "drawn with its relation") for number in sorted(drawn)],
+            repeated=[
+                Unread(self._ways[number][1], "drawn with its relation") for number in sorted(drawn)
+            ],
         )
 
-    def _area(self, lines: Mapping[int, NDArray[np.float64]], roles: Mapping[int, str]) -> BaseGeometry:
+    def _area(
+        self, lines: Mapping[int, NDArray[np.float64]], roles: Mapping[int, str]
+    ) -> BaseGeometry:
         if not self._broken_ways.isdisjoint(roles):
             raise OutlineError("a member of it is broken")
         if not lines.keys() >= roles.keys():
             raise OutlineError("a member of it is not in the file")
         outer, inner = (
-            [LineString(lines[ref]) for ref in roles if (roles[ref] == "inner") == hole] for hole in (False, True)
+            [LineString(lines[ref]) for ref in roles if (roles[ref] == "inner") == hole]
+            for hole in (False, True)
         )
         return _area_of_rings(outer, inner)
 
@@ -255,14 +283,20 @@ def _check_file(path: Path) -> None:
     """Refuse a file that is too large, or that defines entities, before a parser sees it."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
-        raise WorldError(f"{size / 1e6:.0f} MB; a map has at most {LARGEST_FILE / 1e6:.0f} MB, cut it smaller")
+        raise WorldError(
+            f"{size / 1e6:.0f} MB; a map has at most {LARGEST_FILE / 1e6:.0f} MB, cut it smaller"
+        )
     data = path.read_bytes()
     # Text in UTF-16 or UTF-32, where the words below would not be found, is full of zero bytes.
     if b"\0" in data:
-        raise WorldError("not a readable OpenStreetMap XML file (holds zero bytes; it must be UTF-8)")
+        raise WorldError(
+            "not a readable OpenStreetMap XML file (holds zero bytes; it must be UTF-8)"
+        )
     for word in (b"<!DOCTYPE", b"<!ENTITY"):
         if word in data:
-            raise WorldError(f"holds {word.decode()}; a map defines no document type and no entities")
+            raise WorldError(
+                f"holds {word.decode()}; a map defines no document type and no entities"
+            )
 
 
 def _check_size(extract: Extract) -> None:
@@ -278,9 +312,15 @@ def _check_size(extract: Extract) -> None:
     if length_m > MOST_WAY_M:
         most = f"a world has at most {MOST_WAY_M / 1000:.0f} km"
         raise WorldError(f"{length_m / 1000:.0f} km of roads, barriers and waterways, {most}")
-    tags = [element.tags for elements in (extract.nodes, extract.ways, extract.relations) for element in elements]
+    tags = [
+        element.tags
+        for elements in (extract.nodes, extract.ways, extract.relations)
+        for element in elements
+    ]
     if any(len(value) > LONGEST_TAG for some in tags for value in some.values()):
-        raise WorldError(f"a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows")
+        raise WorldError(
+            f"a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows"
+        )
 
 
 def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:
@@ -289,4 +329,6 @@ def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:
     flat = 1.0 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
     prime_vertical = _SEMI_MAJOR_M / math.sqrt(flat)
     meridian = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flat**1.5
-    return math.radians(1.0) * np.array([prime_vertical * math.cos(latitude), meridian], dtype=np.float64)
+    return math.radians(1.0) * np.array(
+        [prime_vertical * math.cos(latitude), meridian], dtype=np.float64
+    )

@@ -70,7 +70,9 @@ class Person:
             self._at_m = min(max(self._at_m, 0.0), self._ends.length)
 
 
-def walk_about(world: World, way: LineString, rng: np.random.Generator, count: int) -> tuple[Person, ...]:
+def walk_about(
+    world: World, way: LineString, rng: np.random.Generator, count: int
+) -> tuple[Person, ...]:
     """Return so many people, who walk about a way; WorldError where there is no room for as many."""
     radius_m = world.robot.radius_m
     found = list[Person]()

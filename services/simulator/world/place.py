@@ -19,7 +19,9 @@ Bounds = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max in metres."""
 
 #: Of what a world file holds: every field known, of its very type, and finite.
-STRICT: Final = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+STRICT: Final = ConfigDict(
+    strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
+)
 
 
 class WorldError(JobError):
@@ -67,7 +69,9 @@ class Scale:
     """How far is far and how close is close in a place: metres."""
 
     spacing_m: float = 2.0  # Between points of the graph that routes are planned on.
-    clearance_m: float = 0.7  # That a route keeps from everything solid; more than the robot's radius.
+    clearance_m: float = (
+        0.7  # That a route keeps from everything solid; more than the robot's radius.
+    )
     room_m: float = 1.3  # From solid things where a lane is not tight; tight ones are avoided.
     leg_room_m: float = 1.8  # The same off the lanes, where nothing keeps a driver in the middle.
     leg_end_m: float = 2.5  # So close to the end of a leg, `leg_room_m` is not asked for.
@@ -150,7 +154,9 @@ class World:
     @property
     def robot(self) -> RobotModel:
         """The robot that drives here."""
-        return self.place.robot if self.drive is None else replace(self.place.robot, drive=self.drive)
+        return (
+            self.place.robot if self.drive is None else replace(self.place.robot, drive=self.drive)
+        )
 
     @property
     def scale(self) -> Scale:

@@ -46,7 +46,9 @@ def planted(
     """Return trees along rows, and in woods, off roads, buildings, water, paving and walls; always the same ones."""
     if not plantings:
         return []
-    taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
+    taken: list[BaseGeometry] = [
+        road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads
+    ]
     taken += [building.footprint.buffer(_FROM_WALL_M) for building in buildings]
     taken += [area.footprint for area in areas if area.kind != "grass"]
     taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
@@ -54,7 +56,9 @@ def planted(
     woods = [one.shape for one in plantings if isinstance(one.shape, Polygon)]
     total_m2 = sum(wood.area for wood in woods)
     boxes_m2 = sum(wood.envelope.area for wood in woods)
-    spacing_m = max(_SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED))
+    spacing_m = max(
+        _SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED)
+    )
     in_rows: list[Tree] = []
     scattered: list[Tree] = []
     for number, shape, leaf_type, height_m in plantings:
@@ -71,17 +75,23 @@ def planted(
     return [*in_rows[:_MOST_IN_ROWS], *scattered[:_MOST_SCATTERED]]
 
 
-def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _jittered_grid(
+    polygon: Polygon, spacing_m: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
     x_min, y_min, x_max, y_max = polygon.bounds
     across = np.arange(x_min, x_max, spacing_m)
     up = np.arange(y_min, y_max, spacing_m)
     grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
     points = grid + rng.uniform(0.1, 0.9, grid.shape) * spacing_m
     shapely.prepare(polygon)
-    return np.asarray(points[shapely.contains_xy(polygon, points[:, 0], points[:, 1])], dtype=np.float64)
+    return np.asarray(
+        points[shapely.contains_xy(polygon, points[:, 0], points[:, 1])], dtype=np.float64
+    )
 
 
-def _trees(points: NDArray[np.float64], leaf_type: str, height_m: float | None, rng: np.random.Generator) -> list[Tree]:
+def _trees(
+    points: NDArray[np.float64], leaf_type: str, height_m: float | None, rng: np.random.Generator
+) -> list[Tree]:
     needles = {"needleleaved": 1.0, "broadleaved": 0.0}.get(leaf_type, 0.25)
     draws = rng.uniform(size=(len(points), 3)).tolist()
     trees = []

@@ -56,7 +56,9 @@ def road(line: LineString, tags: Tags) -> Road:
 
 def _has_sidewalks(tags: Tags) -> bool:
     """Return whether there is a sidewalk on a side; one that the map draws by itself is none of the road's."""
-    sides = [tags[key] for key in ("sidewalk:both", "sidewalk:left", "sidewalk:right") if key in tags]
+    sides = [
+        tags[key] for key in ("sidewalk:both", "sidewalk:left", "sidewalk:right") if key in tags
+    ]
     if "sidewalk" in tags:
         return tags["sidewalk"] in {"both", "left", "right", "yes"}
     return "yes" in sides if sides else tags["highway"] in MEANINGS.marked
@@ -65,7 +67,9 @@ def _has_sidewalks(tags: Tags) -> bool:
 def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterator[Road]:
     """Yield ways straight across paved squares, between the points where drivable roads reach their outlines."""
     drivable = [shapely.get_coordinates(road.line) for road in roads if road.drivable]
-    points = np.unique(np.round(np.concatenate(drivable), 2), axis=0) if drivable else np.empty((0, 2))
+    points = (
+        np.unique(np.round(np.concatenate(drivable), 2), axis=0) if drivable else np.empty((0, 2))
+    )
     reached = shapely.STRtree(np.asarray(shapely.points(points)))
     for square in squares:
         near = reached.query(square.exterior, "dwithin", 0.02)
@@ -82,7 +86,11 @@ def open_passages(buildings: Iterable[Building], passages: Sequence[Road]) -> It
     ways = [_strip(road) for road in passages]
     tree = STRtree(ways)
     for building in buildings:
-        hits = tree.query(building.footprint, "intersects") if building.min_height_m < PASSAGE_M else ()
+        hits = (
+            tree.query(building.footprint, "intersects")
+            if building.min_height_m < PASSAGE_M
+            else ()
+        )
         if len(hits) == 0:
             yield building
         else:
@@ -111,7 +119,9 @@ def open_barriers(
     for barrier in barriers:
         gaps = [gates[hit].buffer(_GATE_M) for hit in gate_tree.query(barrier.line, "dwithin", 0.1)]
         crossed = [roads[hit] for hit in tree.query(barrier.line, "intersects")]
-        gaps += [barrier.line.intersection(road.line).buffer(_half_width_m(road)) for road in crossed]
+        gaps += [
+            barrier.line.intersection(road.line).buffer(_half_width_m(road)) for road in crossed
+        ]
         if not gaps:
             yield barrier
         else:

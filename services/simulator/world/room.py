@@ -20,8 +20,26 @@ from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import TURTLEBOT, RobotModel
-from services.simulator.world.furniture import HIDING_M, ROUND, Box, Colour, Degrees, Furniture, Metres, Size
-from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError
+from services.simulator.world.furniture import (
+    HIDING_M,
+    ROUND,
+    Box,
+    Colour,
+    Degrees,
+    Furniture,
+    Metres,
+    Size,
+)
+from services.simulator.world.place import (
+    STRICT,
+    Bounds,
+    OverheadMount,
+    Pose,
+    Scale,
+    Solid,
+    World,
+    WorldError,
+)
 from services.simulator.world.route import obstacles_of, plan_route
 
 FittingKind = Literal["door", "poster", "whiteboard", "window"]
@@ -62,7 +80,9 @@ class Fitting:
     height_m: Size
     variant: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Which of many pictures it wears; two of a kind with the same variant and colour look the same."""
-    colour: Colour | None = None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
+    colour: Colour | None = (
+        None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
+    )
 
     def face(self, ahead_m: float = 0.0) -> tuple[Box, float, float]:
         """Return what it fills before its wall, from the left end of that, to so far off it; lower and upper height."""
@@ -83,7 +103,9 @@ class Room:
     wall_colour: Colour = (230, 226, 216)
     furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]
     fittings: Annotated[tuple[Fitting, ...], Field(max_length=200)] = ()
-    overhead: OverheadMount | None = None  # The camera above, if there is one; it sees through the ceiling.
+    overhead: OverheadMount | None = (
+        None  # The camera above, if there is one; it sees through the ceiling.
+    )
 
     #: The robot of the paper's laboratory, metres between furniture, and the paper's TurtleBot often shook.
     robot: ClassVar[RobotModel] = TURTLEBOT
@@ -119,18 +141,25 @@ class Room:
     def _nodes(self) -> NDArray[np.float64]:
         """Return the ends (n, 2) of lanes, metres, to the centimetre."""
         free, roomy = (
-            self._floor_off_things(distance_m + _MARGIN_M) for distance_m in (self.scale.clearance_m, self.scale.room_m)
+            self._floor_off_things(distance_m + _MARGIN_M)
+            for distance_m in (self.scale.clearance_m, self.scale.room_m)
         )
         edges = shapely.get_coordinates(shapely.segmentize(free, _APART_M))
-        grid = np.meshgrid(np.arange(0.0, self.east_west_m, _APART_M), np.arange(0.0, self.north_south_m, _APART_M))
+        grid = np.meshgrid(
+            np.arange(0.0, self.east_west_m, _APART_M), np.arange(0.0, self.north_south_m, _APART_M)
+        )
         open_floor = np.stack(grid, axis=-1).reshape(-1, 2)
         open_floor = open_floor[shapely.intersects_xy(roomy, open_floor)]
-        return np.unique(np.round(np.concatenate([edges, shapely.get_coordinates(roomy), open_floor]), 2), axis=0)
+        return np.unique(
+            np.round(np.concatenate([edges, shapely.get_coordinates(roomy), open_floor]), 2), axis=0
+        )
 
     def _floor_off_things(self, distance_m: float) -> BaseGeometry:
         """Return the floor that is at least `distance_m` from every footprint and wall, with corners for arcs."""
         floor = shapely.box(*self.bounds).buffer(-distance_m)
-        return floor.difference(shapely.union_all([_grown(piece, distance_m) for piece in self.furniture]))
+        return floor.difference(
+            shapely.union_all([_grown(piece, distance_m) for piece in self.furniture])
+        )
 
     def wall(self, wall: Wall) -> tuple[Pose, float]:
         """Return a wall's left end, seen from inside, with the direction into the room, and the wall's length."""
@@ -185,15 +214,21 @@ class RoomFile(Room):
                 what = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m, it reaches out of the room"
                 raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
         for number, fitting in enumerate(self.fittings):
-            wall = shapely.box(0.0, 0.0, self.wall(fitting.wall)[1], self.walls_m).buffer(_TOLERANCE_M)
+            wall = shapely.box(0.0, 0.0, self.wall(fitting.wall)[1], self.walls_m).buffer(
+                _TOLERANCE_M
+            )
             (_, left_m, _, right_m), low_m, high_m = fitting.face()
             if not wall.covers(shapely.box(left_m, low_m, right_m, high_m)):
                 raise ValueError(
                     f"fittings.{number}: the {fitting.kind} reaches past an edge of the {fitting.wall} wall"
                 )
         above = self.overhead
-        if above is not None and not (above.x_m <= self.east_west_m and above.y_m <= self.north_south_m):
-            raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room")
+        if above is not None and not (
+            above.x_m <= self.east_west_m and above.y_m <= self.north_south_m
+        ):
+            raise ValueError(
+                f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room"
+            )
 
     def world(self, name: str) -> World:
         """Return the world that the file describes; WorldError where a place has no room, no way, or does not hide."""
@@ -213,14 +248,22 @@ class RoomFile(Room):
     def _check_room_for(self, role: str, pose: Pose, least_m: float) -> None:
         if not self._floor_off_things(least_m).covers(shapely.Point(pose.x, pose.y)):
             where = f"{role}: ({pose.x:g}, {pose.y:g}) m"
-            raise WorldError(f"{where} is less than {least_m:g} m from the furniture or a wall, or outside the room")
+            raise WorldError(
+                f"{where} is less than {least_m:g} m from the furniture or a wall, or outside the room"
+            )
 
 
 def sights(world: World) -> NDArray[np.float64]:
     """Return lines of sight (n, 2, 2) from starts, on a grid of 3 by 3, to the victim's middle and its sides."""
     offsets = (-world.scale.start_m, 0.0, world.scale.start_m)
-    starts = np.array([(world.start.x + x, world.start.y + y) for x, y in itertools.product(offsets, repeat=2)])
+    starts = np.array(
+        [(world.start.x + x, world.start.y + y) for x, y in itertools.product(offsets, repeat=2)]
+    )
     victim = np.array([world.victim.x, world.victim.y])
     across = np.stack([victim[1] - starts[:, 1], starts[:, 0] - victim[0]], axis=1)
-    across *= _VICTIM_RADIUS_M / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _TOLERANCE_M)
-    return np.concatenate([np.stack([starts, victim + side * across], axis=1) for side in (-1.0, 0.0, 1.0)])
+    across *= _VICTIM_RADIUS_M / np.maximum(
+        np.linalg.norm(across, axis=1, keepdims=True), _TOLERANCE_M
+    )
+    return np.concatenate(
+        [np.stack([starts, victim + side * across], axis=1) for side in (-1.0, 0.0, 1.0)]
+    )

@@ -40,7 +40,9 @@ class Obstacles:
 
     def is_free(self, x: float, y: float, radius_m: float | None = None) -> bool:
         """Return whether a circle about a point, by default the robot's, touches nothing."""
-        return bool(self.are_free(np.array([[x, y]]), self._radius_m if radius_m is None else radius_m)[0])
+        return bool(
+            self.are_free(np.array([[x, y]]), self._radius_m if radius_m is None else radius_m)[0]
+        )
 
     def are_free(self, places: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
         """Return at which points (n, 2) a circle touches nothing, as (n,)."""
@@ -69,7 +71,9 @@ class _Shapes:
 
     def __init__(self, shapes: Sequence[BaseGeometry]) -> None:
         every = np.array(shapes, dtype=object)
-        mixed = np.random.default_rng(0).permutation(len(every))  # Neighbours in a file are often neighbours on earth.
+        mixed = np.random.default_rng(0).permutation(
+            len(every)
+        )  # Neighbours in a file are often neighbours on earth.
         sizes = _ROUND ** np.arange(1, math.ceil(math.log(max(len(every), _ROUND), _ROUND)))
         self._rounds = [STRtree(every[some]) for some in np.split(mixed, sizes)]
 
@@ -83,7 +87,10 @@ class _Shapes:
 
     def distance(self, place: Point) -> float:
         """Return the distance to the nearest shape."""
-        found = [tree.query_nearest(place, return_distance=True, all_matches=False)[1] for tree in self._rounds]
+        found = [
+            tree.query_nearest(place, return_distance=True, all_matches=False)[1]
+            for tree in self._rounds
+        ]
         return float(np.concatenate(found).min())
 
 
@@ -128,7 +135,9 @@ class LaneGraph:
         cost = np.where(roomy, length, length * _TIGHT_COST)[clear]
         # A pair drawn twice would be summed; keep one of each.
         ends, once = np.unique(np.sort(pairs[clear], axis=1), axis=0, return_index=True)
-        half = coo_array((cost[once], tuple(ends.T)), shape=(len(self.points), len(self.points))).tocsr()
+        half = coo_array(
+            (cost[once], tuple(ends.T)), shape=(len(self.points), len(self.points))
+        ).tocsr()
         return csr_array(half + half.T)
 
     def links(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -144,7 +153,9 @@ class LaneGraph:
         free = near[clear]
         legs = legs[clear]
         # The end may be a victim beside a wall, or a robot gone astray.
-        share = np.minimum(1.0, scale.leg_end_m / np.maximum(distance[free], scale.leg_end_m))[:, None]
+        share = np.minimum(1.0, scale.leg_end_m / np.maximum(distance[free], scale.leg_end_m))[
+            :, None
+        ]
         legs[:, 0] += share * (legs[:, 1] - legs[:, 0])
         roomy = self._obstacles.are_clear(legs, scale.leg_room_m)
         return free, distance[free] * _OFF_LANE_COST * np.where(roomy, 1.0, _TIGHT_COST)
@@ -205,7 +216,9 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:
         x, y = np.asarray(start_xy, dtype=np.float64)
-        raise WorldError(f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the lanes")
+        raise WorldError(
+            f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the lanes"
+        )
     return path
 
 

@@ -13,9 +13,24 @@ from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
 from services.simulator.world.osm import OPEN, Element, Extract, OutlineError, Points, only_areas
 from services.simulator.world.place import polygons
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Planting, planted
-from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
+from services.simulator.world.roads import (
+    across_squares,
+    bridge_water,
+    open_barriers,
+    open_passages,
+    road,
+)
 from services.simulator.world.tags import MEANINGS, Kind, metres
-from services.simulator.world.terrain import Area, Barrier, Road, Source, Terrain, Tree, TreeKind, plan
+from services.simulator.world.terrain import (
+    Area,
+    Barrier,
+    Road,
+    Source,
+    Terrain,
+    Tree,
+    TreeKind,
+    plan,
+)
 
 ATTRIBUTION: Final = "© OpenStreetMap contributors, ODbL 1.0"
 _LINEAR: Final = frozenset({"road", "barrier", "waterway", "row"})
@@ -72,9 +87,15 @@ class _Survey:
         if node.tags.get("building", "no") != "no":
             self.skipped["building: it is a point without an outline"] += 1
         if node.tags.get("natural") == "tree":
-            (self._used if inside else self.left_out)["tree" if inside else f"tree: {_OUTSIDE}"] += 1
+            (self._used if inside else self.left_out)[
+                "tree" if inside else f"tree: {_OUTSIDE}"
+            ] += 1
             if inside:
-                kind: TreeKind = "conifer" if node.tags.get("leaf_type") == "needleleaved" else BROAD[node.id % 2]
+                kind: TreeKind = (
+                    "conifer"
+                    if node.tags.get("leaf_type") == "needleleaved"
+                    else BROAD[node.id % 2]
+                )
                 usual_m = USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
                 height_m = min(metres(node.tags.get("height")) or usual_m, _TALLEST_TREE_M)
                 self._trees.append(Tree(here.x, here.y, height_m, kind))
@@ -94,14 +115,22 @@ class _Survey:
         try:
             if kind in _LINEAR:
                 # Where it crosses itself, it is not cut.
-                parts = shapely.get_parts(shapely.clip_by_rect(_line_through(points), *self._frame.bounds))
-                self._lines(kind, way, [part for part in parts if part.geom_type == "LineString" and part.length > 0])
+                parts = shapely.get_parts(
+                    shapely.clip_by_rect(_line_through(points), *self._frame.bounds)
+                )
+                self._lines(
+                    kind,
+                    way,
+                    [part for part in parts if part.geom_type == "LineString" and part.length > 0],
+                )
             else:
                 self._area(kind, way, _area_within(points))
         except OutlineError as error:
             # An open line outside the bounds is not looked at: exports cut outlines there.
             inside = self._frame.intersects(LineString(points))
-            (self.skipped if inside else self.left_out)[f"{kind}: {error if inside else _OUTSIDE}"] += 1
+            (self.skipped if inside else self.left_out)[
+                f"{kind}: {error if inside else _OUTSIDE}"
+            ] += 1
 
     def _lines(self, kind: Kind, way: Element[Any], lines: list[LineString]) -> None:
         tags = way.tags
@@ -114,9 +143,15 @@ class _Survey:
                         self._passages.append(self._roads[-1])
                 case "barrier":
                     barrier_kind, usual_m = MEANINGS.barriers[tags["barrier"]]
-                    self._barriers.append(Barrier(line, _length(tags.get("height"), usual_m, _BARRIER_M), barrier_kind))
+                    self._barriers.append(
+                        Barrier(
+                            line, _length(tags.get("height"), usual_m, _BARRIER_M), barrier_kind
+                        )
+                    )
                 case "waterway":
-                    width_m = _length(tags.get("width"), MEANINGS.waterway_width_m[tags["waterway"]], _WATERWAY_M)
+                    width_m = _length(
+                        tags.get("width"), MEANINGS.waterway_width_m[tags["waterway"]], _WATERWAY_M
+                    )
                     water = polygons(line.buffer(width_m / 2).intersection(self._frame))
                     self._areas += [Area(**plan(part), kind="water") for part in water]
                 case _:
@@ -143,7 +178,9 @@ class _Survey:
             trees_m = meaning.trees_on(tags)
             if kind == "wood" and trees_m is not None:
                 leaves = tags.get("leaf_type", "")
-                self._plantings += [Planting(element.id, part, leaves, trees_m or None) for part in parts]
+                self._plantings += [
+                    Planting(element.id, part, leaves, trees_m or None) for part in parts
+                ]
         if kind != "building part":  # whether a part is used is known only when all are there
             self._used[kind] += 1
         return True
@@ -157,7 +194,9 @@ class _Survey:
         roads = (*self._roads, *across_squares(self._squares, self._roads))
         areas = tuple(bridge_water(self._areas, self._roads))
         trees = (*self._trees, *planted(self._plantings, roads, buildings, areas, barriers))
-        counts = (dict(sorted((+count).items())) for count in (self._used, self.skipped, self.left_out))
+        counts = (
+            dict(sorted((+count).items())) for count in (self._used, self.skipped, self.left_out)
+        )
         return Terrain(
             name=name,
             source=Source(file, ATTRIBUTION, extract.latitude_deg, extract.longitude_deg, *counts),

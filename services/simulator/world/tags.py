@@ -9,7 +9,18 @@ from services.simulator.world.osm import Tags
 from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import AreaKind, BarrierKind, FacadeStyle, RoofShape
 
-Kind = Literal["building", "building part", "road", "square", "area", "wood", "waterway", "barrier", "row", "tree"]
+Kind = Literal[
+    "building",
+    "building part",
+    "road",
+    "square",
+    "area",
+    "wood",
+    "waterway",
+    "barrier",
+    "row",
+    "tree",
+]
 Names = frozenset[str]
 
 
@@ -49,9 +60,14 @@ def kinds_of(tags: Tags) -> list[Kind]:
     if tags.get("building:part", "no") != "no":
         return ["building part"]
     found: list[Kind] = []
-    if tags.get("highway") in MEANINGS.street_width_m or tags.get("highway") in MEANINGS.path_width_m:
+    if (
+        tags.get("highway") in MEANINGS.street_width_m
+        or tags.get("highway") in MEANINGS.path_width_m
+    ):
         # An area is paved ground between its outlines, and no line.
-        found.append("square" if tags.get("area") == "yes" or tags.get("type") == "multipolygon" else "road")
+        found.append(
+            "square" if tags.get("area") == "yes" or tags.get("type") == "multipolygon" else "road"
+        )
     if tags.get("barrier") in MEANINGS.barriers:
         found.append("barrier")
     if tags.get("natural") == "tree_row":
@@ -67,7 +83,9 @@ def cover_of(tags: Tags) -> AreaKind | None:
     """Return what covers an area with these tags, or None where they do not say."""
     if tags.get("parking") in MEANINGS.below_ground:
         return None
-    cover = next((kinds[tags[key]] for key, kinds in MEANINGS.covers.items() if tags.get(key) in kinds), None)
+    cover = next(
+        (kinds[tags[key]] for key, kinds in MEANINGS.covers.items() if tags.get(key) in kinds), None
+    )
     bare = cover == "grass" and tags.get("surface") in MEANINGS.hard and trees_on(tags) is None
     return "paved" if bare else cover
 
@@ -81,7 +99,8 @@ def trees_on(tags: Tags) -> float | None:
 def is_passage(tags: Tags) -> bool:
     """Return whether a road leads through a building."""
     return "highway" in tags and (
-        tags.get("tunnel") == "building_passage" or tags.get("covered", "no") in {"yes", "arcade", "colonnade"}
+        tags.get("tunnel") == "building_passage"
+        or tags.get("covered", "no") in {"yes", "arcade", "colonnade"}
     )
 
 
@@ -114,5 +133,7 @@ def colour(text: str | None) -> Rgb | None:
     plain = MEANINGS.colours.get(name.removeprefix(shade))
     if name in MEANINGS.colours or plain is None:
         return MEANINGS.colours.get(name)
-    red, green, blue = ((value + 255) // 2 if shade == "light" else value * 2 // 3 for value in plain)
+    red, green, blue = (
+        (value + 255) // 2 if shade == "light" else value * 2 // 3 for value in plain
+    )
     return red, green, blue

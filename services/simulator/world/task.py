@@ -11,14 +11,26 @@ from numpy.typing import NDArray
 
 from schemas.episode import Purpose
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import LaneGraph, RoutesTo, beside, lane_graph, obstacles_of, plan_route
+from services.simulator.world.route import (
+    LaneGraph,
+    RoutesTo,
+    beside,
+    lane_graph,
+    obstacles_of,
+    plan_route,
+)
 from services.simulator.world.terrain import Terrain
 
 _FROM_WALL_M: Final = 1.2
 _VICTIM_ROOM_M: Final = 0.9
 _START_ROOM_M: Final = 1.8
 #: Lengths of way between start and victim, the best first, and which is preferred; a small map has no long ways.
-_ROUTES_M: Final = ((60.0, 150.0, 100.0), (35.0, 250.0, 60.0), (20.0, 400.0, 35.0), (10.0, 1000.0, 20.0))
+_ROUTES_M: Final = (
+    (60.0, 150.0, 100.0),
+    (35.0, 250.0, 60.0),
+    (20.0, 400.0, 35.0),
+    (10.0, 1000.0, 20.0),
+)
 # A start is jittered by a metre, and the victim has to stay hidden all the same.
 _JITTER_M: Final = 1.1
 _MOST_CANDIDATES: Final = 400
@@ -28,7 +40,9 @@ _ASIDE_RAD: Final = math.radians(40)
 _TRIES: Final = 1000
 
 
-def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0) -> tuple[Pose, Pose]:
+def choose_roles(
+    terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0
+) -> tuple[Pose, Pose]:
     """Return a start and a victim, keeping those that are given; a `WorldError` where no pair of places fits.
 
     The victim is at the first place beside a wall, from the building nearest to the middle (or to a point drawn with
@@ -40,12 +54,15 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
     graph = lane_graph(terrain)
     low, high = np.reshape(terrain.bounds, (2, 2))
     middle = shapely.Point(
-        low + (high - low) * (0.5 if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2))
+        low
+        + (high - low) * (0.5 if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2))
     )
     candidates = [victim] if victim is not None else _places_beside_walls(terrain, middle)
     second_best: dict[int, tuple[Pose, Pose]] = {}
     for place in itertools.islice(candidates, _MOST_CANDIDATES):
-        rank, found = _start_for(terrain, graph, place, start, min(second_best, default=len(_ROUTES_M)))
+        rank, found = _start_for(
+            terrain, graph, place, start, min(second_best, default=len(_ROUTES_M))
+        )
         if found is not None:
             second_best[rank] = found, place
             if rank == 0:
@@ -62,7 +79,9 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
 
 def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Pose]:
     obstacles = obstacles_of(terrain)
-    for building in sorted(terrain.buildings, key=lambda building: building.footprint.distance(middle)):
+    for building in sorted(
+        terrain.buildings, key=lambda building: building.footprint.distance(middle)
+    ):
         ring = shapely.get_coordinates(shapely.orient_polygons(building.footprint).exterior)
         along = np.diff(ring, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -92,13 +111,17 @@ def _start_for(
         points = graph.points[best_first[:_MOST_STARTS_TRIED]]
         for here in points[_are_hidden(terrain, points, goal)]:
             ahead = routes.path_from(here)
-            if ahead is not None and obstacles_of(terrain).is_free(float(here[0]), float(here[1]), _START_ROOM_M):
+            if ahead is not None and obstacles_of(terrain).is_free(
+                float(here[0]), float(here[1]), _START_ROOM_M
+            ):
                 east, north = ahead[1] - ahead[0]
                 return rank, Pose(float(here[0]), float(here[1]), math.atan2(north, east))
     return 0, None
 
 
-def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _are_hidden(
+    terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]
+) -> NDArray[np.bool_]:
     """Return from which starts (n, 2), and from beside which, nothing is seen of a victim, as (n,)."""
     around = _JITTER_M * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
     corners = (starts[:, None] + around).reshape(-1, 2)
@@ -138,7 +161,9 @@ def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Po
 
 
 def _about_start(world: World, rng: np.random.Generator) -> Pose | None:
-    x, y, heading = (rng.uniform(-1.0, 1.0, 3) * (world.scale.start_m, world.scale.start_m, _JITTER_RAD)).tolist()
+    x, y, heading = (
+        rng.uniform(-1.0, 1.0, 3) * (world.scale.start_m, world.scale.start_m, _JITTER_RAD)
+    ).tolist()
     start = world.start
     pose = Pose(start.x + x, start.y + y, math.remainder(start.heading + heading, math.tau))
     return pose if _reaches(world, pose, np.array([start.x, start.y])) else None

@@ -23,7 +23,15 @@ from shapely.geometry.base import BaseGeometry
 from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.osm import LARGEST_M, MOST_WAY_M
-from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World, polygons
+from services.simulator.world.place import (
+    STRICT,
+    OverheadMount,
+    Pose,
+    Scale,
+    Solid,
+    World,
+    polygons,
+)
 
 FORMAT: Final = "smal.terrain/1"
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
@@ -114,7 +122,9 @@ class Building(Plan):
     min_height_m: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Where the walls begin; above 0 for what stands on posts or bridges a passage."""
     roof: RoofShape = "flat"
-    roof_height_m: Annotated[float, Field(ge=0, le=100)] = 0.0  # Of the ridge above the eaves; 0 for a flat roof.
+    roof_height_m: Annotated[float, Field(ge=0, le=100)] = (
+        0.0  # Of the ridge above the eaves; 0 for a flat roof.
+    )
     roof_colour: tuple[Byte, Byte, Byte] | None = None  # None where nobody has said.
     facade: Facade
 
@@ -122,15 +132,23 @@ class Building(Plan):
         """Refuse what ends below where it begins."""
         super().__post_init__()
         if self.min_height_m >= self.height_m:
-            raise ValueError(f"min_height_m: {self.min_height_m} is not below height_m {self.height_m}")
+            raise ValueError(
+                f"min_height_m: {self.min_height_m} is not below height_m {self.height_m}"
+            )
 
     @property
     def posts(self) -> NDArray[np.float64]:
         """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
         if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
             return np.empty((0, 2))
-        inset: BaseGeometry = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
-        return shapely.get_coordinates(inset.exterior)[:-1] if isinstance(inset, Polygon) else np.empty((0, 2))
+        inset: BaseGeometry = self.footprint.simplify(0.5).buffer(
+            -_POST_INSET_M, join_style="mitre"
+        )
+        return (
+            shapely.get_coordinates(inset.exterior)[:-1]
+            if isinstance(inset, Polygon)
+            else np.empty((0, 2))
+        )
 
 
 @dataclass(frozen=True, eq=False, config=STRICT)
@@ -208,18 +226,32 @@ class Terrain:
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Buildings, the posts of canopies, trunks, barriers, water, and the edge of the world."""
-        walls = [Solid(one.footprint, one.min_height_m, one.height_m, opaque=True) for one in self.buildings]
+        walls = [
+            Solid(one.footprint, one.min_height_m, one.height_m, opaque=True)
+            for one in self.buildings
+        ]
         posts = [
             Solid(shapely.Point(place).buffer(POST_M), 0.0, building.min_height_m, opaque=False)
             for building in each(self.buildings)
             for place in building.posts
         ]
         trunks = [
-            Solid(shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m), 0.0, tree.height_m, opaque=False)
+            Solid(
+                shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m),
+                0.0,
+                tree.height_m,
+                opaque=False,
+            )
             for tree in self.trees
         ]
-        water = [Solid(area.footprint, 0.0, _BANK_M, opaque=False) for area in self.areas if area.kind == "water"]
-        barriers = [Solid(barrier.line, 0.0, barrier.height_m, opaque=False) for barrier in self.barriers]
+        water = [
+            Solid(area.footprint, 0.0, _BANK_M, opaque=False)
+            for area in self.areas
+            if area.kind == "water"
+        ]
+        barriers = [
+            Solid(barrier.line, 0.0, barrier.height_m, opaque=False) for barrier in self.barriers
+        ]
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)
         return (*walls, *posts, *trunks, *water, *barriers, edge)
 
@@ -260,7 +292,9 @@ class TerrainFile(Terrain):
             raise ValueError(f"bounds: a world spans at most {LARGEST_M / 1000:.0f} km")
         length_m = sum(road.line.length for road in self.roads)
         if length_m > MOST_WAY_M:
-            raise ValueError(f"roads: {length_m / 1000:.0f} km; a world has at most {MOST_WAY_M / 1000:.0f} km")
+            raise ValueError(
+                f"roads: {length_m / 1000:.0f} km; a world has at most {MOST_WAY_M / 1000:.0f} km"
+            )
 
     def world(self, name: str) -> World:
         """Return the world that the file describes."""
@@ -273,11 +307,14 @@ def terrain_text(world: World) -> str:
     if not isinstance(terrain, Terrain):
         raise TypeError(f"a {type(terrain).__name__} is not written as {FORMAT}")
     start, victim = (
-        {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)} for spot in (world.start, world.victim)
+        {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
+        for spot in (world.start, world.victim)
     )
     things = asdict(_on_grid(terrain))
     names = [field.name for field in fields(Terrain) if field.name != "name"]
-    content = {"format": FORMAT, "start": start, "victim": victim} | {name: things[name] for name in names}
+    content = {"format": FORMAT, "start": start, "victim": victim} | {
+        name: things[name] for name in names
+    }
     whole = json.dumps(content, default=lambda line: line.coords[:])
     # Adding zero turns -0.0 into 0.0.
     rounded = json.loads(whole, parse_float=lambda number: round(float(number), _DECIMALS) + 0.0)
@@ -307,8 +344,12 @@ def _on_grid(terrain: Terrain) -> Terrain:
 
     return replace(
         terrain,
-        buildings=tuple(replace(one, **some) for one in terrain.buildings for some in plans(one.footprint)),
+        buildings=tuple(
+            replace(one, **some) for one in terrain.buildings for some in plans(one.footprint)
+        ),
         areas=tuple(replace(one, **some) for one in terrain.areas for some in plans(one.footprint)),
         roads=tuple(replace(one, line=line) for one in terrain.roads for line in lines(one.line)),
-        barriers=tuple(replace(one, line=line) for one in terrain.barriers for line in lines(one.line)),
+        barriers=tuple(
+            replace(one, line=line) for one in terrain.barriers for line in lines(one.line)
+        ),
     )

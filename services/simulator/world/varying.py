@@ -35,10 +35,14 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
             one: replace(one, colour=None, variant=_mixed(one, facade_seed))
             for one in {building.facade for building in place.buildings}
         }
-        place = replace(place, buildings=tuple(replace(one, facade=facades[one.facade]) for one in place.buildings))
+        place = replace(
+            place,
+            buildings=tuple(replace(one, facade=facades[one.facade]) for one in place.buildings),
+        )
     if facade_seed and isinstance(place, Room):
         fittings = (
-            replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed)) for one in place.fittings
+            replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed))
+            for one in place.fittings
         )
         place = replace(place, fittings=tuple(fittings))
     if clutter_seed:
@@ -59,11 +63,15 @@ def _kept_free(world: World) -> BaseGeometry:
     """Return what nothing may be moved to: the way, about as wide as routes ask, and where episodes begin."""
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     scale = world.scale
-    start = shapely.Point(world.start.x, world.start.y).buffer(2 * scale.start_m + scale.start_room_m)
+    start = shapely.Point(world.start.x, world.start.y).buffer(
+        2 * scale.start_m + scale.start_room_m
+    )
     return shapely.union_all([route.buffer(scale.room_m), start])
 
 
-def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generator) -> tuple[Tree, ...]:
+def _replanted(
+    terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generator
+) -> tuple[Tree, ...]:
     frame = shapely.box(*terrain.bounds)
     solid = shapely.union_all(
         [building.footprint for building in terrain.buildings]
@@ -74,7 +82,9 @@ def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generat
     shapely.prepare(kept_free)
     found = []
     for tree in terrain.trees:
-        choices = np.array([tree.x, tree.y]) + rng.uniform(-_TREE_MOVES_M, _TREE_MOVES_M, (_TRIES, 2))
+        choices = np.array([tree.x, tree.y]) + rng.uniform(
+            -_TREE_MOVES_M, _TREE_MOVES_M, (_TRIES, 2)
+        )
         trunks = shapely.buffer(shapely.points(choices), tree.trunk_radius_m)
         free = ~(shapely.intersects(trunks, solid) | shapely.intersects(trunks, kept_free))
         free &= shapely.within(trunks, frame)
@@ -83,15 +93,23 @@ def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generat
     return tuple(found)
 
 
-def _pushed_about(room: Room, kept_free: BaseGeometry, rng: np.random.Generator) -> tuple[Furniture, ...]:
+def _pushed_about(
+    room: Room, kept_free: BaseGeometry, rng: np.random.Generator
+) -> tuple[Furniture, ...]:
     floor = shapely.box(*room.bounds)
     found = list(room.furniture)
     for number, piece in enumerate(found):
         # Drawn for every piece, so that what happens to one does not depend on the others.
-        shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (_FURNITURE_MOVES_M, _FURNITURE_MOVES_M, _FURNITURE_TURNS_DEG)
+        shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (
+            _FURNITURE_MOVES_M,
+            _FURNITURE_MOVES_M,
+            _FURNITURE_TURNS_DEG,
+        )
         if piece.kind not in _MOVABLE:
             continue
-        others = shapely.union_all([other.footprint for other in found if other is not piece] + [kept_free])
+        others = shapely.union_all(
+            [other.footprint for other in found if other is not piece] + [kept_free]
+        )
         for x, y, turn in shifts.tolist():
             x_m = piece.x_m + x
             y_m = piece.y_m + y

@@ -27,7 +27,14 @@ from schemas.episode import Purpose
 from services.cli import options
 from services.experiments.drawing import draw_reliability, styled
 from services.experiments.evaluation.drives import drive, drive_of
-from services.experiments.evaluation.plan import CLOUDS_SEED, FULL, QUERY_SEED, TAUGHT, TEACHING_SEED, in_world
+from services.experiments.evaluation.plan import (
+    CLOUDS_SEED,
+    FULL,
+    QUERY_SEED,
+    TAUGHT,
+    TEACHING_SEED,
+    in_world,
+)
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from smal.camera import STRAIGHT
@@ -69,7 +76,9 @@ class Variant:
         """Have the filter use it."""
         with ExitStack() as stack:
             for module in (smal.filter, smal.particles):
-                stack.enter_context(patch.object(module, "SETTINGS", replace(SETTINGS, **self.settings)))
+                stack.enter_context(
+                    patch.object(module, "SETTINGS", replace(SETTINGS, **self.settings))
+                )
             if not self.scouts:
                 stack.enter_context(patch.object(Filter, "_weigh", _without_scouts))
             if not self.tempered:
@@ -81,7 +90,9 @@ def _without_scouts(self: Filter, seen: ViewEvidence) -> None:
     """Weigh as `Filter` does, but let nobody look elsewhere: who is not lost is where the wheels lead."""
     tracked, _, sent, lost = self._odds
     tracked = (tracked + sent) * self._tracked.update(seen, self._rng)
-    self._odds = self._odds._replace(tracked=tracked / (tracked + lost), sent=0.0, lost=lost / (tracked + lost))
+    self._odds = self._odds._replace(
+        tracked=tracked / (tracked + lost), sent=0.0, lost=lost / (tracked + lost)
+    )
 
 
 def _middle(views: NDArray[np.int8]) -> NDArray[np.int8]:
@@ -144,7 +155,9 @@ class Judge:
     distance_m: float
     angle_rad: float
 
-    def of(self, belief: Belief, true: NDArray[np.float64] | None) -> tuple[bool, bool, float, float, float, bool]:
+    def of(
+        self, belief: Belief, true: NDArray[np.float64] | None
+    ) -> tuple[bool, bool, float, float, float, bool]:
         """Judge one belief; the true pose is None in another world."""
         mapped = self.model.mapped
         best = belief.summary(1)
@@ -160,7 +173,14 @@ class Judge:
         if true is None:
             return False, False, near, belief.lost, goal, False
         right = bool(self._within(true[None], placed(said, self.taught[there]))[0])
-        return True, right, near, belief.lost, goal, bool(math.dist(true[:2], self.taught[-1, :2]) < goal_m)
+        return (
+            True,
+            right,
+            near,
+            belief.lost,
+            goal,
+            bool(math.dist(true[:2], self.taught[-1, :2]) < goal_m),
+        )
 
     def _within(self, poses: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray[np.bool_]:
         x, y, turned = seen_from(poses, centre).T
@@ -237,7 +257,9 @@ def draw(found: dict[str, Reliability]) -> Figure:
     return figure
 
 
-def benchmark(world: str, elsewhere: str, size: tuple[int, int], runs: int, taught: int, drives: int) -> dict[str, Any]:
+def benchmark(
+    world: str, elsewhere: str, size: tuple[int, int], runs: int, taught: int, drives: int
+) -> dict[str, Any]:
     """Teach so many drives, each alone, and ask all variants by so many drives on each of two days."""
     camera = CameraSettings(*size)
     known = [one for one in FULL.worlds if one.world == world]
@@ -245,22 +267,37 @@ def benchmark(world: str, elsewhere: str, size: tuple[int, int], runs: int, taug
     within = plan.criterion.distance_m, math.radians(plan.criterion.angle_deg)
     simulation = open_simulation(world, camera)
     judges = []
-    for seed in tqdm(range(TEACHING_SEED, TEACHING_SEED + taught), desc="teaching", dynamic_ncols=True):
+    for seed in tqdm(
+        range(TEACHING_SEED, TEACHING_SEED + taught), desc="teaching", dynamic_ncols=True
+    ):
         made = drive(simulation, _FEATURES, seed)
-        judges.append(Judge(learn([drive_of(made).demonstration], _FEATURES), made["poses"], *within))
+        judges.append(
+            Judge(learn([drive_of(made).demonstration], _FEATURES), made["poses"], *within)
+        )
     asked = []
     purposes: list[Purpose] = ["drive", "recovery"]
-    days = [open_simulation(world, camera, variation=day, clouds_seed=CLOUDS_SEED) for day in ("day", "other-day")]
-    for there, number in tqdm(list(product(days, range(drives))), desc="driving", dynamic_ncols=True):
-        asked.append(Asked.of(drive(there, _FEATURES, QUERY_SEED + number, purpose=purposes[number % 2])))
+    days = [
+        open_simulation(world, camera, variation=day, clouds_seed=CLOUDS_SEED)
+        for day in ("day", "other-day")
+    ]
+    for there, number in tqdm(
+        list(product(days, range(drives))), desc="driving", dynamic_ncols=True
+    ):
+        asked.append(
+            Asked.of(drive(there, _FEATURES, QUERY_SEED + number, purpose=purposes[number % 2]))
+        )
     away = Asked.of(drive(open_simulation(elsewhere, camera), _FEATURES, QUERY_SEED))
     said: dict[str, list[Said]] = {}
-    for name, number in tqdm(list(product(VARIANTS, range(runs))), desc="asking", dynamic_ncols=True):
+    for name, number in tqdm(
+        list(product(VARIANTS, range(runs))), desc="asking", dynamic_ncols=True
+    ):
         judge = judges[number % len(judges)]
         variant = VARIANTS[name]
         mapped = judge.model.mapped
         model = replace(judge.model, mapped=replace(mapped, views=variant.views(mapped.views)))
-        said.setdefault(name, []).append(run(replace(judge, model=model), variant, asked, away, number))
+        said.setdefault(name, []).append(
+            run(replace(judge, model=model), variant, asked, away, number)
+        )
     found = reliabilities(next(iter(said.values())))
     return {
         "benchmark": "belief", "world": plan.title, "right": plan.criterion.meaning,
@@ -275,9 +312,15 @@ def benchmark(world: str, elsewhere: str, size: tuple[int, int], runs: int, taug
 def main(arguments: list[str]) -> None:
     """Read the flags, ask, print and write."""
     parser = Parser("belief", __doc__)
-    parser.add_argument("--world", default="indoor", metavar="NAME|FILE", help="where it drives (default: indoor)")
-    parser.add_argument("--elsewhere", default="yard", metavar="NAME|FILE", help="the other world (default: yard)")
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="of each variant (default: 100)")
+    parser.add_argument(
+        "--world", default="indoor", metavar="NAME|FILE", help="where it drives (default: indoor)"
+    )
+    parser.add_argument(
+        "--elsewhere", default="yard", metavar="NAME|FILE", help="the other world (default: yard)"
+    )
+    parser.add_argument(
+        "--runs", type=int, default=100, metavar="N", help="of each variant (default: 100)"
+    )
     flags = parser.parse(arguments)
     extent = ((160, 120), 10, 1, 2) if flags.quick else (FULL.camera, flags.runs, TAUGHT, 10)
     results = benchmark(flags.world, flags.elsewhere, *extent)

@@ -71,10 +71,14 @@ def message_of(topic: Topic) -> Message:
     example = EXAMPLES[topic.message].model_copy(update={"robot": ROBOT})
     if topic is topics.JPEG:
         pixels = rng.integers(0, 256, _SIZE, dtype=np.uint8)
-        return CompressedImage.after(example, width=_SIZE[1], height=_SIZE[0], data=encode_jpeg(pixels))
+        return CompressedImage.after(
+            example, width=_SIZE[1], height=_SIZE[0], data=encode_jpeg(pixels)
+        )
     if topic is topics.OBSERVATION:
         features = rng.standard_normal(FeatureSettings().size, dtype=np.float32)
-        return Observation.after(example, fingerprint="0123456789abcdef", features=Float32Array.from_numpy(features))
+        return Observation.after(
+            example, fingerprint="0123456789abcdef", features=Float32Array.from_numpy(features)
+        )
     return Command.after(example, source="policy", atom="forward") if topic is COMMAND else example
 
 
@@ -85,14 +89,19 @@ class Link:
         self.endpoint = endpoint
         self._receiver = receiver
         settings = ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)
-        self._buses = {topic: stack.enter_context(closing(settings.open_bus(givers(topic)[0]))) for topic in TOPICS}
+        self._buses = {
+            topic: stack.enter_context(closing(settings.open_bus(givers(topic)[0])))
+            for topic in TOPICS
+        }
 
     def times_us(self, topic: Topic, plan: Plan, *, plain: bool = False) -> NDArray[np.float64]:
         """Send a message some times, after one that is not counted; return how long each took to arrive."""
         bus = self._buses[topic]
         message = message_of(topic)
         payload = encode(message)
-        publisher = bus.declare_publisher(replace(plain_beside(topic), recorded=False)) if plain else None
+        publisher = (
+            bus.declare_publisher(replace(plain_beside(topic), recorded=False)) if plain else None
+        )
         times = []
         for _ in range(plan.messages + 1):
             if plan.rate_hz:
@@ -103,7 +112,9 @@ class Link:
             else:
                 publisher.put(payload)
             if not self._receiver.pipe.poll(_PATIENCE_S):
-                raise JobError("a message of the benchmark did not arrive; is the machine too busy?")
+                raise JobError(
+                    "a message of the benchmark did not arrive; is the machine too busy?"
+                )
             times.append((self._receiver.pipe.recv() - began_ns) / 1e3)
         return np.array(times[1:])
 
@@ -111,7 +122,11 @@ class Link:
 @contextmanager
 def linked(keys: Path | None = None) -> Iterator[Link]:
     """Run a router, and a process that receives."""
-    endpoint = free_endpoint() if keys is None else free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
+    endpoint = (
+        free_endpoint()
+        if keys is None
+        else free_endpoint().replace("tcp/127.0.0.1", "tls/localhost")
+    )
     with (
         Stack(StackPlan(("router",), ROBOT, endpoint, secure=keys)),
         child("the receiver", receive, endpoint, keys, TOPICS) as receiver,
@@ -132,14 +147,23 @@ def benchmark(plan: Plan) -> dict[str, Any]:
 
 def benchmark_secure(plan: Plan) -> dict[str, Any]:
     """Measure what certificates and access rules cost, frames and commands."""
-    with TemporaryDirectory() as folder, linked() as openly, linked(make_keys(Path(folder))) as secured:
+    with (
+        TemporaryDirectory() as folder,
+        linked() as openly,
+        linked(make_keys(Path(folder))) as secured,
+    ):
         ways = {"open": (openly, False), "secure": (secured, False)}
         rows = _compare(ways, (topics.JPEG, COMMAND), plan)
     frame = rows[1]
     (openly_us, secure_us) = (one["median_us"] for one in rows[2:])
     judged = [
         verdict("frame with certificates", frame["ratio"], SECURE_FRAME_LIMIT, " times as long"),
-        verdict("command with certificates", (secure_us - openly_us) / 1e3, SECURE_COMMAND_MS, " ms more"),
+        verdict(
+            "command with certificates",
+            (secure_us - openly_us) / 1e3,
+            SECURE_COMMAND_MS,
+            " ms more",
+        ),
     ]
     return {"benchmark": "bus, secure", "messages": rows, "targets": judged}
 
@@ -155,21 +179,31 @@ def benchmark_flood(plan: Plan) -> dict[str, Any]:
             while flooder.pipe.poll():
                 rates.append(flooder.pipe.recv())
     rows = [
-        _row(COMMAND, name, times, quiet[None]) for name, times in (("alone", quiet[None]), ("flooded", flooded[None]))
+        _row(COMMAND, name, times, quiet[None])
+        for name, times in (("alone", quiet[None]), ("flooded", flooded[None]))
     ]
     cost_ms = (rows[1]["p95_us"] - rows[0]["p95_us"]) / 1e3
-    judged = verdict(f"p95 of a command beside {rates[-1]:.0f} a second", cost_ms, FLOOD_MS, " ms more")
+    judged = verdict(
+        f"p95 of a command beside {rates[-1]:.0f} a second", cost_ms, FLOOD_MS, " ms more"
+    )
     if rates[-1] < 0.99 * RATE_HZ:
         judged["verdict"] = "not met"
     return {"benchmark": "bus, flood", "messages": rows, "flood_hz": rates[-1], "targets": [judged]}
 
 
-def _compare(ways: dict[str, tuple[Link, bool]], sent: Sequence[Topic], plan: Plan) -> list[dict[str, Any]]:
+def _compare(
+    ways: dict[str, tuple[Link, bool]], sent: Sequence[Topic], plan: Plan
+) -> list[dict[str, Any]]:
     """Let all ways take turns; ratios are over the first."""
     rows = []
     for topic in sent:
         turns = tqdm(range(plan.turns), desc=topic.name, unit="turn", dynamic_ncols=True)
-        times = np.array([[link.times_us(topic, plan, plain=plain) for link, plain in ways.values()] for _ in turns])
+        times = np.array(
+            [
+                [link.times_us(topic, plan, plain=plain) for link, plain in ways.values()]
+                for _ in turns
+            ]
+        )
         rows += [_row(topic, way, times[:, k], times[:, 0]) for k, way in enumerate(ways)]
     return rows
 
@@ -187,10 +221,23 @@ def _row(topic: Topic, way: str, times: NDArray[np.float64], first: NDArray[np.f
 def main(arguments: list[str]) -> None:
     """Read the flags, measure, print and write."""
     parser = Parser("bus", __doc__)
-    parser.add_argument("--rate", type=float, default=0.0, metavar="HZ", help="messages in a second, at most")
-    parser.add_argument("--secure", action="store_true", help="measure what certificates cost, in place of the rest")
-    parser.add_argument("--flood", action="store_true", help="measure commands beside a flood, in place of the rest")
+    parser.add_argument(
+        "--rate", type=float, default=0.0, metavar="HZ", help="messages in a second, at most"
+    )
+    parser.add_argument(
+        "--secure", action="store_true", help="measure what certificates cost, in place of the rest"
+    )
+    parser.add_argument(
+        "--flood", action="store_true", help="measure commands beside a flood, in place of the rest"
+    )
     flags = parser.parse(arguments)
     plan = replace(QUICK if flags.quick else Plan(), rate_hz=flags.rate)
-    results = (benchmark_secure if flags.secure else benchmark_flood if flags.flood else benchmark)(plan)
-    say(flags, results, table("From process to process", results["messages"]) + table("Targets", results["targets"]))
+    results = (benchmark_secure if flags.secure else benchmark_flood if flags.flood else benchmark)(
+        plan
+    )
+    say(
+        flags,
+        results,
+        table("From process to process", results["messages"])
+        + table("Targets", results["targets"]),
+    )

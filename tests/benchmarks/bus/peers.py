@@ -26,7 +26,9 @@ def plain_beside(topic: Topic) -> Topic:
     return replace(topic, name=f"plain/{topic.name}")
 
 
-def receive(endpoint: str, keys: Path | None, topics: Sequence[Topic], arrivals: Connection) -> None:
+def receive(
+    endpoint: str, keys: Path | None, topics: Sequence[Topic], arrivals: Connection
+) -> None:
     """Tell when each message has arrived, monotonic nanoseconds, until the other process closes its end."""
     kept = []
 

@@ -44,9 +44,15 @@ def benchmark(names: Sequence[str], model: Path | None, folder: Path) -> dict[st
     """Run cells; return what the JSON file holds."""
     model = model or taught_model(folder / "taught")
     outcomes = list(_run([MATRIX[name] for name in names if name in MATRIX], model, folder))
-    stops = {name: _stops(name, model, folder / name.replace(" ", "-")) for name in names if name in FLOODS}
+    stops = {
+        name: _stops(name, model, folder / name.replace(" ", "-"))
+        for name in names
+        if name in FLOODS
+    }
     not_met = {one.name: one.not_met for one in outcomes if one.not_met}
-    not_met |= {name: ["stops"] for name, each in stops.items() if not all(stop.in_time for stop in each)}
+    not_met |= {
+        name: ["stops"] for name, each in stops.items() if not all(stop.in_time for stop in each)
+    }
     return {
         "benchmark": "faults",
         "cells": [outcome.record() for outcome in outcomes],
@@ -73,8 +79,14 @@ def _run(cells: Sequence[Cell], model: Path, folder: Path) -> Iterator[Outcome]:
         while waiting:
             stacks += 1
             kind = (waiting[0].routers, waiting[0].instances)
-        routers, instances = kind
-            plan = RigPlan(model, folder / f"stack{stacks}", routers=routers, robots=instances, instances=instances)
+            routers, instances = kind
+            plan = RigPlan(
+                model,
+                folder / f"stack{stacks}",
+                routers=routers,
+                robots=instances,
+                instances=instances,
+            )
             with rig_for(plan) as rig:
                 while waiting and (waiting[0].routers, waiting[0].instances) == kind:
                     name = waiting[0].name
@@ -127,8 +139,16 @@ def main(arguments: list[str]) -> None:
     """Read the flags, run the matrix, print and write."""
     parser = Parser("faults", __doc__)
     parser.add_model()
-    parser.add_argument("--cell", action="append", default=[], metavar="NAME", help="only this cell; may be repeated")
-    parser.add_argument("--times", type=int, default=1, metavar="N", help="how often each cell, one after another")
+    parser.add_argument(
+        "--cell",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this cell; may be repeated",
+    )
+    parser.add_argument(
+        "--times", type=int, default=1, metavar="N", help="how often each cell, one after another"
+    )
     chosen = parser.parse(arguments)
     known = (*MATRIX, *FLOODS)
     wrong = [name for name in chosen.cell if name not in known]
@@ -138,5 +158,7 @@ def main(arguments: list[str]) -> None:
         options.read_model(chosen.model, options.Use("filter"))
     with folder_for(chosen.out) as folder:
         names = chosen.cell or (QUICK if chosen.quick else known)
-        results = benchmark([name for name in names for _ in range(chosen.times)], chosen.model, folder)
+        results = benchmark(
+            [name for name in names for _ in range(chosen.times)], chosen.model, folder
+        )
     say(chosen, results, as_text(results))

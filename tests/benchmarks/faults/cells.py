@@ -35,8 +35,12 @@ _OUT_S: Final = 3.0  # How long one lane is out, where the process must not end.
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
 _AT_THE_OTHER_S: Final = 2.5  # Two seconds to the other router, and half a one to the next command.
-_MOVES_S: Final = 10.0  # A robot waits so long at most for its next command, on a machine with too much to do.
-_UNDISTURBED_S: Final = 1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
+_MOVES_S: Final = (
+    10.0  # A robot waits so long at most for its next command, on a machine with too much to do.
+)
+_UNDISTURBED_S: Final = (
+    1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
+)
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,9 @@ def lose_lane_for_good(rig: Rig, harm: Harm, lane: Lane) -> Window:
     return Window(*times)
 
 
-def lose_lane_by_hand(rig: Rig, whose: Literal["robot", "operator"], harm: Harm, lane: Lane) -> Window:
+def lose_lane_by_hand(
+    rig: Rig, whose: Literal["robot", "operator"], harm: Harm, lane: Lane
+) -> Window:
     """Harm one lane of the robot, or of the operator who drives it by hand; then have the policy go on."""
     with (
         link(rig.bus.endpoint, batches=True) as own,
@@ -184,7 +190,9 @@ def lose_lane_by_hand(rig: Rig, whose: Literal["robot", "operator"], harm: Harm,
         def by_hand() -> bool:
             status = rig.status("robot")
             detail = {} if status is None else status.detail
-            return detail.get("taken_over") is True and detail.get("operator") is True and rig.moves()
+            return (
+                detail.get("taken_over") is True and detail.get("operator") is True and rig.moves()
+            )
 
         if not rig.until(by_hand, _RESTART_S):
             raise JobError("the operator does not drive the robot")
@@ -247,9 +255,14 @@ def fill_disk(rig: Rig, seconds: float) -> Window:
     pid = rig.pid("recorder")
 
     def size() -> int:
-        return max((path.stat().st_size for path in rig.plan.recordings.glob(f"*{PARTIAL_SUFFIX}")), default=0)
+        return max(
+            (path.stat().st_size for path in rig.plan.recordings.glob(f"*{PARTIAL_SUFFIX}")),
+            default=0,
+        )
 
-    rig.until(lambda: size() > _ROOM, 5.0)  # The first second of messages: what comes before it is lost by a kill, too.
+    rig.until(
+        lambda: size() > _ROOM, 5.0
+    )  # The first second of messages: what comes before it is lost by a kill, too.
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     with _timed() as times:
         # Python ignores SIGXFSZ, so a write fails as it does on a full disk, but with EFBIG.
@@ -266,7 +279,10 @@ def slow_consumer(rig: Rig, seconds: float) -> Window:
 
     Events of episodes are what a sender waits with until they can be sent on.
     """
-    with _timed() as times, child("the slow consumer", consume_slowly, rig.bus.robot, rig.bus.endpoint):
+    with (
+        _timed() as times,
+        child("the slow consumer", consume_slowly, rig.bus.robot, rig.bus.endpoint),
+    ):
         rig.hold(seconds / 2.0)
         rig.end_episode()
         rig.hold(seconds / 2.0)
@@ -278,7 +294,12 @@ def _lanes() -> Iterator[Cell]:
     again = Limits(recovery_s=2.0 * _RECOVERED_S)
     lanes: tuple[tuple[Harm, Lane], ...] = (("cut", "stop"), ("cut", "urgent"), ("deafen", "stop"))
     for how, lane in lanes:
-        yield Cell(f"{how} {lane} lane of robot", partial(lose_lane, harm=how, lane=lane), again, stands=True)
+        yield Cell(
+            f"{how} {lane} lane of robot",
+            partial(lose_lane, harm=how, lane=lane),
+            again,
+            stands=True,
+        )
         for whose in ("robot", "operator") if how == "cut" else ():
             harm = partial(lose_lane_by_hand, whose=whose, harm=how, lane=lane)
             cell = Cell(f"{how} {lane} lane of {whose}, by hand", harm, again, drives_on=True)
@@ -300,7 +321,9 @@ def _matrix() -> Iterator[Cell]:
         if service != "router":
             # Features are there again before the robot has to stand.
             stands = service in ("robot", "recognition", "policy")
-            yield Cell(f"kill -9 {service}", partial(kill, service=service), killed, service, stands=stands)
+            yield Cell(
+                f"kill -9 {service}", partial(kill, service=service), killed, service, stands=stands
+            )
         for seconds in _FREEZES_S:
             harm = partial(freeze, service=service, seconds=seconds)
             yield Cell(f"freeze {service} {seconds:.0f} s", harm, stands=service in chain)
@@ -311,11 +334,22 @@ def _matrix() -> Iterator[Cell]:
         yield Cell(name, partial(restart_router, number=number, seconds=seconds), watched="router")
     # Of two routers the loss of one is over when all are at the other, and the robot has a command again.
     gone = Limits(pause_s=_AT_THE_OTHER_S)
-    for name, number, seconds in (("kill -9", signal.SIGKILL, 0.0), ("freeze", signal.SIGSTOP, 5.0)):
+    for name, number, seconds in (
+        ("kill -9", signal.SIGKILL, 0.0),
+        ("freeze", signal.SIGSTOP, 5.0),
+    ):
         harm = partial(lose_router, number=number, seconds=seconds)
-        yield Cell(f"{name} one router of two", harm, gone, stands=number == signal.SIGSTOP, routers=2)
+        yield Cell(
+            f"{name} one router of two", harm, gone, stands=number == signal.SIGSTOP, routers=2
+        )
     # Two robots and two instances: the robot is the other instance's, as soon as it is seen that the first is gone.
-    yield Cell("no fault, two instances", partial(nothing, seconds=5.0), undisturbed, drives_on=True, instances=2)
+    yield Cell(
+        "no fault, two instances",
+        partial(nothing, seconds=5.0),
+        undisturbed,
+        drives_on=True,
+        instances=2,
+    )
     for service in GROUPED:
         limits = undisturbed if service == "tracker" else replace(killed, pause_s=_AT_THE_OTHER_S)
         for name, harm in (
@@ -325,7 +359,9 @@ def _matrix() -> Iterator[Cell]:
         ):
             stands = name == "freeze" and service != "tracker"
             watched = None if name == "freeze" else service
-            yield Cell(f"{name} one {service} of two", harm, limits, watched, stands=stands, instances=2)
+            yield Cell(
+                f"{name} one {service} of two", harm, limits, watched, stands=stands, instances=2
+            )
     for service in LINKED:
         harm = partial(link_down, service=service, seconds=_OUTAGE_S)
         yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")
@@ -336,7 +372,9 @@ def _matrix() -> Iterator[Cell]:
     for name, slow in (("kill -9 operator", False), ("kill -9 operator, link grown slow", True)):
         yield Cell(name, partial(abandon, slow=slow), drives_on=True, abandoned=True)
     console = partial(freeze, service="console", seconds=3.0)
-    yield Cell("kill -9 console", partial(kill, service="console"), undisturbed, "console", drives_on=True)
+    yield Cell(
+        "kill -9 console", partial(kill, service="console"), undisturbed, "console", drives_on=True
+    )
     yield Cell("freeze console 3 s", console, undisturbed, drives_on=True)
     yield Cell("full disk", partial(fill_disk, seconds=5.0), undisturbed, next_episode=True)
     # Between two episodes there is no command for a moment.
@@ -353,4 +391,10 @@ FLOODS: Final = (
     "floods of declarations with certificates",
 )
 #: The short version: what tells most in a minute.
-QUICK: Final = ("no fault", "kill -9 policy", "kill -9 recorder", "freeze recognition 3 s", "restart router")
+QUICK: Final = (
+    "no fault",
+    "kill -9 policy",
+    "kill -9 recorder",
+    "freeze recognition 3 s",
+    "restart router",
+)

@@ -34,14 +34,19 @@ from tests.benchmarks.faults.rig import ROBOT, Rig
 from tests.services.secured import open_session
 
 _STOP: Final = COMMANDS["emergency_stop"]
-_FLOODED_S: Final = (0.4, 0.8)  # A flood lasts so long before a stop is put, seconds: buffers on its way are full then.
+_FLOODED_S: Final = (
+    0.4,
+    0.8,
+)  # A flood lasts so long before a stop is put, seconds: buffers on its way are full then.
 _LOST_S: Final = 5.0  # A stop that is not obeyed after so long counts as lost, seconds.
 _BETWEEN_S: Final = 0.3  # Between two floods, seconds: what is under way arrives.
 STOPS: Final = 100  # In each flood of declarations.
 _BEGIN_S: Final = 30.0  # How long the robot may take to begin an episode, seconds.
 _ROUND: Final = 50  # Messages or calls between two looks at what to flood next.
 _ANSWER_S: Final = 1.0  # Calls wait so long for their answers, seconds.
-_PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}  # Of who connects on a busy machine.
+_PATIENT: Final[dict[str, object]] = {
+    "connect/timeout_ms": 10_000
+}  # Of who connects on a busy machine.
 #: What is put, and what every call but a status asks: refused by who takes it, so that nothing but its number harms.
 _NONSENSE: Final = b"12345678"
 _NOTHING: Final = b"{}"  # What a status asks, which is answered.
@@ -67,7 +72,9 @@ def floods(secure: bool) -> dict[str, list[Flood]]:
         calls = {name for role in roles().values() for name in role.serves}
         return {"anybody": _floods("anybody", puts, calls)}
     found = {
-        role.name: _floods(role.name, [one.key(ROBOT) for one in role.gives if one is not _STOP], set(role.calls))
+        role.name: _floods(
+            role.name, [one.key(ROBOT) for one in role.gives if one is not _STOP], set(role.calls)
+        )
         for role in roles().values()
     }
     return {role: of_it for role, of_it in found.items() if of_it}
@@ -87,7 +94,10 @@ def declared(secure: bool) -> dict[str, list[Flood]]:
 
 def _floods(role: str, puts: list[str], calls: set[str]) -> list[Flood]:
     asked = [rpc_key(ROBOT, *name.split("/", 1)) for name in sorted(calls)]
-    return [*(Flood(role, "put", key) for key in puts), *(Flood(role, "call", key) for key in asked)]
+    return [
+        *(Flood(role, "put", key) for key in puts),
+        *(Flood(role, "call", key) for key in asked),
+    ]
 
 
 @dataclass(frozen=True)
@@ -123,7 +133,9 @@ def flooded(rig: Rig, floods: dict[str, list[Flood]]) -> list[Stop]:
     count = sum(flood.stops for of_it in floods.values() for flood in of_it)
     with tqdm(total=count, desc="stops in floods", unit="stop", dynamic_ncols=True) as bar:
         for role, of_it in floods.items():
-            with child(f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role) as flooder:
+            with child(
+                f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role
+            ) as flooder:
                 for flood in of_it:
                     stops += _stops_in(rig, flood, flooder.pipe, len(stops) + 1, chance, bar)
     return stops
@@ -166,13 +178,21 @@ def _late_s(rig: Rig, number: int, after_s: float) -> float | None:
     put_s = time.monotonic()
     rig.bus.publish(
         Command(
-            robot=ROBOT, episode=NO_EPISODE, tick=0, stamp_ns=0, source="emergency_stop", sequence=number, atom="stop"
+            robot=ROBOT,
+            episode=NO_EPISODE,
+            tick=0,
+            stamp_ns=0,
+            source="emergency_stop",
+            sequence=number,
+            atom="stop",
         )
     )
     rig.until(lambda: "stood_s" in _noted(rig, number), _LOST_S)
     # While no episode runs the robot stands anyway.
     at_s = _noted(rig, number).get("stood_s", _noted(rig, number).get("latched_s"))
-    return None if at_s is None else max(0.0, at_s - put_s)  # It may have stood before, for another reason.
+    return (
+        None if at_s is None else max(0.0, at_s - put_s)
+    )  # It may have stood before, for another reason.
 
 
 def _noted(rig: Rig, stop: int) -> dict[str, float]:
@@ -217,7 +237,10 @@ def _send(session: zenoh.Session, flood: Flood, number: int) -> None:
 def _message(session: zenoh.Session, flood: Flood) -> None:
     if flood.kind == "put":
         session.put(
-            flood.key, _NONSENSE, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.BLOCK
+            flood.key,
+            _NONSENSE,
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.BLOCK,
         )
     else:
         session.get(

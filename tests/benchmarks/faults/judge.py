@@ -18,7 +18,9 @@ from schemas.topics import APPLIED, COMMANDS
 from services.robot.clock import TICK_S
 
 VALID_S: Final = 0.5  # A command may be obeyed for so long, counted from the capture of the frame that it answers.
-RESTS_S: Final = TICK_S  # A base that does not move for so long stands; as long as from frame to frame.
+RESTS_S: Final = (
+    TICK_S  # A base that does not move for so long stands; as long as from frame to frame.
+)
 _TOLD: Final = ("sequence", "event", "outcome", "atom", "reason", "answered_tick", "latency_ns")
 
 
@@ -53,7 +55,9 @@ class Entry:
     @classmethod
     def of(cls, message: Message, t_s: float, clock_ahead_s: float) -> Entry:
         """Note a message that arrived at ``t_s``, whose stamps are of a clock that is ahead by so much."""
-        told = {name: value for name in _TOLD if (value := getattr(message, name, None)) is not None}
+        told = {
+            name: value for name in _TOLD if (value := getattr(message, name, None)) is not None
+        }
         captured_s = message.stamp_ns / 1e9 - clock_ahead_s
         return cls(t_s, captured_s, message.topic_name, message.episode, message.tick, told)
 
@@ -98,7 +102,9 @@ def _since_s(times: list[float] | None, at_s: float) -> float:
 
 def still_s(steps: Iterable[Any], asked_s: Mapping[str, list[float]]) -> float:
     """Return the longest time that the base moved after the last valid command for just this movement."""
-    return max((_since_s(asked_s.get(one.atom), one.t_s) for one in steps if one.speed_m_s), default=0.0)
+    return max(
+        (_since_s(asked_s.get(one.atom), one.t_s) for one in steps if one.speed_m_s), default=0.0
+    )
 
 
 def stale_orders(steps: Iterable[Any], asked_s: Mapping[str, list[float]]) -> list[str]:
@@ -144,7 +150,9 @@ def recovery_s(frames: Iterable[Obeyed], fault_end_s: float) -> float | None:
 def longest_pause_s(frames: Iterable[Obeyed], span: Window) -> float:
     """Return the longest time in a span in which no new command was obeyed."""
     times = sorted(one.accepted_s for one in frames if span.begin_s < one.accepted_s < span.end_s)
-    return max(after - before for before, after in itertools.pairwise([span.begin_s, *times, span.end_s]))
+    return max(
+        after - before for before, after in itertools.pairwise([span.begin_s, *times, span.end_s])
+    )
 
 
 def rate_hz(entries: Iterable[Entry], topic: str, span: Window) -> float:
@@ -155,5 +163,9 @@ def rate_hz(entries: Iterable[Entry], topic: str, span: Window) -> float:
 
 def drives(entries: Sequence[Entry], episode: str | None, commands: int = 3) -> bool:
     """Whether the robot's last commands of an episode were obeyed and moved it."""
-    last = [one.told for one in entries if (one.topic, one.episode) == (APPLIED.name, episode)][-commands:]
-    return len(last) == commands and all(told["reason"] == "command" and told["atom"] != "stop" for told in last)
+    last = [one.told for one in entries if (one.topic, one.episode) == (APPLIED.name, episode)][
+        -commands:
+    ]
+    return len(last) == commands and all(
+        told["reason"] == "command" and told["atom"] != "stop" for told in last
+    )

@@ -169,10 +169,14 @@ class _Forwarder:
         one = _Passing(to_client, to_router)
         self._passing.append(one)
         with contextlib.suppress(asyncio.CancelledError):  # as the link ends
-            await asyncio.gather(self._pass_on(client, to_router, one), self._pass_on(router, to_client, one))
+            await asyncio.gather(
+                self._pass_on(client, to_router, one), self._pass_on(router, to_client, one)
+            )
         self._passing.remove(one)
 
-    async def _pass_on(self, source: asyncio.StreamReader, target: asyncio.StreamWriter, passing: _Passing) -> None:
+    async def _pass_on(
+        self, source: asyncio.StreamReader, target: asyncio.StreamWriter, passing: _Passing
+    ) -> None:
         """Pass on what comes, and the end of the stream, each when it is due."""
         under_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(_UNDER_WAY)
 

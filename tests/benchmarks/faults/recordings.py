@@ -64,7 +64,9 @@ def read_recordings(folder: Path) -> dict[str, Recorded]:
             found[episode].places.add(place)
         for episode in {episode for episode, _ in own}:
             found[episode].unfinished += [path.name] if PARTIAL_SUFFIX in path.name else []
-            for topic_name, ticks in (item for one in gaps for item in one.items() if item[0] in TOPICS):
+            for topic_name, ticks in (
+                item for one in gaps for item in one.items() if item[0] in TOPICS
+            ):
                 found[episode].gaps[topic_name] |= ticks_of(ticks)
     return dict(found)
 

@@ -37,7 +37,11 @@ from tests.benchmarks.faults.wheels import Step, boot_ahead_s, read_steps, rolli
 ROBOT: Final = "faulty"
 WORLD: Final = "yard"
 CAMERA: Final = (160, 120)
-LINKED: Final = ("robot", "policy", "recorder")  # Services whose way to the router is a link that can go down.
+LINKED: Final = (
+    "robot",
+    "policy",
+    "recorder",
+)  # Services whose way to the router is a link that can go down.
 _LOOK_S: Final = 0.02
 _MOVING_S: Final = 12.0
 _STARTS: Final = 5
@@ -91,9 +95,13 @@ class RigPlan:
             "recorder": flags(recordings=self.recordings.resolve()),
             "console": flags(console=self.console, root=self.folder.resolve()),
         }
-        every = {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
+        every = {
+            name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()
+        }
         for number in range(2, self.robots + 1):
-            every[f"robot-{number}"] = flags(**body, depth="false" if self.mode == "realtime" else None)
+            every[f"robot-{number}"] = flags(
+                **body, depth="false" if self.mode == "realtime" else None
+            )
             every[f"recorder-{number}"] = flags(recordings=self.recordings.resolve() / str(number))
             every[f"console-{number}"] = flags(console="127.0.0.1:0", root=self.folder.resolve())
         module = {"moving base": "robot", "noting": "noting"}.get(self.robot)
@@ -101,14 +109,24 @@ class RigPlan:
         scale = dict.fromkeys(GROUPED, self.instances)
         logs = self.folder / "logs"
         return StackPlan(
-            stack_services(), ROBOT, endpoint, every, self.secure, logs, self.robots, scale, modules=modules
+            stack_services(),
+            ROBOT,
+            endpoint,
+            every,
+            self.secure,
+            logs,
+            self.robots,
+            scale,
+            modules=modules,
         )
 
 
 class Rig:
     """A driving stack, and one robot of it; made by ``rig_for``."""
 
-    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, Link], arrived: list[Entry]) -> None:
+    def __init__(
+        self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, Link], arrived: list[Entry]
+    ) -> None:
         self.plan = plan
         self.stack = stack
         self.bus = bus
@@ -116,7 +134,9 @@ class Rig:
         self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
         self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
         self.driven = False  # Whether a new episode begins when one has ended.
-        self.others: list[Rig] = []  # Of the further robots of the fleet, of which ends of episodes are observed alone.
+        self.others: list[
+            Rig
+        ] = []  # Of the further robots of the fleet, of which ends of episodes are observed alone.
         self.outcomes: Counter[str] = Counter()  # How the episodes ended since the last ``forget``.
         self.notes: list[str] = []
         self.seed = 100
@@ -189,7 +209,9 @@ class Rig:
             begun = self.until(lambda: self.begin(timeout_s=30.0), 30.0)
             if begun and self.until(lambda: drives(self.entries, self._episode), _MOVING_S):
                 return
-        raise JobError(f"the robot does not move, from {_STARTS} starts; see {self.plan.folder / 'logs'}")
+        raise JobError(
+            f"the robot does not move, from {_STARTS} starts; see {self.plan.folder / 'logs'}"
+        )
 
     def begin(self, timeout_s: float) -> bool:
         """Begin an episode; return whether one has begun."""
@@ -249,7 +271,9 @@ class Rig:
     def _call(self, service: str, verb: str, request: EndRequest | Nothing) -> None:
         """Call, and note a failure."""
         try:
-            self.bus.call(service, verb, request, RecordReply if verb == "flush" else Nothing, timeout_s=15.0)
+            self.bus.call(
+                service, verb, request, RecordReply if verb == "flush" else Nothing, timeout_s=15.0
+            )
         except RpcError as error:
             self.notes.append(str(error))
 
@@ -288,10 +312,18 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     plan.folder.mkdir(parents=True, exist_ok=True)
     plan.notes.touch()
     with ExitStack() as stacked:
-        linked = LINKED if plan.robot == "moving base" and plan.routers == plan.instances == 1 else ()
+        linked = (
+            LINKED if plan.robot == "moving base" and plan.routers == plan.instances == 1 else ()
+        )
         links = {service: stacked.enter_context(link(endpoint, batches=True)) for service in linked}
-        wheels = stacked.enter_context(rolling(plan.world, plan.steps)) if plan.robot == "moving base" else None
-        stack = Stack(plan.stack(endpoint, {service: way.address for service, way in links.items()}, wheels))
+        wheels = (
+            stacked.enter_context(rolling(plan.world, plan.steps))
+            if plan.robot == "moving base"
+            else None
+        )
+        stack = Stack(
+            plan.stack(endpoint, {service: way.address for service, way in links.items()}, wheels)
+        )
         with patch.dict(os.environ, {NOTES: str(plan.notes.resolve())}):
             stacked.enter_context(stack)
         if plan.robot != "noting":

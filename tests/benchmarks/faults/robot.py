@@ -22,7 +22,9 @@ from tests.benchmarks.faults.wheels import FarBase
 class FarBody(SimulatedBody):
     """A body whose base moves by itself: what it did is taken over at each look."""
 
-    def __init__(self, simulation: Simulation, base: FarBase, wanted: Callable[[Topic], bool]) -> None:
+    def __init__(
+        self, simulation: Simulation, base: FarBase, wanted: Callable[[Topic], bool]
+    ) -> None:
         super().__init__(simulation, wanted=wanted)
         self._base = base
 

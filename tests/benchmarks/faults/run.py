@@ -15,7 +15,9 @@ from tests.benchmarks.faults.judge import Entry, Window
 from tests.benchmarks.faults.recordings import Recorded, lost, read_recordings, unsaid
 from tests.benchmarks.faults.rig import Rig
 
-_RECOVERY_S: Final = 60.0  # Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
+_RECOVERY_S: Final = (
+    60.0  # Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
+)
 #: After the recovery the loop goes on for so many answered frames, so that what comes late is seen.
 _AFTERWARDS: Final = 15
 _FOUND_S: Final = 120.0  # Until the robot has found its victim, however busy the machine is: some 15 s undisturbed.
@@ -96,12 +98,19 @@ def _run(cell: Cell, rig: Rig) -> Outcome:
         rig.finish_episode()
         entries = entries + rig.entries
         outcome.notes = outcome.notes + rig.notes
-    _compare(outcome, entries, read_recordings(rig.plan.recordings), harmed if cell.next_episode else set())
+    _compare(
+        outcome,
+        entries,
+        read_recordings(rig.plan.recordings),
+        harmed if cell.next_episode else set(),
+    )
     outcome.not_met = verdict(cell, outcome)
     return outcome
 
 
-def _judge(cell: Cell, outcome: Outcome, entries: list[Entry], steps: list[Any], over_s: float) -> None:
+def _judge(
+    cell: Cell, outcome: Outcome, entries: list[Entry], steps: list[Any], over_s: float
+) -> None:
     """Judge what the robot did."""
     fault = outcome.fault
     asked = judge.asked(entries)
@@ -119,7 +128,9 @@ def _judge(cell: Cell, outcome: Outcome, entries: list[Entry], steps: list[Any],
         outcome.rate_hz = min(judge.rate_hz(entries, topic, fault) for topic in _RATED)
 
 
-def _compare(outcome: Outcome, entries: list[Entry], recorded: dict[str, Recorded], excused: set[str]) -> None:
+def _compare(
+    outcome: Outcome, entries: list[Entry], recorded: dict[str, Recorded], excused: set[str]
+) -> None:
     """Judge what was recorded; of excused episodes only that it can be read, and holds nothing twice."""
     outcome.unreadable += recorded.get("", Recorded()).unfinished
     for episode in dict.fromkeys(one.episode for one in entries if one.episode != NO_EPISODE):
@@ -128,7 +139,9 @@ def _compare(outcome: Outcome, entries: list[Entry], recorded: dict[str, Recorde
         outcome.recorded += len(of_it.places)
         outcome.duplicates += of_it.duplicates
         outcome.unreadable += of_it.unfinished
-        outcome.unsaid |= {f"{episode} {topic}": ticks for topic, ticks in unsaid(missing, of_it).items()}
+        outcome.unsaid |= {
+            f"{episode} {topic}": ticks for topic, ticks in unsaid(missing, of_it).items()
+        }
         if episode not in excused:
             outcome.lost_ticks += len({tick for ticks in missing.values() for tick in ticks})
             outcome.lost |= {f"{episode} {topic}": ticks for topic, ticks in missing.items()}
@@ -143,9 +156,11 @@ def verdict(cell: Cell, outcome: Outcome) -> list[str]:
         "found": cell.instances > 1 and outcome.outcomes.keys() != {"found"},
         "stand still": outcome.still_s > still_s,
         "stale": bool(outcome.stale),
-        "stand": (cell.stands or cell.abandoned) and (outcome.stood_s is None or outcome.stood_s > still_s),
+        "stand": (cell.stands or cell.abandoned)
+        and (outcome.stood_s is None or outcome.stood_s > still_s),
         "drive again": cell.stands and outcome.moved_again_s is None,
-        "recovery": limits.recovery_s is not None and (late or (outcome.recovery_s or 0.0) > limits.recovery_s),
+        "recovery": limits.recovery_s is not None
+        and (late or (outcome.recovery_s or 0.0) > limits.recovery_s),
         "lost": limits.lost_ticks is not None and outcome.lost_ticks > limits.lost_ticks,
         "twice": outcome.duplicates > 0,
         "gap not said": bool(outcome.unsaid),

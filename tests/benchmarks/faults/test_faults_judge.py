@@ -13,7 +13,10 @@ from tests.benchmarks.faults.wheels import Step
 
 def steps(*spans: tuple[float, float], atom: str = "forward", period_s: float = 0.1) -> list[Step]:
     """Return the log of a base that moves in these spans, by an order every so often."""
-    moves = [(t, any(begin < t <= end for begin, end in spans)) for t in (0.02 * k for k in range(1, 200))]
+    moves = [
+        (t, any(begin < t <= end for begin, end in spans))
+        for t in (0.02 * k for k in range(1, 200))
+    ]
     return [Step(t, t - t % period_s, 2.0 * moved, atom if moved else "stop") for t, moved in moves]
 
 
@@ -27,7 +30,10 @@ def obeyed(answered: range) -> list[Entry]:
     """Return what is seen of an actuator that obeys the command of each frame 30 ms after its capture."""
     told = {"reason": "command", "latency_ns": 30_000_000, "atom": "forward"}
     frames = [Entry(0.1 * k, 0.1 * k, POSE.name, "e", k) for k in range(40)]
-    return frames + [Entry(0.1 * k, 0.1 * k, APPLIED.name, "e", k + 1, told | {"answered_tick": k}) for k in answered]
+    return frames + [
+        Entry(0.1 * k, 0.1 * k, APPLIED.name, "e", k + 1, told | {"answered_tick": k})
+        for k in answered
+    ]
 
 
 EVERY_FRAME = [0.1 * k for k in range(11)]
@@ -72,17 +78,25 @@ def test_recovery_pause_and_rate() -> None:
 
 def seen(ticks: int, *without: int) -> list[Entry]:
     topics = (POSE.name, JPEG.name, APPLIED.name, ACTION.name)
-    return [Entry(0.0, 0.0, topic, "e", k) for k in range(ticks) if k not in without for topic in topics]
+    return [
+        Entry(0.0, 0.0, topic, "e", k) for k in range(ticks) if k not in without for topic in topics
+    ]
 
 
 def recording(entries: list[Entry], *missing: tuple[str, int]) -> Recorded:
-    places = {place_of(one.topic, one.tick, one.told) for one in entries if (one.topic, one.tick) not in missing}
+    places = {
+        place_of(one.topic, one.tick, one.told)
+        for one in entries
+        if (one.topic, one.tick) not in missing
+    }
     return Recorded(places=places, ended=True)
 
 
 def test_what_is_lost_is_named_and_must_be_said() -> None:
     assert lost(seen(20), recording(seen(20))) == {}
-    recorded = recording(seen(20), (POSE.name, 3), (POSE.name, 4), (ACTION.name, 4), (ACTION.name, 9))
+    recorded = recording(
+        seen(20), (POSE.name, 3), (POSE.name, 4), (ACTION.name, 4), (ACTION.name, 9)
+    )
     missing = lost(seen(20), recorded)
     assert missing == {ACTION.name: [4, 9], POSE.name: [3, 4]}
     assert unsaid(missing, recorded) == {POSE.name: [3, 4]}

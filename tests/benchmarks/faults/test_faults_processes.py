@@ -32,7 +32,9 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
         yield endpoint
 
 
-def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(tmp_path: Path) -> None:
+def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(
+    tmp_path: Path,
+) -> None:
     log = tmp_path / "steps.jsonl"
 
     def speeds() -> list[float]:
@@ -52,8 +54,12 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
     assert WATCHDOG_S - STEP_S <= STEP_S * len(moving) <= WATCHDOG_S
     assert {step.atom for step in moving} == {"forward"}
     rolled_m = sum(sum(motion.rolled_m) / 2 for motion in told)
-    assert rolled_m == pytest.approx(0.5 * RESCUEBOT.drive.speed_m_s * STEP_S * len(moving), rel=0.2)
-    assert math.dist((told[-1].pose.x, told[-1].pose.y), (start.x, start.y)) == pytest.approx(rolled_m, rel=0.01)
+    assert rolled_m == pytest.approx(
+        0.5 * RESCUEBOT.drive.speed_m_s * STEP_S * len(moving), rel=0.2
+    )
+    assert math.dist((told[-1].pose.x, told[-1].pose.y), (start.x, start.y)) == pytest.approx(
+        rolled_m, rel=0.01
+    )
 
 
 @pytest.mark.parametrize("secure", [False, True])
@@ -73,7 +79,9 @@ def test_a_robot_that_notes_its_stops_stands_for_each_and_drives_on(tmp_path: Pa
     gate = NotingGate(notes, attended=False)
     assert gate.arm(gate.emergency_stop, "") is None
     gate.begin("e", "policy")
-    stop = EXAMPLES[COMMANDS["emergency_stop"].message].model_copy(update={"source": "emergency_stop", "sequence": 7})
+    stop = EXAMPLES[COMMANDS["emergency_stop"].message].model_copy(
+        update={"source": "emergency_stop", "sequence": 7}
+    )
     gate.offer(stop, 1.0)
     assert read_notes(notes)[7].keys() == {"latched_s"}
     assert gate.applied(1.02).reason == "emergency_stop"

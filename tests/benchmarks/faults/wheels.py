@@ -58,7 +58,10 @@ def read_steps(path: Path, since_s: float) -> list[Step]:
     """Read what a base has done since then, monotonic seconds; it may be in the middle of a line."""
     ahead_s = boot_ahead_s()
     *whole, _rest = path.read_text().split("\n")
-    steps = (Step(t_s - ahead_s, ordered_s - ahead_s, *rest) for t_s, ordered_s, *rest in map(json.loads, whole))
+    steps = (
+        Step(t_s - ahead_s, ordered_s - ahead_s, *rest)
+        for t_s, ordered_s, *rest in map(json.loads, whole)
+    )
     return [step for step in steps if step.t_s > since_s]
 
 
@@ -73,12 +76,17 @@ def rolling(world: str, log: Path) -> Iterator[str]:
 def roll(world: str, address: str, log: Path, owner: Connection) -> None:
     """Move until the owner of the pipe closes it, or dies."""
     base = KinematicBase(load_world(world).place)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as orders, log.open("a", buffering=1) as file:
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as orders,
+        log.open("a", buffering=1) as file,
+    ):
         orders.bind(_abstract(address))
         wheels = Wheels(base, file)
         owner.send("ready")
         while True:
-            readable, _, _ = select.select([orders, owner], [], [], max(0.0, wheels.due_s - now_s()))
+            readable, _, _ = select.select(
+                [orders, owner], [], [], max(0.0, wheels.due_s - now_s())
+            )
             # What was due before an order came is done before: a base that was late does not obey backwards in time.
             wheels.roll_on(now_s())
             if owner in readable:
@@ -111,7 +119,9 @@ class Wheels:
     def __init__(self, base: Base, log: IO[str], begin_s: float | None = None) -> None:
         self._base = base
         self._log = log
-        self.due_s = (now_s() if begin_s is None else begin_s) + STEP_S  # When the next step is complete.
+        self.due_s = (
+            now_s() if begin_s is None else begin_s
+        ) + STEP_S  # When the next step is complete.
         self._motions: deque[Motion] = deque(maxlen=_KEPT)
         self._order = STANDING
         self._ordered_s = 0.0
@@ -128,7 +138,9 @@ class Wheels:
             self._order = STANDING
             self._stands_anywhere = False
             self._motions.clear()
-        told = [[m.pose.x, m.pose.y, m.pose.heading, *m.rolled_m, m.collided] for m in self._motions]
+        told = [
+            [m.pose.x, m.pose.y, m.pose.heading, *m.rolled_m, m.collided] for m in self._motions
+        ]
         self._motions.clear()
         return {"question": message["question"], "motions": told}
 

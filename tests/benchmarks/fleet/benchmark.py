@@ -49,7 +49,9 @@ def _measured(robots: int, model: Path, folder: Path, hz: float | None) -> Recor
     rate = {} if hz is None else {"frames_hz": hz, "depth": str(hz >= _DEPTH_HZ).lower()}
     own = {"robot": flags(world=WORLD, camera_width=width, camera_height=height, **rate),
            **dict.fromkeys(("recognition", "policy"), flags(root=model.parent))}  # fmt: skip
-    plan = StackPlan(("router", "robot", *_SHARED), "fleet", free_endpoint(), own, logs=folder, robots=robots)
+    plan = StackPlan(
+        ("router", "robot", *_SHARED), "fleet", free_endpoint(), own, logs=folder, robots=robots
+    )
     with Stack(plan) as stack, ThreadPoolExecutor(robots) as pool:
         before = _used(stack)
         began_s = time.monotonic()
@@ -101,7 +103,13 @@ def growth(fleets: dict[str, list[dict[str, Any]]]) -> Figure:
             axes.plot(robots, values, "o-", color=colour, label=title)
         for one in of_each:
             told = (one["robots"], one["frames_hz"])
-            rates.annotate(f"{one['found']} found", told, textcoords="offset points", xytext=(4, -11), fontsize=8)
+            rates.annotate(
+                f"{one['found']} found",
+                told,
+                textcoords="offset points",
+                xytext=(4, -11),
+                fontsize=8,
+            )
     latencies.axhline(_VALID_MS, color=MUTED, ls="--", lw=1.0)
     rates.set_title("frames a second, of all robots together")
     latencies.set_title("95th percentile of decisions, slowest robot, ms")
@@ -116,7 +124,9 @@ def main(arguments: list[str]) -> None:
     """Read the flags, drive, print, draw and write."""
     parser = Parser("fleet", __doc__)
     parser.add_model()
-    parser.add_argument("--hz", type=_hz, default=HZ, metavar="R", help=f"in real time (default {HZ:g})")
+    parser.add_argument(
+        "--hz", type=_hz, default=HZ, metavar="R", help=f"in real time (default {HZ:g})"
+    )
     chosen = parser.parse(arguments)
     if chosen.model is not None:
         options.read_model(chosen.model, options.Use("filter"))

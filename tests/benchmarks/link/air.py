@@ -41,7 +41,9 @@ class Quality(NamedTuple):
     jitter_s: float = 0.02
     loss: float = 0.02
     bits_s: float = 10e6
-    waits_s: float = 0.2  # Packets wait at the link for so long, at most; access points hold about as much.
+    waits_s: float = (
+        0.2  # Packets wait at the link for so long, at most; access points hold about as much.
+    )
 
 
 WIFI: Final = Quality()
@@ -92,7 +94,11 @@ def _machine(address: str, congestion: str) -> tuple[int, int]:
     _check(ctypes.CDLL(None, use_errno=True).unshare(_NEWNET))
     device = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
     fcntl.ioctl(device, _TUNSETIFF, struct.pack("16sH22x", b"air", _TUN_NO_PI))
-    for command in (f"addr add {address}/24 dev air", f"link set air mtu {_MTU} up", "link set lo up"):
+    for command in (
+        f"addr add {address}/24 dev air",
+        f"link set air mtu {_MTU} up",
+        "link set lo up",
+    ):
         subprocess.run(["ip", *command.split()], check=True)
     Path("/proc/sys/net/ipv4/tcp_congestion_control").write_text(congestion)
     return os.open("/proc/thread-self/ns/net", os.O_RDONLY), device
@@ -107,7 +113,9 @@ class _Way:
     chance: random.Random
     free_s: float = 0.0  # When the packets that wait at the link have passed it.
     last_s: float = 0.0
-    air: deque[tuple[float, bytes]] = field(default_factory=deque)  # When each is due, and what is under way.
+    air: deque[tuple[float, bytes]] = field(
+        default_factory=deque
+    )  # When each is due, and what is under way.
     counts: Counter[str] = field(default_factory=Counter)
 
     def take(self, packet: bytes, now_s: float, *, cut: bool) -> None:
@@ -127,7 +135,9 @@ class _Way:
         while self.air and self.air[0][0] <= now_s:
             due_s, packet = self.air.popleft()
             os.write(self.device, packet)
-            self.counts.update({"out": 1, "out_bytes": len(packet), "late_us": round(1e6 * (now_s - due_s))})
+            self.counts.update(
+                {"out": 1, "out_bytes": len(packet), "late_us": round(1e6 * (now_s - due_s))}
+            )
 
 
 def _run(quality: Quality, congestion: str, seed: int, owner: Connection) -> None:
@@ -138,7 +148,10 @@ def _run(quality: Quality, congestion: str, seed: int, owner: Connection) -> Non
         owner.send(error)
         return
     owner.send((one, other))
-    ways = {first: _Way(second, quality, random.Random(seed)), second: _Way(first, quality, random.Random(-seed))}  # noqa: S311
+    ways = {
+        first: _Way(second, quality, random.Random(seed)),  # noqa: S311
+        second: _Way(first, quality, random.Random(-seed)),  # noqa: S311
+    }
     cut = False
     while True:
         dues_s = [way.air[0][0] for way in ways.values() if way.air]

@@ -84,14 +84,22 @@ def machine(where: str, at: int, row: Row, model: Path, folder: Path, owner: Con
         wheels = stacked.enter_context(rolling(WORLD, folder / "steps.jsonl")) if at == 0 else None
         own = {
             "router": flags(insecure=True, peers=_ROUTERS[1 - at]),
-            "robot": flags(world=WORLD, camera_width=width, camera_height=height, wheels=wheels, radio=row.radio),
+            "robot": flags(
+                world=WORLD,
+                camera_width=width,
+                camera_height=height,
+                wheels=wheels,
+                radio=row.radio,
+            ),
             **dict.fromkeys(("recognition", "policy"), flags(model=model, root=model.parent)),
             "recorder": flags(recordings=folder / "recordings"),
         }
         here = [("robot",), ("recognition", "policy", "recorder")][at]
         services = ("router", *here, *(("features",) if at == row.features else ()))
         modules = {"robot": "tests.benchmarks.faults.robot"}
-        plan = StackPlan(services, ROBOT, _ROUTERS[at], own, logs=folder / f"logs{at}", modules=modules)
+        plan = StackPlan(
+            services, ROBOT, _ROUTERS[at], own, logs=folder / f"logs{at}", modules=modules
+        )
         stacked.enter_context(Stack(plan))
         arrived: list[Entry] = []
         if at == 0:
@@ -144,13 +152,20 @@ def run(row: Row, model: Path, folder: Path) -> Record:
         "s": driving_s,
         "frames_hz": sum(one.topic == JPEG.name for one in entries) / driving_s,
         "obeyed_hz": len(frames) / driving_s,
-        **{f"p{share}_ms": float(np.percentile(ages_ms, share)) if ages_ms else None for share in (50, 95)},
+        **{
+            f"p{share}_ms": float(np.percentile(ages_ms, share)) if ages_ms else None
+            for share in (50, 95)
+        },
         "sent_kb_s": passed[0]["out_bytes"] / seconds / 1e3,
         "back_kb_s": passed[1]["out_bytes"] / seconds / 1e3,
         "packets": passed[0]["in"],
         "lost": 1 - passed[0]["out"] / passed[0]["in"],
     }
-    stood, again = stood_s(read_steps(folder / "steps.jsonl", 0.0), fault) if fault is not None else (None, None)
+    stood, again = (
+        stood_s(read_steps(folder / "steps.jsonl", 0.0), fault)
+        if fault is not None
+        else (None, None)
+    )
     told |= {"stood_s": stood, "again_s": again}
     sys.stderr.write(f"{json.dumps(told)}\n")
     return told
@@ -178,7 +193,10 @@ def own(folder: Path) -> list[Record]:
     """Return what each process of a ROS 2 robot's own takes while its camera sends 10 frames a second."""
     with day_with(Robot(folder, size=CAMERA)) as (_, person):
         bus = person.client.node.bus
-        pids = {name: bus.call(name, "status", Nothing(), Status).pid for name in ("robot", "features", "router")}
+        pids = {
+            name: bus.call(name, "status", Nothing(), Status).pid
+            for name in ("robot", "features", "router")
+        }
         person.run(1, 20)  # What is loaded at the first frame is not of every frame.
         before = {name: used(pid) for name, pid in pids.items()}
         frames = person.run(1, OWN_FRAMES).ticks
@@ -188,7 +206,14 @@ def own(folder: Path) -> list[Record]:
         {"process": name, "mb": held / 1e6, "ms_a_frame": 1e3 * (took_s - before[name][1]) / frames}
         for name, (held, took_s) in after.items()
     ]
-    return [*taken, {"process": "together", "mb": together_mb, "ms_a_frame": sum(one["ms_a_frame"] for one in taken)}]
+    return [
+        *taken,
+        {
+            "process": "together",
+            "mb": together_mb,
+            "ms_a_frame": sum(one["ms_a_frame"] for one in taken),
+        },
+    ]
 
 
 def held_once(pids: Iterable[int]) -> int:
@@ -197,7 +222,9 @@ def held_once(pids: Iterable[int]) -> int:
     files = dict[str, int]()
     for pid in pids:
         for mapping in re.split(r"\n(?=[0-9a-f]+-)", Path(f"/proc/{pid}/smaps").read_text()):
-            held, changed = (1024 * int(re.findall(rf"^{name}: +(\d+)", mapping, re.M)[0]) for name in _HELD)
+            held, changed = (
+                1024 * int(re.findall(rf"^{name}: +(\d+)", mapping, re.M)[0]) for name in _HELD
+            )
             _, _, at, device, inode, *_ = mapping.split()
             place = f"{at} {device} {inode}" if inode != "0" else f"{pid} {mapping.split()[0]}"
             files[place] = max(files.get(place, 0), held - changed)
@@ -210,14 +237,22 @@ def main(arguments: list[str]) -> None:
     parser = Parser("link", __doc__)
     parser.add_model()
     names = [*(row.name for row in ROWS), "own"]
-    parser.add_argument("--row", action="append", default=[], choices=names, help="only this; may be repeated")
+    parser.add_argument(
+        "--row", action="append", default=[], choices=names, help="only this; may be repeated"
+    )
     chosen = parser.parse(arguments)
     if chosen.model is not None:
         options.read_model(chosen.model, options.Use("filter"))
     wanted = chosen.row or (QUICK if chosen.quick else names)
     with folder_for(chosen.out) as folder:
         taking = own(folder / "own") if "own" in wanted else []
-        model = (chosen.model or taught(folder / "taught", 1, 0, WORLD, "{}x{}".format(*CAMERA))).resolve()
-        rows = [run(row, model, folder / row.name.replace(", ", "-")) for row in ROWS if row.name in wanted]
+        model = (
+            chosen.model or taught(folder / "taught", 1, 0, WORLD, "{}x{}".format(*CAMERA))
+        ).resolve()
+        rows = [
+            run(row, model, folder / row.name.replace(", ", "-"))
+            for row in ROWS
+            if row.name in wanted
+        ]
     text = table("a run", rows) + table("what a robot's own processes take", taking)
     say(chosen, {"benchmark": "link", "runs": rows, "own": taking}, text)

@@ -62,7 +62,10 @@ def test_real_packets_come_late_in_order_or_never_and_all_are_counted(air: Link)
 
         def settled() -> bool:
             there, _ = air.counts()
-            return there["in"] >= PACKETS and there["in"] == there["out"] + there["lost"] + there["cut"]
+            return (
+                there["in"] >= PACKETS
+                and there["in"] == there["out"] + there["lost"] + there["cut"]
+            )
 
         sent(PACKETS)
         eventually(settled)

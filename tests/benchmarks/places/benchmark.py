@@ -20,7 +20,10 @@ from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 #: Cosine of a scene with the next one, and entries of what lies behind features.
 _SCENE = 0.97
 _LATENT = 64
-_NOISE: Final = (1.0, 2.0)  # Length of noise beside that of what is shown, in references and queries.
+_NOISE: Final = (
+    1.0,
+    2.0,
+)  # Length of noise beside that of what is shown, in references and queries.
 _BLOCK = 500
 
 
@@ -36,7 +39,9 @@ def scenes(rng: np.random.Generator, count: int, size: int) -> NDArray[np.float3
     return steps
 
 
-def seen(rng: np.random.Generator, shown: NDArray[np.float32], noise: float, size: int) -> NDArray[np.float16]:
+def seen(
+    rng: np.random.Generator, shown: NDArray[np.float32], noise: float, size: int
+) -> NDArray[np.float16]:
     """Return features (n, size) of scenes, as large as those of images are."""
     mixing = np.random.default_rng(0).standard_normal((shown.shape[1], size), dtype=np.float32)
     features = np.empty((len(shown), size), np.float16)
@@ -53,7 +58,10 @@ def over_product(frames: int) -> Record:
     method = METHODS["smal"]
     shown = scenes(rng, frames, _LATENT)
     places = (
-        np.cumsum(np.repeat(rng.choice([0.75, 1.0, 1.25, 1.5], frames // 50 + 1), 50))[:frames].astype(int) % frames
+        np.cumsum(np.repeat(rng.choice([0.75, 1.0, 1.25, 1.5], frames // 50 + 1), 50))[
+            :frames
+        ].astype(int)
+        % frames
     )
     references = seen(rng, shown, _NOISE[0], FEATURES.size)
     queries = seen(rng, shown[places], _NOISE[1], FEATURES.size)
@@ -61,7 +69,9 @@ def over_product(frames: int) -> Record:
     floats = references.astype(np.float32), queries[:part].astype(np.float32)
     product_s, _ = seconds_of(partial(lambda known, asked: asked @ known.T, *floats))
     del floats
-    match_s, found = seconds_of(lambda: method.match(references, queries, MatchSettings(FEATURES), ignore))
+    match_s, found = seconds_of(
+        lambda: method.match(references, queries, MatchSettings(FEATURES), ignore)
+    )
     product_s *= frames / part
     return {
         "frames": frames, "product_s": product_s, "match_s": match_s, "ratio": match_s / product_s,

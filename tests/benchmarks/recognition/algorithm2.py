@@ -49,13 +49,21 @@ def algorithm2(
     gram = X.T @ X
     correlations = X.T @ Y
     # The paper does not say where to start; from W = 0 every weight would stay at the floor.
-    W = np.asarray(np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(len(gram)), correlations), dtype=np.float64)
+    W = np.asarray(
+        np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(len(gram)), correlations),
+        dtype=np.float64,
+    )
     objectives: list[float] = []
     for _ in range(max_iterations):
         residual_norms = np.linalg.norm(Y - X @ W, axis=0)
-        W = _iterate(gram, correlations, residual_norms, W, sequence_length, lambda1, lambda2, floor)
+        W = _iterate(
+            gram, correlations, residual_norms, W, sequence_length, lambda1, lambda2, floor
+        )
         objectives.append(objective(X, Y, W, sequence_length, lambda1, lambda2))
-        if len(objectives) > 1 and abs(objectives[-2] - objectives[-1]) <= tolerance * objectives[-1]:
+        if (
+            len(objectives) > 1
+            and abs(objectives[-2] - objectives[-1]) <= tolerance * objectives[-1]
+        ):
             return ReferenceResult(W, tuple(objectives), converged=True)
     return ReferenceResult(W, tuple(objectives), converged=False)
 

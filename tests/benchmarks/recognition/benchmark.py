@@ -59,7 +59,9 @@ class Problem(NamedTuple):
 
     def solve(self, query: int = 0, tolerance: float = TOLERANCE) -> Any:
         """Match one of the queries."""
-        return solve(self.templates, self.queries[query], self.length, self.penalty, self.penalty, tolerance)
+        return solve(
+            self.templates, self.queries[query], self.length, self.penalty, self.penalty, tolerance
+        )
 
 
 def video(frames: int, features: int) -> NDArray[np.float32]:
@@ -141,7 +143,9 @@ def against_cvxpy(one: Problem) -> Record:
     both = np.hstack([one.templates, one.queries[0]]).astype(np.float64)
     both = np.linalg.qr(both, mode="r") if both.shape[0] > both.shape[1] else both
     W = cp.Variable((n, one.length))
-    blocks = [cp.norm(W[start : start + one.length], 2, axis=0) for start in range(0, n, one.length)]
+    blocks = [
+        cp.norm(W[start : start + one.length], 2, axis=0) for start in range(0, n, one.length)
+    ]
     penalties = cp.sum(cp.norm(W, 2, axis=1)) + cp.sum(cp.hstack(blocks))
     residuals = cp.sum(cp.norm(both[:, :n] @ W - both[:, n:], 2, axis=0))
     task = cp.Problem(cp.Minimize(residuals + one.penalty * penalties))
@@ -177,8 +181,12 @@ def main(arguments: list[str]) -> None:
     """Read the flags, measure, print and write."""
     flags = Parser("recognition", __doc__).parse(arguments)
     results = benchmark(QUICK if flags.quick else Plan())
-    text = table("Time over one float32 product X^T Y (median and worst over queries)", results["matching"])
+    text = table(
+        "Time over one float32 product X^T Y (median and worst over queries)", results["matching"]
+    )
     say(flags, results, text + table("Against peers, to the same objective", results["peers"]))
     if flags.out is not None:
-        objective_figure({"a synthetic video": results["convergence"]}).savefig(flags.out / "convergence.png", dpi=130)
+        objective_figure({"a synthetic video": results["convergence"]}).savefig(
+            flags.out / "convergence.png", dpi=130
+        )
         sys.stdout.write(f"picture: {flags.out / 'convergence.png'}\n")

@@ -18,7 +18,10 @@ _ITERATIONS: Final = 40  # The paper speaks of 9, 12 and at most 20 iterations.
 
 
 def convergence(
-    templates: NDArray[np.float32], query: NDArray[np.float32], length: int, penalties: tuple[float, float]
+    templates: NDArray[np.float32],
+    query: NDArray[np.float32],
+    length: int,
+    penalties: tuple[float, float],
 ) -> dict[str, Any]:
     """Solve Eq. 7 to ever smaller tolerances, and run Algorithm 2 as long as it improves.
 
@@ -30,7 +33,9 @@ def convergence(
         best that any duality gap proves.
     """
     found = [solve(templates, query, length, *penalties, tolerance) for tolerance in _TOLERANCES]
-    theirs = algorithm2(templates, query, length, *penalties, tolerance=1e-9, max_iterations=_ITERATIONS)
+    theirs = algorithm2(
+        templates, query, length, *penalties, tolerance=1e-9, max_iterations=_ITERATIONS
+    )
     return {
         "templates": templates.shape[1],
         "length": length,
@@ -51,14 +56,18 @@ def objective_figure(found: Mapping[str, dict[str, Any]]) -> Figure:
         theirs = np.array(one["algorithm2"])
         bound = one["lower_bound"]
         ours = [point for point in one["ours"] if point["iterations"] > 0]
-        steps, values, gaps = ([point[name] for point in ours] for name in ("iterations", "objective", "duality_gap"))
+        steps, values, gaps = (
+            [point[name] for point in ours] for name in ("iterations", "objective", "duality_gap")
+        )
         after = np.arange(1, theirs.size + 1)
         upper.plot(after, theirs, ".-", color=THEIRS, label="Algorithm 2 as published")
         upper.plot(steps, values, "o-", color=OURS, label="this project's solver")
         upper.axhline(bound, color=MUTED, ls="--", lw=1.0, label="proven lower bound")
         upper.set(ylabel="objective (Eq. 7)")
         upper.set_title(f"{world}: {one['templates']:,} template frames, l = {one['length']}")
-        lower.axvspan(9, 12, color=MUTED, alpha=0.15, lw=0.0, label="the paper: 9 and 12 iterations")
+        lower.axvspan(
+            9, 12, color=MUTED, alpha=0.15, lw=0.0, label="the paper: 9 and 12 iterations"
+        )
         lower.semilogy(after, np.maximum((theirs - bound) / theirs, 1e-9), ".-", color=THEIRS)
         lower.semilogy(steps, np.maximum(gaps, 1e-9), "o-", color=OURS)
         lower.axhline(1e-4, color=MUTED, ls=":", lw=1.2)

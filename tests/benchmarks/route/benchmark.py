@@ -93,7 +93,9 @@ def case(metres: float, components: int, frames: int) -> dict[str, Any]:
     lost = 0.0
     for frame in range(frames):
         view = unpacked(model.mapped.views[round(frame * FRAME_M / SPACING_M), 1, STRAIGHT])
-        raw = model.mapped.basis @ view + 0.01 * rng.standard_normal(_FEATURES.size).astype(np.float32)
+        raw = model.mapped.basis @ view + 0.01 * rng.standard_normal(_FEATURES.size).astype(
+            np.float32
+        )
         began_s = time.perf_counter()
         belief = localizer.observe(raw, (frame * FRAME_M, 0.0, 0.0))
         planner.decide(belief.summary())
@@ -120,7 +122,9 @@ def learned(frames: int) -> dict[str, Any]:
             "cpu_ms_a_frame": 1e3 * cpu_s / frames, "peak_mb": peak_mb}  # fmt: skip
 
 
-def benchmark(metres: Sequence[float], components: int, frames: int, learn_frames: Sequence[int]) -> dict[str, Any]:
+def benchmark(
+    metres: Sequence[float], components: int, frames: int, learn_frames: Sequence[int]
+) -> dict[str, Any]:
     """Learn drives of so many frames, ascending, and follow ways of these lengths."""
     drives = [learned(one) for one in learn_frames]
     less = drives[0]
@@ -129,9 +133,17 @@ def benchmark(metres: Sequence[float], components: int, frames: int, learn_frame
     many_s = (more["cpu_s"] + growth * (MANY_FRAMES - more["frames"])) / CORES
     cases = [case(one, components, frames) for one in metres]
     targets = [
-        verdict(f"learning {MANY_FRAMES:,} frames, s on {CORES} quiet cores, as it grows", many_s, LIMIT_S),
+        verdict(
+            f"learning {MANY_FRAMES:,} frames, s on {CORES} quiet cores, as it grows",
+            many_s,
+            LIMIT_S,
+        ),
         verdict("a decision on the shortest way, ms", cases[0]["p50_ms"], LIMIT_MS),
-        verdict("p95 on the longest over that on the shortest", cases[-1]["p95_ms"] / cases[0]["p95_ms"], MOST_TIMES),
+        verdict(
+            "p95 on the longest over that on the shortest",
+            cases[-1]["p95_ms"] / cases[0]["p95_ms"],
+            MOST_TIMES,
+        ),
     ]
     return {"benchmark": "route", "learned": drives, "cases": cases, "targets": targets}
 

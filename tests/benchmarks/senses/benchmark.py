@@ -26,7 +26,9 @@ PLACES = 50
 SEARCHES = 20
 QUICK = 2
 SEED: Final = 5000
-SETS_OFF_TICKS: Final = 10  # Frames from the beginning to the lies that do not begin with the episode: 1 s.
+SETS_OFF_TICKS: Final = (
+    10  # Frames from the beginning to the lies that do not begin with the episode: 1 s.
+)
 #: Frame at which a camera or odometry fails: the robot drives at full speed by then; runs differ by seven frames.
 FAILS_AT_TICKS = 40
 APART_TICKS = 7
@@ -37,10 +39,22 @@ MOST_S: Final = 1.0  # Driving at full speed after which a robot stands whose ca
 def main(arguments: list[str]) -> None:
     """Measure, print the tables, and write the results."""
     parser = Parser("senses", __doc__)
-    parser.add_argument("--world", nargs="+", default=["indoor", "campus"], metavar="WORLD", help="worlds to drive in")
-    parser.add_argument("--places", type=int, metavar="N", help=f"places of each lying depth camera ({PLACES})")
-    parser.add_argument("--searches", type=int, metavar="N", help=f"runs of each failing sense ({SEARCHES})")
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="lies whose name contains one of these texts")
+    parser.add_argument(
+        "--world",
+        nargs="+",
+        default=["indoor", "campus"],
+        metavar="WORLD",
+        help="worlds to drive in",
+    )
+    parser.add_argument(
+        "--places", type=int, metavar="N", help=f"places of each lying depth camera ({PLACES})"
+    )
+    parser.add_argument(
+        "--searches", type=int, metavar="N", help=f"runs of each failing sense ({SEARCHES})"
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="TEXT", help="lies whose name contains one of these texts"
+    )
     flags = parser.parse(arguments)
     places = flags.places or (QUICK if flags.quick else PLACES)
     searches = flags.searches or (QUICK if flags.quick else SEARCHES)
@@ -52,11 +66,21 @@ def main(arguments: list[str]) -> None:
     depth = [row for row in rows if "touched" in row]
     fails = [row for row in rows if "stood" in row]
     found = [row for row in rows if "found" in row]
-    targets = [verdict("touches behind a lying depth camera", sum(_count(row, "touched") for row in depth), 0)]
+    targets = [
+        verdict(
+            "touches behind a lying depth camera", sum(_count(row, "touched") for row in depth), 0
+        )
+    ]
     targets.append(
-        verdict("failed senses with which it did not stand", sum(_count(row, "drove on") for row in fails), 0)
+        verdict(
+            "failed senses with which it did not stand",
+            sum(_count(row, "drove on") for row in fails),
+            0,
+        )
     )
-    text = table("Lying depth cameras", depth) + table("Failing cameras and wheels, without depth", fails)
+    text = table("Lying depth cameras", depth) + table(
+        "Failing cameras and wheels, without depth", fails
+    )
     text += table("Honest senses, from the start", found) + table("Targets", targets)
     say(flags, {"depth": depth, "failures": fails, "honest": found, "targets": targets}, text)
 
@@ -91,10 +115,14 @@ def _of_world(world: str, places: int, searches: int, only: list[str] | None) ->
 
 
 def _each(count: int, name: str, make: Callable[[int], Trial]) -> list[Trial]:
-    return [make(number) for number in tqdm(range(count), desc=name, unit="run", dynamic_ncols=True)]
+    return [
+        make(number) for number in tqdm(range(count), desc=name, unit="run", dynamic_ncols=True)
+    ]
 
 
-def _depth_row(simulation: Simulation, model: Model, what: tuple[str, Lie | None, Mount], places: int) -> Record:
+def _depth_row(
+    simulation: Simulation, model: Model, what: tuple[str, Lie | None, Mount], places: int
+) -> Record:
     name, lie, mount = what
     world = simulation.name
 
@@ -105,7 +133,9 @@ def _depth_row(simulation: Simulation, model: Model, what: tuple[str, Lie | None
                  lambda k: by_hand(simulation, lie, mount, SEED + k, since(k)))  # fmt: skip
 
     def search(number: int) -> Trial:
-        anywhere = number // 2 % 2 == 0  # Half of the searches begin at the start, with things in their way.
+        anywhere = (
+            number // 2 % 2 == 0
+        )  # Half of the searches begin at the start, with things in their way.
         return by_itself(
             simulation, lie, mount, SEED + number, since(number), model,
             obstacles=0 if anywhere else 3, anywhere=anywhere, most=80,
@@ -127,7 +157,9 @@ def _depth_row(simulation: Simulation, model: Model, what: tuple[str, Lie | None
 def _failure_row(simulation: Simulation, model: Model, lie: Lie, searches: int) -> Record:
     def run(number: int) -> Trial:
         since = FAILS_AT_TICKS + APART_TICKS * (number % 5)
-        return by_itself(simulation, lie, None, SEED + number, since, model, most=since + WATCHED_TICKS)
+        return by_itself(
+            simulation, lie, None, SEED + number, since, model, most=since + WATCHED_TICKS
+        )
 
     runs = _each(searches, f"{simulation.name}, {lie.name}", run)
     limit_m = MOST_S * simulation.speed_m_s
@@ -147,7 +179,9 @@ def _failure_row(simulation: Simulation, model: Model, lie: Lie, searches: int) 
     }
 
 
-def _honest_row(simulation: Simulation, model: Model, name: str, mount: Mount | None, searches: int) -> Record:
+def _honest_row(
+    simulation: Simulation, model: Model, name: str, mount: Mount | None, searches: int
+) -> Record:
     runs = _each(searches, f"{simulation.name}, {name}",
                  lambda k: by_itself(simulation, None, mount, SEED + k, 0, model, most=1500))  # fmt: skip
     found = sum(one.outcome == "found" for one in runs)

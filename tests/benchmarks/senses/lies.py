@@ -54,7 +54,9 @@ class DepthLie(Lie):
 class CameraLie(Lie):
     """A lie of the colour camera."""
 
-    def __init__(self, name: str, make: Callable[[list[NDArray[np.uint8]], int], NDArray[np.uint8]]) -> None:
+    def __init__(
+        self, name: str, make: Callable[[list[NDArray[np.uint8]], int], NDArray[np.uint8]]
+    ) -> None:
         super().__init__(name)
         self._make = make
 
@@ -66,7 +68,9 @@ class CameraLie(Lie):
 class WheelLie(Lie):
     """A lie of the odometry: poses by a function of the honest readings."""
 
-    def __init__(self, name: str, make: Callable[[list[OdometryReading], int], OdometryReading]) -> None:
+    def __init__(
+        self, name: str, make: Callable[[list[OdometryReading], int], OdometryReading]
+    ) -> None:
         super().__init__(name)
         self._make = make
 
@@ -114,11 +118,15 @@ DEPTH_LIES: Final = tuple(
         "far plane": lambda honest, _: np.full_like(honest[-1], FAR_PLANE_M),
         "far plane beyond 1.5 m": _far_plane,
         "depth frozen": lambda honest, since: honest[since],
-        "0.5 s late": lambda honest, since: honest[max(len(honest) - 1 - LATE_FRAMES, min(since, len(honest) - 1))],
+        "0.5 s late": lambda honest, since: honest[
+            max(len(honest) - 1 - LATE_FRAMES, min(since, len(honest) - 1))
+        ],
         "ten times": lambda honest, _: honest[-1] * np.float32(TOO_LARGE),
         "half NaN": _half,
         "left half NaN": lambda honest, _: np.where(
-            np.arange(honest[-1].shape[1]) < honest[-1].shape[1] // 2, np.float32(np.nan), honest[-1]
+            np.arange(honest[-1].shape[1]) < honest[-1].shape[1] // 2,
+            np.float32(np.nan),
+            honest[-1],
         ),
         "honest": lambda honest, _: honest[-1],
     }.items()
@@ -134,7 +142,10 @@ CAMERA_LIES: Final = tuple(
     }.items()
 )
 WHEEL_LIES: Final = (
-    WheelLie("odometry frozen", lambda honest, since: honest[since]._replace(speed_m_s=0.0, turn_rate_rad_s=0.0)),
+    WheelLie(
+        "odometry frozen",
+        lambda honest, since: honest[since]._replace(speed_m_s=0.0, turn_rate_rad_s=0.0),
+    ),
     WheelLie("odometry backwards", _backwards),
 )
 
@@ -143,8 +154,12 @@ WHEEL_LIES: Final = (
 MOUNT_LIES: Final[dict[str, Callable[[Mount], Mount]]] = {
     "mount: 1.5 times as high": lambda own: own._replace(height_m=1.5 * own.height_m),
     "mount: 0.6 times as high": lambda own: own._replace(height_m=0.6 * own.height_m),
-    "mount: a lens of 55 degrees": lambda own: own._replace(focal=0.5 / math.tan(math.radians(27.5))),
-    "mount: a lens of 100 degrees": lambda own: own._replace(focal=0.5 / math.tan(math.radians(50.0))),
+    "mount: a lens of 55 degrees": lambda own: own._replace(
+        focal=0.5 / math.tan(math.radians(27.5))
+    ),
+    "mount: a lens of 100 degrees": lambda own: own._replace(
+        focal=0.5 / math.tan(math.radians(50.0))
+    ),
 }
 
 
@@ -154,7 +169,9 @@ def lying(simulation: Simulation, lie: Lie, since: int) -> Iterator[None]:
     look = simulation.look
     honest = Views()
 
-    def tell(captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False) -> SimulatedView:
+    def tell(
+        captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False
+    ) -> SimulatedView:
         honest.append(look(captured_s, wanted))
         told = replace(honest[-1])  # A copy makes its pictures anew.
         if len(honest) > since:

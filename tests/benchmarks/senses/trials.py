@@ -46,10 +46,14 @@ def teach(simulation: Simulation) -> Model:
     return learn([drive_of(drive(simulation, FEATURES, TEACHING_SEED)).demonstration])
 
 
-def by_hand(simulation: Simulation, lie: Lie | None, mount: Mount | None, seed: int, since: int) -> Trial:
+def by_hand(
+    simulation: Simulation, lie: Lie | None, mount: Mount | None, seed: int, since: int
+) -> Trial:
     """Drive straight ahead at full speed from a place by chance, in a direction by chance."""
     turn = np.random.default_rng(seed).uniform(-math.pi, math.pi)
-    request = ResetRequest(seed=seed, purpose="run", driver="teleop", start="anywhere", until_said=True)
+    request = ResetRequest(
+        seed=seed, purpose="run", driver="teleop", start="anywhere", until_said=True
+    )
     return _trial(simulation, lie, mount, request, since, _Person(turn), DRIVES_TICKS)
 
 
@@ -57,9 +61,15 @@ def by_itself(simulation: Simulation, lie: Lie | None, mount: Mount | None, seed
               *, obstacles: int = 0, anywhere: bool = False, most: int = MOST_TICKS) -> Trial:  # fmt: skip
     """Let the robot search by itself; the trial ends with its word, or after ``most`` frames."""
     request = ResetRequest(
-        seed=seed, purpose="run", until_said=True, obstacles=obstacles, start="anywhere" if anywhere else "start"
+        seed=seed,
+        purpose="run",
+        until_said=True,
+        obstacles=obstacles,
+        start="anywhere" if anywhere else "start",
     )
-    return _trial(simulation, lie, mount, request, since, _Policy(Robot(model, seed=seed), mount), most)
+    return _trial(
+        simulation, lie, mount, request, since, _Policy(Robot(model, seed=seed), mount), most
+    )
 
 
 class _Person:
@@ -106,7 +116,9 @@ def _trial(
     simulation.mount = mount
     honest = Lie("none")
     # A lie from the start is there before the person has turned.
-    begin = math.inf if lie is None else since + (_turning_ticks(driver, simulation) if since else 0)
+    begin = (
+        math.inf if lie is None else since + (_turning_ticks(driver, simulation) if since else 0)
+    )
     with lying(simulation, lie or honest, int(min(begin, 10**9))):
         episode = LockstepEpisode(simulation, request)
         poses = [simulation.pose]
@@ -120,7 +132,10 @@ def _trial(
             poses.append(simulation.pose)
     steps = np.hypot(*np.diff([(one.x, one.y) for one in poses], axis=0).T)
     after = np.append(steps[int(min(begin, len(steps))) :], math.inf)  # The end is no standing.
-    still = np.convolve(after < _STILL_M, np.ones(STANDS_TICKS), "full")[STANDS_TICKS - 1 :] == STANDS_TICKS
+    still = (
+        np.convolve(after < _STILL_M, np.ones(STANDS_TICKS), "full")[STANDS_TICKS - 1 :]
+        == STANDS_TICKS
+    )
     stood = int(still.argmax()) if still.any() else None
     return Trial(
         touched=simulation.collided,

@@ -41,11 +41,15 @@ _PAGE_PERIOD_S: Final = 60.0
 _PAGE_SAMPLES: Final = 10
 _KEPT: Final = 5  # Recordings that are kept: an hour's would be gigabytes.
 _LEAST_HZ: Final = 8.0  # Fewer commands a second: the loop stood, and the run says nothing.
-_LEAST_LOCKSTEP_HZ: Final = 1.0  # So in lockstep, of all robots together, on a machine that is busy otherwise.
+_LEAST_LOCKSTEP_HZ: Final = (
+    1.0  # So in lockstep, of all robots together, on a machine that is busy otherwise.
+)
 _BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 
-def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool, robots: int = 1) -> dict[str, Any]:
+def benchmark(
+    minutes: float, model: Path | None, folder: Path, *, page: bool, robots: int = 1
+) -> dict[str, Any]:
     """Let robots drive, and have a page watch the first or not; return what the JSON file holds."""
     model = model or taught_model(folder / "taught")
     address = free_endpoint().removeprefix("tcp/")
@@ -61,12 +65,18 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool, r
     with rig_for(plan) as rig, browser as send:
         rig.start_moving()
         rig.driven = True
-        samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl", send, pages, outcomes))
-        messages = [_messages(one, service) for one in (rig, *rig.others) for service in stack_services()]
+        samples = list(
+            _samples(rig, minutes * 60.0, folder / "samples.jsonl", send, pages, outcomes)
+        )
+        messages = [
+            _messages(one, service) for one in (rig, *rig.others) for service in stack_services()
+        ]
         rig.finish_episode()
     services = judge(samples)
     judged = [judge_page(warmed_up(pages))] if page else []
-    rate_hz = sum(int(one["commands"]) for one in messages if one["service"] == "policy") / (minutes * 60.0)
+    rate_hz = sum(int(one["commands"]) for one in messages if one["service"] == "policy") / (
+        minutes * 60.0
+    )
     return {
         "benchmark": "soak",
         "minutes": minutes,
@@ -82,7 +92,12 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool, r
 
 
 def _samples(
-    rig: Rig, seconds: float, log: Path, send: Send | None, pages: list[Held], outcomes: Counter[str]
+    rig: Rig,
+    seconds: float,
+    log: Path,
+    send: Send | None,
+    pages: list[Held],
+    outcomes: Counter[str],
 ) -> Iterator[Sample]:
     """Look at every process now and then, and at the page if there is one; what was seen is on the disk at once."""
     period_s = min(_PERIOD_S, seconds / _SAMPLES)
@@ -90,7 +105,9 @@ def _samples(
     began_s = time.monotonic()
     with (
         log.open("w", buffering=1) as file,
-        tqdm(total=round(seconds), desc="soaking", unit="s", bar_format=_BAR, dynamic_ncols=True) as bar,
+        tqdm(
+            total=round(seconds), desc="soaking", unit="s", bar_format=_BAR, dynamic_ncols=True
+        ) as bar,
     ):
         due_s = 0.0
         while due_s <= seconds:
@@ -123,7 +140,9 @@ def _messages(rig: Rig, service: str) -> Record:
     told = {"robot": rig.bus.robot, "service": service}
     if status is None:
         return (
-            told | dict.fromkeys(("received", "published", "commands", "dropped", "bad", "failed"), 0) | {"": "silent"}
+            told
+            | dict.fromkeys(("received", "published", "commands", "dropped", "bad", "failed"), 0)
+            | {"": "silent"}
         )
     return told | {
         "received": sum(status.received.values()),
@@ -138,10 +157,17 @@ def _messages(rig: Rig, service: str) -> Record:
 
 def as_text(results: dict[str, Any]) -> str:
     """Lay the results out for a reader."""
-    text = table(f"{results['minutes']:g} minutes, episodes: {results['episodes']}", results["services"])
+    text = table(
+        f"{results['minutes']:g} minutes, episodes: {results['episodes']}", results["services"]
+    )
     text += table("messages", results["messages"])
-    text += table("the page, minute by minute", results["page_samples"]) + table("the page", results["pages"])
-    return text + f"\n{results['commands_hz']:.1f} commands a second; {'met' if results['met'] else 'NOT MET'}\n"
+    text += table("the page, minute by minute", results["page_samples"]) + table(
+        "the page", results["pages"]
+    )
+    return (
+        text
+        + f"\n{results['commands_hz']:.1f} commands a second; {'met' if results['met'] else 'NOT MET'}\n"
+    )
 
 
 def main(arguments: list[str]) -> None:
@@ -172,6 +198,8 @@ def _parser() -> Parser:
     parser.add_argument("--minutes", type=_minutes, metavar="M", help=f"how long to drive (default {_MINUTES:g}, "
                         f"with --page {_PAGE_MINUTES:g})")  # fmt: skip
     parser.add_argument("--page", action="store_true", help="a browser watches the console's page")
-    parser.add_argument("--robots", type=int, choices=range(1, MAX_ROBOTS + 1), default=1, metavar="N")
+    parser.add_argument(
+        "--robots", type=int, choices=range(1, MAX_ROBOTS + 1), default=1, metavar="N"
+    )
     parser.add_model()
     return parser

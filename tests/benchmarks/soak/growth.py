@@ -38,7 +38,9 @@ def sample(t_s: float, service: str, pid: int) -> Sample:
     lines = (_PROC / str(pid) / "status").read_text().splitlines()
     fields = {name: value.split() for name, _, value in (line.partition(":") for line in lines)}
     descriptors = sum(1 for _ in (_PROC / str(pid) / "fd").iterdir())
-    return Sample(t_s, service, pid, 1024 * int(fields["VmRSS"][0]), descriptors, int(fields["Threads"][0]))
+    return Sample(
+        t_s, service, pid, 1024 * int(fields["VmRSS"][0]), descriptors, int(fields["Threads"][0])
+    )
 
 
 def warmed_up(samples: Sequence[Any]) -> list[Any]:
@@ -57,7 +59,9 @@ def judge(samples: Sequence[Sample]) -> list[Record]:
 def _judge(samples: Sequence[Sample]) -> Record:
     warm = warmed_up(samples)
     first, last = line([one.t_s for one in warm], [one.rss_bytes for one in warm])
-    descriptors, threads = (rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads"))
+    descriptors, threads = (
+        rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads")
+    )
     restarts = len({one.pid for one in samples}) - 1
     return {
         "service": samples[0].service,

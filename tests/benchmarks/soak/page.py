@@ -27,15 +27,21 @@ from tests.benchmarks.soak.growth import line, rise, said
 
 CHROMIUM: Final = shutil.which("chromium")
 NO_CHROMIUM: Final = "no chromium on this machine (apt-get install chromium)"
-FLAGS: Final = ("--no-sandbox",)  # Debian's needs it where it runs as root; nothing but the console's page is opened.
+FLAGS: Final = (
+    "--no-sandbox",
+)  # Debian's needs it where it runs as root; nothing but the console's page is opened.
 #: However long it watches, bytes: what the browser's own caches and compiled code come and go by is 200,000, and
 #: pictures are 50,000 to 200,000 a second.
 MOST_GROWTH: Final = 500_000
-MOST_NODES: Final = 300  # The news fill up, 50 lines of four nodes each, and some recordings of thirty come and go.
+MOST_NODES: Final = (
+    300  # The news fill up, 50 lines of four nodes each, and some recordings of thirty come and go.
+)
 _STARTING_S: Final = 30.0
 _ANSWER_S: Final = 30.0
 
-Send = Callable[[str], dict[str, Any]]  # Sends a command of Chrome's DevTools Protocol, and returns the answer.
+Send = Callable[
+    [str], dict[str, Any]
+]  # Sends a command of Chrome's DevTools Protocol, and returns the answer.
 
 
 @dataclass(frozen=True)
@@ -61,13 +67,17 @@ def held(t_s: float, send: Send) -> Held:
 def judge_page(warm: Sequence[Held]) -> Record:
     """Judge a page by its samples after its warm-up."""
     first, last = line([one.t_s for one in warm], [one.bytes for one in warm])
-    nodes, listeners = (rise([getattr(one, name) for one in warm]) for name in ("nodes", "listeners"))
+    nodes, listeners = (
+        rise([getattr(one, name) for one in warm]) for name in ("nodes", "listeners")
+    )
     return {
         "page": "console",
         "growth_kb": (last - first) / 1e3,
         "nodes_rise": nodes,
         "listeners_rise": listeners,
-        "": said(memory=last - first > MOST_GROWTH, nodes=nodes > MOST_NODES, listeners=listeners > 0),
+        "": said(
+            memory=last - first > MOST_GROWTH, nodes=nodes > MOST_NODES, listeners=listeners > 0
+        ),
     }
 
 
@@ -85,9 +95,19 @@ def page_of(address: str) -> Iterator[Send]:
     if CHROMIUM is None:
         raise JobError(NO_CHROMIUM)
     with tempfile.TemporaryDirectory(prefix="smal-browser-", ignore_cleanup_errors=True) as profile:
-        command = (CHROMIUM, "--headless", *FLAGS, "--remote-debugging-port=0", f"--user-data-dir={profile}", address)
+        command = (
+            CHROMIUM,
+            "--headless",
+            *FLAGS,
+            "--remote-debugging-port=0",
+            f"--user-data-dir={profile}",
+            address,
+        )
         browser = subprocess.Popen(
-            tied(*command), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            tied(*command),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         try:
             with closing(_connect(Path(profile) / "DevToolsActivePort", address)) as socket:

@@ -7,7 +7,9 @@ from tests.benchmarks.soak.growth import Sample, judge, warmed_up
 from tests.benchmarks.soak.page import Held, judge_page
 
 
-def hour(growth: float = 0.0, descriptors: int = 0, threads: int = 0, pids: tuple[int, ...] = (7,)) -> list[Sample]:
+def hour(
+    growth: float = 0.0, descriptors: int = 0, threads: int = 0, pids: tuple[int, ...] = (7,)
+) -> list[Sample]:
     rng = np.random.default_rng(1)
     samples = []
     for k in range(361):
@@ -45,7 +47,14 @@ def watching(kilobytes: int = 0, nodes: int = 0, listeners: int = 0) -> list[Hel
         share = max(0, minute - 2) / 8
         size = int(9e5 + 1e5 * min(minute, 2) + 1000 * kilobytes * share + rng.normal(0.0, 3e4))
         lines = min(50, 5 * minute) * 4
-        samples.append(Held(60.0 * minute, size, 400 + lines + round(nodes * share), 54 + round(listeners * share)))
+        samples.append(
+            Held(
+                60.0 * minute,
+                size,
+                400 + lines + round(nodes * share),
+                54 + round(listeners * share),
+            )
+        )
     return samples
 
 

@@ -18,7 +18,9 @@ from tests.services.recordings.recorded_messages import applied, event, header, 
 from tests.services.recordings.test_recorder_files import record
 
 
-def run(name: str, new: float, goal: str = "victim", scale: int = 1, rows: int | None = None) -> Iterator[Message]:
+def run(
+    name: str, new: float, goal: str = "victim", scale: int = 1, rows: int | None = None
+) -> Iterator[Message]:
     """Give a run along the corridor, so much of whose paint is another one."""
     yield event(name, 0, "started", purpose="run").model_copy(update={"goal": goal})
     yield camera_info(header(name, 0), Camera(0.7), scale * corridor.WIDTH, scale * corridor.HEIGHT)
@@ -74,11 +76,15 @@ def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal
     before = file.read_bytes()
     status, _, err = smal("learn", recorded(tmp_path / "runs", 2, rows=36), "--add", "--out", file)
     assert status == 1
-    assert err.count("images of 64x36, and the model has 64x48: another shape shows another view") == 2
+    assert (
+        err.count("images of 64x36, and the model has 64x48: another shape shows another view") == 2
+    )
     assert file.read_bytes() == before
 
 
-def test_model_learns_each_file_once_when_links_lead_to_it(runs: Path, tmp_path: Path, smal: Smal) -> None:
+def test_model_learns_each_file_once_when_links_lead_to_it(
+    runs: Path, tmp_path: Path, smal: Smal
+) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     report = tmp_path / "report.json"
     for number, one in enumerate([*runs.iterdir()] * 1000):
@@ -111,7 +117,9 @@ def test_ten_versions_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", ["truncated", "folder", "link"])
-def test_model_stays_when_its_earlier_version_is_invalid(tmp_path: Path, mistake: Mistake, version: str) -> None:
+def test_model_stays_when_its_earlier_version_is_invalid(
+    tmp_path: Path, mistake: Mistake, version: str
+) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     earlier = tmp_path / "way.smal.1"
     before = file.read_bytes()
@@ -126,8 +134,12 @@ def test_model_stays_when_its_earlier_version_is_invalid(tmp_path: Path, mistake
     assert not file.is_symlink()
 
 
-def test_what_cannot_learn_more_is_named(runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake) -> None:
-    assert "it is the model that learns more" in mistake(2, "learn", runs, "--add", "--out", tmp_path / "none.smal")
+def test_what_cannot_learn_more_is_named(
+    runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake
+) -> None:
+    assert "it is the model that learns more" in mistake(
+        2, "learn", runs, "--add", "--out", tmp_path / "none.smal"
+    )
     file = corridor.save_model(tmp_path / "way.smal")
     one = next(iter(runs.iterdir()))
     status, out, err = smal("learn", one, "--add", "--out", file)

@@ -36,7 +36,9 @@ def test_help_and_version_load_no_command(smal: Smal) -> None:
         "try: main()\n"
         "finally: print([name for name in ('numpy', 'pydantic', 'cv2', 'zenoh') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     assert done.stdout == f"smal {program_version()}\n[]\n"
 
 
@@ -54,7 +56,11 @@ def test_a_command_that_is_none_is_named_and_another_suggested(smal: Smal) -> No
     ],
 )  # fmt: skip
 def test_every_error_is_one_line(
-    raised: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    raised: BaseException,
+    status: int,
+    line: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fail(**_: object) -> None:
         raise raised
@@ -66,8 +72,12 @@ def test_every_error_is_one_line(
 
 
 @pytest.mark.zenoh
-def test_a_router_that_cannot_be_there(mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1))
+def test_a_router_that_cannot_be_there(
+    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1)
+    )
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -77,8 +87,14 @@ def test_a_router_that_cannot_be_there(mistake: Mistake, tmp_path: Path, monkeyp
         assert "in use" in said
     demonstrate = ("demonstrate", "--world", "yard", "--out", str(tmp_path))
     assert "127.0.0.1:9" in mistake(EXIT_FAILED, *demonstrate, "--connect", "tcp/127.0.0.1:9")
-    for command in (("up", "--world", "yard", "--router"), ("topic", "hz", "--router"), (*demonstrate, "--connect")):
-        assert "'memory/test': expected tcp/<host>:<port>" in mistake(EXIT_FAILED, *command, "memory/test")
+    for command in (
+        ("up", "--world", "yard", "--router"),
+        ("topic", "hz", "--router"),
+        (*demonstrate, "--connect"),
+    ):
+        assert "'memory/test': expected tcp/<host>:<port>" in mistake(
+            EXIT_FAILED, *command, "memory/test"
+        )
 
 
 def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:

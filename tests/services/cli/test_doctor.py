@@ -22,10 +22,22 @@ def printing(text: str, ending: str = "") -> tuple[str, ...]:
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        (printing('{"error": "no Vulkan driver found; install Mesa"}'), "no Vulkan driver found; install Mesa"),
-        (printing("", "import os; os.kill(os.getpid(), 11)"), "the Vulkan driver crashed (SIGSEGV); update it"),
-        (printing("", "raise SystemExit('no module sapien')"), "the renderer failed: no module sapien; install with"),
-        (printing("", "raise SystemExit(3)"), "the renderer failed: it said nothing; install with deploy/setup.sh"),
+        (
+            printing('{"error": "no Vulkan driver found; install Mesa"}'),
+            "no Vulkan driver found; install Mesa",
+        ),
+        (
+            printing("", "import os; os.kill(os.getpid(), 11)"),
+            "the Vulkan driver crashed (SIGSEGV); update it",
+        ),
+        (
+            printing("", "raise SystemExit('no module sapien')"),
+            "the renderer failed: no module sapien; install with",
+        ),
+        (
+            printing("", "raise SystemExit(3)"),
+            "the renderer failed: it said nothing; install with deploy/setup.sh",
+        ),
         (printing("[1]"), "the renderer failed: "),
     ],
     ids=["named", "crash", "exception", "silence", "nonsense"],
@@ -38,7 +50,9 @@ def test_rendering_that_fails(command: tuple[str, ...], text: str) -> None:
 
 def test_no_vulkan_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent.json")
-    with pytest.raises(JobError, match=r"nonexistent\.json, a missing file; unset it, or install Mesa"):
+    with pytest.raises(
+        JobError, match=r"nonexistent\.json, a missing file; unset it, or install Mesa"
+    ):
         check_rendering()
 
 
@@ -48,10 +62,14 @@ def test_rendering_for_real() -> None:
 
 
 @pytest.mark.zenoh
-def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettings, run_node: RunNode) -> None:
+def test_a_port_of_a_running_stack(
+    router_endpoint: str, settings: ServiceSettings, run_node: RunNode
+) -> None:
     run_node(Node("robot", settings))
     found = check_port(ServiceSettings(router=router_endpoint))
-    assert found.endswith("is used by the running stack of rescuebot, for whoever reaches it: robot")
+    assert found.endswith(
+        "is used by the running stack of rescuebot, for whoever reaches it: robot"
+    )
 
 
 @pytest.fixture
@@ -62,7 +80,9 @@ def stranger() -> Iterator[str]:
         yield f"tcp/127.0.0.1:{listening.getsockname()[1]}"
 
 
-def test_a_problem_is_one_line_and_exit_status_1(stranger: str, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_is_one_line_and_exit_status_1(
+    stranger: str, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("VK_ICD_FILENAMES", "/no/such/driver.json")
     status, out, err = smal("doctor", "--router", stranger)
     assert (status, err) == (1, "")
@@ -73,7 +93,10 @@ def test_a_problem_is_one_line_and_exit_status_1(stranger: str, smal: Smal, monk
 
 
 def test_doctor_names_a_robot_that_no_instance_serves() -> None:
-    shared = {"features": {"0123abcd-2": ["rescuebot", "rescuebot-2"]}, "policy": {"89abcdef-2": ["rescuebot"]}}
+    shared = {
+        "features": {"0123abcd-2": ["rescuebot", "rescuebot-2"]},
+        "policy": {"89abcdef-2": ["rescuebot"]},
+    }
     check_served(["rescuebot"], shared)
     with pytest.raises(JobError, match="rescuebot-2 by no instance of policy"):
         check_served(["rescuebot", "rescuebot-2"], shared)

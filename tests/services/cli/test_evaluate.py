@@ -36,8 +36,14 @@ def tiny(world: str) -> EvaluationPlan:
 
 def done_in(folder: Path) -> dict[str, dict[str, object]]:
     """Return what was found out by file, without the time that it took."""
-    entries = {path.name: json.loads(path.read_text())["finding"] for path in (folder / "units").glob("*.json")}
-    return {name: {key: value for key, value in one.items() if key != "cpu_s"} for name, one in entries.items()}
+    entries = {
+        path.name: json.loads(path.read_text())["finding"]
+        for path in (folder / "units").glob("*.json")
+    }
+    return {
+        name: {key: value for key, value in one.items() if key != "cpu_s"}
+        for name, one in entries.items()
+    }
 
 
 @pytest.mark.rendering
@@ -75,7 +81,9 @@ def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(
     tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No world of that name: the worker says so, and the command ends."""
-    nowhere = EvaluationPlan("quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),))
+    nowhere = EvaluationPlan(
+        "quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),)
+    )
     monkeypatch.setitem(plans.PLANS, "quick", nowhere)
     status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick")
     assert status == 1

@@ -69,7 +69,9 @@ def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: P
         shown_rad = true_rad[taught.first + lap.shows]
         off = np.abs(np.remainder(here_rad - shown_rad + math.pi, math.tau) - math.pi) / math.tau
         assert off.max() < 0.02
-        assert (lap.last - lap.first) * LAPS[int(here_rad[-1] / math.tau)][0] == pytest.approx(math.tau, rel=0.15)
+        assert (lap.last - lap.first) * LAPS[int(here_rad[-1] / math.tau)][0] == pytest.approx(
+            math.tau, rel=0.15
+        )
         assert drive.odometry is not None
         assert drive.odometry[-1, 2] - drive.odometry[0, 2] == pytest.approx(math.tau, rel=0.06)
 
@@ -77,7 +79,14 @@ def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: P
 def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_known(
     tub: Path, tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = ImportJob(format="donkeycar", path=str(tub), folder=str(tmp_path), robot="car", speed=5.0, turn_rate=2.5)
+    job = ImportJob(
+        format="donkeycar",
+        path=str(tub),
+        folder=str(tmp_path),
+        robot="car",
+        speed=5.0,
+        turn_rate=2.5,
+    )
     (recording,) = run(job, Tally()).files
     monkeypatch.setattr("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
     for module in ("source", "asking"):
@@ -89,8 +98,17 @@ def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_know
     found = json.loads((tmp_path / "results.json").read_text())
     assert found["laps"] == len(LAPS) - 1
     methods = found["methods"]
-    assert set(methods) == {"SMAL", "SMAL without odometry", "nearest 1", "nearest 5", "teach and repeat"}
-    assert min(methods[name]["right within a tenth"] for name in ("SMAL", "nearest 1", "nearest 5")) > 0.9
+    assert set(methods) == {
+        "SMAL",
+        "SMAL without odometry",
+        "nearest 1",
+        "nearest 5",
+        "teach and repeat",
+    }
+    assert (
+        min(methods[name]["right within a tenth"] for name in ("SMAL", "nearest 1", "nearest 5"))
+        > 0.9
+    )
     assert methods["SMAL"]["lost"] < 0.1
     low, high = methods["SMAL"]["right within a tenth, 95 %"]
     assert low <= methods["SMAL"]["right within a tenth"] <= high
@@ -108,7 +126,9 @@ def test_figures_are_those_of_hand_made_beliefs() -> None:
     assert figures["lost"] == 1 / 8
     assert figures["wrong and sure"] == 2 / 8
     # Said .9 five times and right four times, said .1 three times and right once.
-    assert figures["calibration error"] == pytest.approx((5 * abs(0.9 - 4 / 5) + 3 * abs(0.1 - 1 / 3)) / 8)
+    assert figures["calibration error"] == pytest.approx(
+        (5 * abs(0.9 - 4 / 5) + 3 * abs(0.1 - 1 / 3)) / 8
+    )
     # One lap has three of four within a tenth, the other two: no mean is beyond these.
     assert figures["right within a tenth, 95 %"] == pytest.approx([2 / 4, 3 / 4])
     silent = judge([np.array([(np.nan, np.nan, 0.0), (1, np.nan, 0.0)])], [np.array([0, 1])], 20)

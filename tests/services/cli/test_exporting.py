@@ -11,12 +11,16 @@ from tests.services.exporters.recorded_drive import MADE, recording
 
 
 @pytest.mark.parametrize("form", ["rosbag2", "lerobot", "folder"])
-def test_drives_are_exported_and_it_is_said_how_fast_they_were(form: str, smal: Smal, tmp_path: Path) -> None:
+def test_drives_are_exported_and_it_is_said_how_fast_they_were(
+    form: str, smal: Smal, tmp_path: Path
+) -> None:
     pytest.importorskip("pyarrow", reason="needs the extra formats")
     recording(tmp_path / "drives", "one")
     recording(tmp_path / "drives", "two", outcome="timeout")
     (tmp_path / "new/out").mkdir(parents=True)
-    status, said, errors = smal("export", form, str(tmp_path / "drives"), "--out", str(tmp_path / "new/out"))
+    status, said, errors = smal(
+        "export", form, str(tmp_path / "drives"), "--out", str(tmp_path / "new/out")
+    )
     assert status == 0, errors
     assert "drives        2 (1 reached their goal)" in said
     assert f"frames        {2 * len(MADE)} (6 s)" in said
@@ -25,7 +29,9 @@ def test_drives_are_exported_and_it_is_said_how_fast_they_were(form: str, smal: 
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["out"]
 
 
-@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()]
+)
 def test_an_export_that_fails_half_way_leaves_nothing(
     failure: BaseException, smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -36,7 +42,9 @@ def test_an_export_that_fails_half_way_leaves_nothing(
         raise failure
 
     monkeypatch.setattr(csv_folder, "write", fail)
-    status, _, errors = smal("export", "folder", str(tmp_path / "drives"), "--out", str(tmp_path / "out"))
+    status, _, errors = smal(
+        "export", "folder", str(tmp_path / "drives"), "--out", str(tmp_path / "out")
+    )
     assert status != 0
     assert errors.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["drives"]

@@ -26,9 +26,17 @@ main()
 def limited(most: int, *arguments: object) -> tuple[int, Sequence[str]]:
     """Run a command whose files may have so many bytes; return its status, and what it printed on standard error."""
     command = [sys.executable, "-c", _LIMITED.format(most=most), *map(str, arguments)]
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python would leave half-written files of it.
+    environment = os.environ | {
+        "PYTHONDONTWRITEBYTECODE": "1"
+    }  # Python would leave half-written files of it.
     done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=500.0, check=False
+        command,
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=500.0,
+        check=False,
     )
     return done.returncode, done.stderr.splitlines()
 

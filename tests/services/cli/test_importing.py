@@ -35,12 +35,16 @@ def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> N
     assert episode.camera is not None
     assert camera_of(episode.camera).field_deg == pytest.approx(60.0, abs=0.1)
     assert json.loads(report.read_text())["files"] == [str(file)]
-    status, said, errors = smal("learn", str(out), "--out", str(tmp_path / "m.smal"), "--modalities", "thumbnail")
+    status, said, errors = smal(
+        "learn", str(out), "--out", str(tmp_path / "m.smal"), "--modalities", "thumbnail"
+    )
     assert status == 0, errors
     assert "goals           dock" in said
 
 
-def test_missing_packages_are_named_in_one_line(mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_are_named_in_one_line(
+    mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr(job, "missing_packages", lambda _form: ["pyarrow", "av"])
     said = mistake(2, "import", "lerobot", "x")

@@ -56,7 +56,11 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
         messages += seen(cause, pixels, odometry(first + tick))
         vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
         named = fingerprint or features.fingerprint
-        messages.append(Observation.after(cause, fingerprint=named, modalities=features.modalities, features=vector))
+        messages.append(
+            Observation.after(
+                cause, fingerprint=named, modalities=features.modalities, features=vector
+            )
+        )
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
     if outcome == "found":
         messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
@@ -108,10 +112,16 @@ def test_a_model_with_shared_states_is_learned(
     [
         ("drive", "collision", "it ended in a collision"),
         ("drive", "timeout", "it did not reach the victim (timeout)"),
-        ("run", "found", "the robot drove by itself (--include-runs takes such runs if they found the victim)"),
+        (
+            "run",
+            "found",
+            "the robot drove by itself (--include-runs takes such runs if they found the victim)",
+        ),
     ],
 )
-def test_what_must_not_teach_is_left_out(tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str) -> None:
+def test_what_must_not_teach_is_left_out(
+    tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str
+) -> None:
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
     assert teach(path).teaching.remarks == [f"{path}: episode e is left out: {reason}"]
     with pytest.raises(JobError, match="episode e is left out"):
@@ -123,7 +133,10 @@ def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
         record(tmp_path, drive(name, purpose="run", outcome=outcome))
     taught = teach(tmp_path, include_runs=True).teaching
     assert [one.name for one in taught.demonstrations] == ["good"]
-    assert any("drove by itself and did not find the victim (timeout)" in remark for remark in taught.remarks)
+    assert any(
+        "drove by itself and did not find the victim (timeout)" in remark
+        for remark in taught.remarks
+    )
 
 
 def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
@@ -139,7 +152,9 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     copy.write_bytes((drives / "drive-1.mcap").read_bytes())
     teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
     assert len(teaching.demonstrations) == 4
-    assert teaching.remarks == [f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"]
+    assert teaching.remarks == [
+        f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"
+    ]
 
 
 def test_damaged_recordings_are_named_and_the_rest_teaches(
@@ -157,7 +172,10 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
     assert f"smal: {foreign}: not an MCAP file\n" in said
     assert f"smal: {drives}/living.mcap.partial: still being recorded;" in said
-    assert f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n" in said
+    assert (
+        f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n"
+        in said
+    )
     assert PaperModel.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
     living.seal()
 
@@ -186,7 +204,9 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
 
 
 @pytest.mark.parametrize("described", [True, False])
-def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path, described: bool) -> None:
+def test_neither_images_nor_features_of_a_drive_fill_memory(
+    tmp_path: Path, described: bool
+) -> None:
     """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
     held = []
     for frames in (20, 120):
@@ -207,11 +227,15 @@ def test_a_frame_without_image_odometry_or_anything_is_left_out_and_the_rest_is_
 ) -> None:
     lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]
     ((_, whole),) = drives_to_goals(teach(record(tmp_path, lost)).teaching.demonstrations)
-    np.testing.assert_array_equal(whole.odometry, [odometry(tick) for tick in range(40) if tick != 20])
+    np.testing.assert_array_equal(
+        whole.odometry, [odometry(tick) for tick in range(40) if tick != 20]
+    )
 
 
 def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
-    info = CameraInfo.after(header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0)
+    info = CameraInfo.after(
+        header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0
+    )
     begins, *follows = drive("e", frames=20)
     learn([record(tmp_path, [begins, info, *follows])], tmp_path / "model.smal")
     assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(

@@ -46,7 +46,11 @@ def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_
     with pytest.raises(UsageError) as caught:
         learn([with_depth], tmp_path / "model.smal")
     assert "\n" not in str(caught.value)
-    for part in (f"{with_depth}/drive-0.mcap holds color,hog,depth", f"{path} holds color,hog)", "with --modalities"):
+    for part in (
+        f"{with_depth}/drive-0.mcap holds color,hog,depth",
+        f"{path} holds color,hog)",
+        "with --modalities",
+    ):
         assert part in str(caught.value)
     learn([with_depth], tmp_path / "model.smal", modalities=FeatureSettings())
     assert len(PaperModel.load(tmp_path / "model.smal").names) == 3

@@ -45,10 +45,15 @@ def view(place: int) -> np.ndarray:
 
 
 def nearest(
-    references: NDArray[np.float32], queries: NDArray[np.float32], settings: MatchSettings, progress: Progress
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    settings: MatchSettings,
+    progress: Progress,
 ) -> Matches:
     centering = Centering.fit(references, settings.features)
-    return match_nearest_sequence(centering.apply(references), centering.apply(queries), settings.length, progress)
+    return match_nearest_sequence(
+        centering.apply(references), centering.apply(queries), settings.length, progress
+    )
 
 
 def table_of(**methods: Method) -> MappingProxyType[str, Method]:
@@ -102,7 +107,9 @@ def test_frames_that_cannot_be_read_keep_their_numbers(folders: Path, smal: Smal
     whole = Path("query/img15.png").read_bytes()
     Path("query/img15.png").write_bytes(whole[:-40])
     Path("query/truth.txt").touch()
-    status, out, err = smal("match", "ref", "query", "--json", "out.json", "--length", "1", "--truth", "truth.csv")
+    status, out, err = smal(
+        "match", "ref", "query", "--json", "out.json", "--length", "1", "--truth", "truth.csv"
+    )
     assert status == 0
     assert err.splitlines() == [
         "smal: ref: skipped 1, unreadable, and kept in the count of frames: img7.png",
@@ -116,7 +123,10 @@ def test_frames_that_cannot_be_read_keep_their_numbers(folders: Path, smal: Smal
     assert [found[place] for place in range(FRAMES) if place not in {7, 15}] == [
         place for place in range(FRAMES) if place not in {7, 15}
     ]
-    assert (written["unreadable_references"], written["unreadable_queries"]) == (["img7.png"], ["img15.png"])
+    assert (written["unreadable_references"], written["unreadable_queries"]) == (
+        ["img7.png"],
+        ["img15.png"],
+    )
     assert "23 of 24 query frames" in out
     assert "24 frames (1 of them unreadable) in ref" in out
 
@@ -126,8 +136,17 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
         Path(f"{name}-depth").mkdir()
         for place, file in enumerate(NAMES):
             cv2.imwrite(f"{name}-depth/{file}", 200 * view(place)[..., 0].astype(np.uint16))
-            cv2.imwrite(f"{name}/{file}", np.full((48, 64, 3), 99, np.uint8))  # nothing to see but depth
-    arguments = ("--modalities", "depth", "--reference-depth", "ref-depth", "--query-depth", "query-depth")
+            cv2.imwrite(
+                f"{name}/{file}", np.full((48, 64, 3), 99, np.uint8)
+            )  # nothing to see but depth
+    arguments = (
+        "--modalities",
+        "depth",
+        "--reference-depth",
+        "ref-depth",
+        "--query-depth",
+        "query-depth",
+    )
     assert references_of(matched(smal, *arguments, "--length", "1")) == list(range(FRAMES))
 
 
@@ -158,7 +177,9 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
          "--query-depth damaged: has 1 images, and query has 24"),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, folders: Path, mistake: Mistake) -> None:
+def test_mistakes_are_one_line(
+    arguments: list[str], status: int, line: str, folders: Path, mistake: Mistake
+) -> None:
     (folders / "damaged").mkdir()
     (folders / "damaged" / "a.png").touch()
     (folders / "nan.csv").write_text("frame,x_m,y_m\n0,nan,0\n")
@@ -176,7 +197,12 @@ def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, fol
     ],
 )
 def test_what_ends_before_the_end_leaves_the_file_as_it_was(
-    raised: BaseException, status: int, line: str, folders: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+    raised: BaseException,
+    status: int,
+    line: str,
+    folders: Path,
+    mistake: Mistake,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def fail(*_: object) -> Matches:
         raise raised
@@ -189,7 +215,9 @@ def test_what_ends_before_the_end_leaves_the_file_as_it_was(
     assert not Path("out.png").exists()
 
 
-def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_probable_matches_are_calibrated_and_drawn(
+    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The references lack the first third."""
     monkeypatch.setattr(match, "METHODS", METHODS)
     for name in NAMES[:8]:
@@ -198,7 +226,16 @@ def test_probable_matches_are_calibrated_and_drawn(folders: Path, smal: Smal, mo
     write_truth([*unknown, *[(place, place - 8, place - 8) for place in range(8, FRAMES)]])
     for online in ([], ["--online", "2"]):
         written = matched(
-            smal, "--tolerance", "1", "--precision", "0.9", "--truth", "truth.csv", "--plot", "out.svg", *online
+            smal,
+            "--tolerance",
+            "1",
+            "--precision",
+            "0.9",
+            "--truth",
+            "truth.csv",
+            "--plot",
+            "out.svg",
+            *online,
         )
         assert {"calibration_error", "known_from_unknown", "auc_95"} <= set(written)
         assert references_of(written)[20] in {None, 11, 12, 13}
@@ -215,7 +252,9 @@ def test_a_traverse_is_a_video_or_a_recording_as_well(folders: Path, smal: Smal)
     for place in range(6, FRAMES):
         video.write(view(place))
         jpeg = encode_jpeg(cv2.cvtColor(view(place), cv2.COLOR_BGR2RGB))
-        recording.write(CompressedImage.after(header("query", place), width=96, height=72, data=jpeg))
+        recording.write(
+            CompressedImage.after(header("query", place), width=96, height=72, data=jpeg)
+        )
     video.release()
     recording.seal()
     for source in ("query.avi", "query.mcap"):
@@ -231,12 +270,20 @@ def test_truth_is_told_by_names_gps_or_poses(folders: Path, smal: Smal) -> None:
         Path(f"{name}.csv").write_text("\n".join(["frame,x_m,y_m", *rows]))
         for place, file in enumerate(NAMES):
             tags = Image.Exif()
-            tags[0x8825] = {1: "S", 2: (33.0, 51.0, place * 0.0323), 3: "E", 4: (151.0, 12.0, 0.0)}  # a metre a frame
+            tags[0x8825] = {
+                1: "S",
+                2: (33.0, 51.0, place * 0.0323),
+                3: "E",
+                4: (151.0, 12.0, 0.0),
+            }  # a metre a frame
             if name == "ref" or place > 1:
                 Image.open(f"{name}/{file}").save(f"{name}/{file}", exif=tags)
     for place in (0, 1):
         Path(f"query/{NAMES[place]}").rename(f"query/a{place}.png")
-    told = (["--truth", "gps", "--radius", "1.5"], ["--poses", "ref.csv", "query.csv", "--radius", "1.5"])
+    told = (
+        ["--truth", "gps", "--radius", "1.5"],
+        ["--poses", "ref.csv", "query.csv", "--radius", "1.5"],
+    )
     for arguments in (["--truth", "names"], *told):
         written = matched(smal, "--length", "1", *arguments)
         assert (written["judged"], written["auc"]) == (FRAMES - 2, 1.0)
@@ -282,14 +329,18 @@ def test_features_are_kept_and_a_damaged_cache_is_begun_anew(
     assert count == 2 * FRAMES
     assert "file is not a database; features are computed, and not kept" in err
     assert len(err.splitlines()) == 1
-    monkeypatch.setattr(feature_cache, "cache_file", lambda: folders / "truth.csv" / "features.sqlite")
+    monkeypatch.setattr(
+        feature_cache, "cache_file", lambda: folders / "truth.csv" / "features.sqlite"
+    )
     count, err = run()
     assert count == 2 * FRAMES
     assert "; features are computed, and not kept" in err
     assert len(err.splitlines()) == 1
 
 
-def test_the_cache_does_not_grow_beyond_its_bound(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_does_not_grow_beyond_its_bound(
+    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(feature_cache, "MOST_IMAGES", 10)
     monkeypatch.setattr(feature_cache, "_AT_ONCE", 4)
     status, _, err = smal("match", "ref", "query")
@@ -297,7 +348,9 @@ def test_the_cache_does_not_grow_beyond_its_bound(folders: Path, smal: Smal, mon
     assert 40_000 < feature_cache.cache_file().stat().st_size < 150_000  # of 48 they are 221,000
 
 
-def test_loops_are_edges_between_frames_far_apart(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_are_edges_between_frames_far_apart(
+    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The way is driven twice."""
     monkeypatch.setattr(match, "METHODS", METHODS)
     for place, file in enumerate(NAMES):
@@ -310,7 +363,9 @@ def test_loops_are_edges_between_frames_far_apart(folders: Path, smal: Smal, mon
     assert all(abs(int(later) - int(earlier) - FRAMES) <= 1 for _, earlier, later, *_ in edges)
 
 
-def test_what_a_person_judges_on_the_page_is_a_truth(folders: Path, smal: Smal, browser: Browser) -> None:
+def test_what_a_person_judges_on_the_page_is_a_truth(
+    folders: Path, smal: Smal, browser: Browser
+) -> None:
     status, _, _ = smal("match", "ref", "query", "--length", "1", "--page", "page.html")
     assert status == 0
     page = browser.new_page()

@@ -61,7 +61,11 @@ MISTAKES = [
     ("up --scale recorder=2", 2, "--scale"),
     ("up --scale recognition=00", 2, "--scale"),
     ("up --scale recognition=10", 2, "--scale"),
-    *((f"{command} --world yard --model {model}", 2, line) for command in ("run", "up") for model, line in MODELS),
+    *(
+        (f"{command} --world yard --model {model}", 2, line)
+        for command in ("run", "up")
+        for model, line in MODELS
+    ),
     (f"{RUN} mapped.smal --json none/runs.json", 2, "--json none/runs.json"),
     (f"{RUN} mapped.smal --json full", 2, "--json full"),
     (f"{RUN} mapped.smal --json mapped.smal", 2, "--json mapped.smal"),
@@ -74,10 +78,22 @@ MISTAKES = [
     ("import donkeycar damaged-tub --out new", 1, "damaged-tub"),
     (f"{EXPORT} no-such", 2, "no-such: no such file or folder"),
     (f"{EXPORT} file", 1, "file: not an MCAP file"),
-    ("export folder drives --out full", 2, "--out full: exists and is not empty; give another name"),
-    (f"{EXPORT} living/drive.mcap.partial", 1, "still being recorded; end the episode or stop the recorder"),
+    (
+        "export folder drives --out full",
+        2,
+        "--out full: exists and is not empty; give another name",
+    ),
+    (
+        f"{EXPORT} living/drive.mcap.partial",
+        1,
+        "still being recorded; end the episode or stop the recorder",
+    ),
     (f"{EXPORT} blind", 1, "blind.mcap: holds no camera frame"),
-    (f"{EXPORT} lost", 1, "episode lost: no odometry says how fast forward is; say it with --speed"),
+    (
+        f"{EXPORT} lost",
+        1,
+        "episode lost: no odometry says how fast forward is; say it with --speed",
+    ),
     (f"{LEARN} none", 2, "none: no such file or folder"),
     (f"{LEARN} drives --lambda2 inf", 2, "lambda2 must be finite and positive, got inf"),
     (f"{LEARN} drives --tau nan", 2, "--tau"),
@@ -112,7 +128,11 @@ MISTAKES = [
     (f"{WORLD} --radius 100", 2, "--around LAT,LON and --radius METRES go together"),
     (f"{WORLD} --around 95,0 --radius 100", 2, "latitude is from -85 to 85"),
     (f"{WORLD} --around 0,0 --radius 100", 1, "the map has no buildings"),
-    (f"{WORLD} --start=-60,-50,0 --victim=0,40", 1, r"the victim at \(0.0, 40.0\) m stands in an obstacle"),
+    (
+        f"{WORLD} --start=-60,-50,0 --victim=0,40",
+        1,
+        r"the victim at \(0.0, 40.0\) m stands in an obstacle",
+    ),
     ("world import map.osm --out none/a.json", 2, "no folder"),
 ]
 
@@ -143,7 +163,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.parametrize(("arguments", "status", "pattern"), MISTAKES)
 def test_command_prints_one_line_when_its_use_is_wrong(
-    arguments: str, status: int, pattern: str, folder: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+    arguments: str,
+    status: int,
+    pattern: str,
+    folder: Path,
+    mistake: Mistake,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))

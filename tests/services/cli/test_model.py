@@ -27,7 +27,10 @@ from tests.sharing import made_once
 from tests.smal.synthetic_world import COLOR, SCENE, START, Drive, Room, drive
 
 #: Two drives that begin the same way and part after 2 m.
-DRIVES = {"left": drive(START, ((2.0, 60.0), (1.5, 0.0))), "right": drive(START, ((2.0, -60.0), (1.5, 0.0)))}
+DRIVES = {
+    "left": drive(START, ((2.0, 60.0), (1.5, 0.0))),
+    "right": drive(START, ((2.0, -60.0), (1.5, 0.0))),
+}
 
 
 def messages(name: str, one: Drive, room: Room, goal: str) -> Iterator[Message]:
@@ -106,7 +109,9 @@ def shown(smal: Smal, out: Path, *arguments: object) -> tuple[Page, str]:
 
 def photos(page: Page) -> int:
     """Return how many camera images are on a page."""
-    return sum(name == "src" and value.startswith("data:image/jpeg") for name, value in page.attributes)
+    return sum(
+        name == "src" and value.startswith("data:image/jpeg") for name, value in page.attributes
+    )
 
 
 def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
@@ -118,7 +123,9 @@ def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
     assert re.search(r"1: fork \d\.\d m along to-left, with to-right", text)
     assert photos(page) == 2 * 5
     assert "to-left, frame 0" in text
-    assert [row[2] for row in page.rows if row[1:2] in (["to left"], ["to right"]) and len(row) == 4] == ["there"] * 2
+    assert [
+        row[2] for row in page.rows if row[1:2] in (["to left"], ["to right"]) and len(row) == 4
+    ] == ["there"] * 2
     belief = [row for row in page.rows if len(row) == 5 and row[0].startswith("to-")]
     assert [row[0] for row in belief] == ["to-left", "to-right"]
     assert all(float(row[1].rstrip("%")) > 80 for row in belief)
@@ -127,7 +134,12 @@ def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 @pytest.mark.parametrize("recordings", [True, False])
 def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
-    model: Model, paper_model: PaperModel, taught: Path, tmp_path: Path, recordings: bool, scheme: str
+    model: Model,
+    paper_model: PaperModel,
+    taught: Path,
+    tmp_path: Path,
+    recordings: bool,
+    scheme: str,
 ) -> None:
     hostile = "<img src=x onerror=alert(1)>\"'&漢"
     mapped = replace(model.mapped)
@@ -159,15 +171,21 @@ def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, 
     record(folder, list(messages("to-left", shorter, Room(), "left")))
     record(folder, list(messages("another", DRIVES["right"], Room(), "right")))
     page, err = shown(smal, tmp_path / "out", taught / file, "--recordings", folder)
-    told = ["to-left: the recording of this name is of another drive", "to-right: not among the recordings"]
-    assert [line for line in err.splitlines() if "missing: " in line] == [f"smal: missing: {line}" for line in told]
+    told = [
+        "to-left: the recording of this name is of another drive",
+        "to-right: not among the recordings",
+    ]
+    assert [line for line in err.splitlines() if "missing: " in line] == [
+        f"smal: missing: {line}" for line in told
+    ]
     assert all(line in page.texts for line in told)
     assert photos(page) == 0
     assert ("Recognition was not run" in " ".join(page.texts)) == (file == "two.smal")
 
 
 @pytest.mark.parametrize(
-    ("change", "said"), [({"reward": np.nan}, "finite"), ({"state_streams": 10**6}, "state_streams")]
+    ("change", "said"),
+    [({"reward": np.nan}, "finite"), ({"state_streams": 10**6}, "state_streams")],
 )
 def test_an_odd_model_is_one_line(
     paper_model: PaperModel, tmp_path: Path, mistake: Mistake, change: dict[str, object], said: str
@@ -175,7 +193,11 @@ def test_an_odd_model_is_one_line(
     ((name, value),) = change.items()
     odd = replace(paper_model)
     part = getattr(paper_model, name)
-    value = tuple(np.full_like(one, value) for one in part) if isinstance(part, tuple) else np.full_like(part, value)
+    value = (
+        tuple(np.full_like(one, value) for one in part)
+        if isinstance(part, tuple)
+        else np.full_like(part, value)
+    )
     object.__setattr__(odd, name, value)
     odd.save(tmp_path / "odd.smal")
     err = mistake(2, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")

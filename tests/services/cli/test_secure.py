@@ -102,7 +102,9 @@ def test_renewed_the_router_is_still_known_by_all_its_hosts(tmp_path: Path, smal
 
 def _hosts_of(keys: Path) -> set[str]:
     certificate = certificates.x509.load_pem_x509_certificate((keys / "router.pem").read_bytes())
-    names = certificate.extensions.get_extension_for_class(certificates.x509.SubjectAlternativeName).value
+    names = certificate.extensions.get_extension_for_class(
+        certificates.x509.SubjectAlternativeName
+    ).value
     return {str(name.value) for name in names}
 
 
@@ -154,7 +156,9 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
     monkeypatch.setattr("services.cli.up.Stack", take)
     everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
     assert "give --secure DIR" in smal("up", "--world", "yard", "--router", everywhere)[2]
-    assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
+    assert (
+        smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
+    )
     monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
     assert read_settings(RouterSettings, "router").insecure
 
@@ -202,7 +206,11 @@ def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
         with closing(stack.settings.open_bus("watcher")) as bus:
             eventually(lambda: len(instances(bus)["features"]) == 2)  # They see each other.
             os.kill(bus.call("features", "status", Nothing(), Status).pid, signal.SIGKILL)
-            eventually(lambda: [len(robots) for robots in instances(bus).get("features", {}).values()] == [8])
+            eventually(
+                lambda: (
+                    [len(robots) for robots in instances(bus).get("features", {}).values()] == [8]
+                )
+            )
         status, out, err = smal("topic", "hz", "--seconds", "0.1", "--router", tls_endpoint)
         assert status != 0
         assert "needs a certificate" in err

@@ -42,7 +42,9 @@ def processes_of(robot: str) -> set[int]:
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             alive = "\nState:\tZ" not in (folder / "status").read_text()
-            if alive and f"SMAL_ROBOT={robot}".encode() in (folder / "environ").read_bytes().split(b"\0"):
+            if alive and f"SMAL_ROBOT={robot}".encode() in (folder / "environ").read_bytes().split(
+                b"\0"
+            ):
                 found.add(int(folder.name))
         except OSError:
             pass
@@ -55,7 +57,9 @@ def robot(request: pytest.FixtureRequest) -> str:
     return f"{request.node.name[:20].lower().replace('[', '-')}{os.getpid()}"
 
 
-def plan(robot: str, endpoint: str, tmp_path: Path, *services: str, **flags_of: tuple[str, ...]) -> StackPlan:
+def plan(
+    robot: str, endpoint: str, tmp_path: Path, *services: str, **flags_of: tuple[str, ...]
+) -> StackPlan:
     return StackPlan(("router", *services), robot, endpoint, flags_of, logs=tmp_path / "logs")
 
 
@@ -71,7 +75,11 @@ def test_a_service_that_cannot_start_is_named_with_its_last_line(
 
 
 def test_a_service_that_hangs_in_starting_is_named(
-    robot: str, free_endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    robot: str,
+    free_endpoint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Whoever waits is told, and in the end it is given up."""
     monkeypatch.setattr(stack, "_TELL_S", 0.1)
@@ -122,11 +130,18 @@ def test_a_dead_service_comes_back_with_its_flags(
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize(("number", "when"), [(signal.SIGKILL, "starting"), (signal.SIGHUP, "running")])
-def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Signals, when: str) -> None:
+@pytest.mark.parametrize(
+    ("number", "when"), [(signal.SIGKILL, "starting"), (signal.SIGHUP, "running")]
+)
+def test_no_signal_leaves_orphans(
+    robot: str, tmp_path: Path, number: signal.Signals, when: str
+) -> None:
     name = f"orphans-{number}-{when}-{os.getpid()}"
     with subprocess.Popen(
-        [sys.executable, "-c", START, name, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", START, name, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as parent:
         assert parent.stdout is not None
         assert parent.stderr is not None
@@ -142,7 +157,9 @@ def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Sig
             assert (status, parent.stderr.read()) == (130, "smal: interrupted\n")
 
 
-def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_lived_for_long() -> None:
+def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_lived_for_long() -> (
+    None
+):
     spacings_s = [stack.FIRST_S]
     for _ in range(6):
         spacings_s.append(stack.next_spacing_s(spacings_s[-1], lived_s=0.5))
@@ -153,7 +170,11 @@ def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_
 def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
     robot: str, free_endpoint: str, tmp_path: Path, smal: Smal
 ) -> None:
-    wanted = replace(plan(robot, free_endpoint, tmp_path, "features", "recorder"), robots=3, scale={"features": 2})
+    wanted = replace(
+        plan(robot, free_endpoint, tmp_path, "features", "recorder"),
+        robots=3,
+        scale={"features": 2},
+    )
     assert wanted.processes() == {
         "router": ("router", robot),
         "features": ("features", robot),
@@ -162,16 +183,22 @@ def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
         "recorder-2": ("recorder", f"{robot}-2"),
         "recorder-3": ("recorder", f"{robot}-3"),
     }
-    assert "features" not in replace(wanted, scale={"features": 0}).processes()  # On the robot, say.
+    assert (
+        "features" not in replace(wanted, scale={"features": 0}).processes()
+    )  # On the robot, say.
     with Stack(wanted) as running, closing(Bus(robot, free_endpoint)) as bus:
         (tmp_path / "logs" / "features-2.log").read_text()
         for one in map(bus.of_robot, wanted.fleet):
             ready(one, "recorder")
             one.close()
         served = eventually(lambda: instances(bus).get("features"))
-        assert sorted(robot for robots in served.values() for robot in robots) == sorted(wanted.fleet)
+        assert sorted(robot for robots in served.values() for robot in robots) == sorted(
+            wanted.fleet
+        )
         _, out, _ = smal("topic", "graph", "--live", "--robot", robot, "--router", free_endpoint)
         assert all(f"<br>{instance}: " in out for instance in served)
         assert re.findall(r"<b>(\w+)</b>", out) == ["features", "recorder"]  # Nobody else is there.
         found = check_port(running.settings)
-        assert all(f"{instance} serves {' '.join(robots)}" in found for instance, robots in served.items())
+        assert all(
+            f"{instance} serves {' '.join(robots)}" in found for instance, robots in served.items()
+        )

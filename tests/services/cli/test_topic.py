@@ -20,7 +20,12 @@ from tests.services.waiting import eventually
 
 def sample(message: topics.Message, **changes: object) -> Sample:
     key = TOPICS[message.topic_name].key(message.robot)
-    return Sample(**({"key": key, "payload": encode(message), "encoding": encoding_of(type(message))} | changes))
+    return Sample(
+        **(
+            {"key": key, "payload": encode(message), "encoding": encoding_of(type(message))}
+            | changes
+        )
+    )
 
 
 # -- the table --------------------------------------------------------------------------------------------------------
@@ -62,7 +67,10 @@ def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], rea
 def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None:
     listening = listen("echo")
     lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[CompressedImage])
-    assert any(line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ") for line in lines)
+    assert any(
+        line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ")
+        for line in lines
+    )
     assert any(line.endswith("data=<4 bytes>\n") for line in lines)
     status, _, error = listening.end()
     assert (status, error) == (0, "")

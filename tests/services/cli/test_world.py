@@ -49,7 +49,11 @@ def test_a_map_becomes_a_world_with_a_hidden_victim(tmp_path: Path, smal: Smal) 
 
 def test_start_and_victim_by_hand(imported: Imported) -> None:
     world = imported("--start", "-60,-50,90", "--victim", "50,0")
-    assert (world.start.x, world.start.y, world.start.heading) == (-60, -50, pytest.approx(math.pi / 2, abs=1e-5))
+    assert (world.start.x, world.start.y, world.start.heading) == (
+        -60,
+        -50,
+        pytest.approx(math.pi / 2, abs=1e-5),
+    )
     assert (world.victim.x, world.victim.y, world.victim.heading) == (50, 0, 0)
     world = imported("--start", "-60,-50,90")
     assert (world.start.x, world.start.y) == (-60, -50)
@@ -74,7 +78,9 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path, smal: 
     assert length - 6 < metres[2] < length
     assert all((tmp_path / name).read_bytes() == (again / name).read_bytes() for name in names)
     images = [cv2.imread(str(tmp_path / name)) for name in names]
-    assert all(image is not None and image.shape == (120, 160, 3) and image.std() > 20 for image in images)
+    assert all(
+        image is not None and image.shape == (120, 160, 3) and image.std() > 20 for image in images
+    )
     drawn = cv2.imread(str(tmp_path / "map.png"))
     assert drawn is not None
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 100

@@ -107,7 +107,9 @@ def recorder(settings: ServiceSettings, run_node: RunNode, tmp_path: Path) -> Re
 @pytest.fixture
 def console(settings: ServiceSettings, run_node: RunNode, tmp_path: Path) -> Iterator[Console]:
     """Give a console whose page is on a port of its own."""
-    own = ConsoleSettings(robot=settings.robot, router=settings.router, root=tmp_path, console="127.0.0.1:0")
+    own = ConsoleSettings(
+        robot=settings.robot, router=settings.router, root=tmp_path, console="127.0.0.1:0"
+    )
     node = Node("console", own)
     board = Board()
     service = ConsoleService(node, board, own.root)

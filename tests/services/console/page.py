@@ -74,7 +74,9 @@ class Page:
         """Ask for something, at the wheel."""
         assert self._drive is not None
         # Whoever leaves leaves, whenever that comes.
-        self._drive.send(json.dumps(what if what["do"] in ("leave", "stop") else {"beat": self.beat} | what))
+        self._drive.send(
+            json.dumps(what if what["do"] in ("leave", "stop") else {"beat": self.beat} | what)
+        )
 
     def insist(self, done: Callable[[], object], **what: object) -> None:
         """Ask until it is done: on a busy machine a page is missed meanwhile, and another stop is latched."""
@@ -110,7 +112,9 @@ class Page:
 
     def ailments(self) -> dict[str, str | None]:
         """Return how the page shows every service."""
-        return {row["name"]: row["ailment"] for row in self.state.get("health", {}).get("services", [])}
+        return {
+            row["name"]: row["ailment"] for row in self.state.get("health", {}).get("services", [])
+        }
 
     def news(self) -> str:
         """Return what the page tells."""
@@ -124,7 +128,10 @@ class Page:
     def begin(self, **what: object) -> None:
         """Sit down, and begin a drive."""
         self.sit()
-        self.insist(lambda: self.state["robot"]["episode"] is not None, **{"do": "drive", "goal": "victim"} | what)
+        self.insist(
+            lambda: self.state["robot"]["episode"] is not None,
+            **{"do": "drive", "goal": "victim"} | what,
+        )
 
     def close(self) -> None:
         """Close the page."""

@@ -41,14 +41,18 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
     terminal.every(POLL_S, operator.poll)
     assert terminal.spin(lambda: operator.commands.to_release is not None, 30.0)
     assert operator.begin(RUN)
-    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 30.0), told
+    assert terminal.spin(
+        lambda: operator.mine is not None and operator.commands.applied is not None, 30.0
+    ), told
     run = operator.mine
     operator.hold(KEYS["left"], math.inf)
     assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 30.0)
     operator.hold(None)
     page = open_page()
     page.take()
-    assert terminal.spin(lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 30.0)
+    assert terminal.spin(
+        lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 30.0
+    )
     page.say(do="drive", goal="victim")
     assert terminal.spin(lambda: HELD in page.news(), 30.0), page.news()
     assert robot.gate.taken_over

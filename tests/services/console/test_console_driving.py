@@ -53,7 +53,9 @@ def goes(page: Page, robot: Robot) -> bool:
     return robot.wheels.driven
 
 
-def test_what_the_camera_sees_is_shown_before_a_drive_begins(robot: Robot, open_page: OpenPage) -> None:
+def test_what_the_camera_sees_is_shown_before_a_drive_begins(
+    robot: Robot, open_page: OpenPage
+) -> None:
     page = open_page()
     eventually(lambda: page.pictures)
     robot.wheels.x = 12.0  # somebody carries it
@@ -62,11 +64,17 @@ def test_what_the_camera_sees_is_shown_before_a_drive_begins(robot: Robot, open_
 
 @unattended
 def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
-    robot: Robot, recorder: RecorderService, open_page: OpenPage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: Robot,
+    recorder: RecorderService,
+    open_page: OpenPage,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[ResetRequest] = []
     begin = robot.wheels.begin
-    monkeypatch.setattr(robot.wheels, "begin", lambda request: asked.append(request) or begin(request))
+    monkeypatch.setattr(
+        robot.wheels, "begin", lambda request: asked.append(request) or begin(request)
+    )
     page = open_page()
     page.begin(goal="dock", name="to-the-dock")
     assert asked[-1].max_ticks is None, "a person ends it"
@@ -74,7 +82,9 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     def drive(held: object, **shown: object) -> None:
         """Hold something until it has moved the robot from a frame to the next, which is what teaches."""
         page.held = held
-        eventually(lambda: goes(page, robot) and page.robot(atom="forward", source="teleop", **shown))
+        eventually(
+            lambda: goes(page, robot) and page.robot(atom="forward", source="teleop", **shown)
+        )
         tick = page.state["robot"]["tick"]
         eventually(lambda: goes(page, robot) and page.state["robot"]["tick"] > tick + 1)
 
@@ -107,7 +117,9 @@ def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot, lost_s:
 
 
 @pytest.mark.parametrize("how", ["vanished", "silent"])
-def test_a_page_that_is_gone_stands_the_robot(driving: Page, robot: Robot, lost_s: Lost, how: str) -> None:
+def test_a_page_that_is_gone_stands_the_robot(
+    driving: Page, robot: Robot, lost_s: Lost, how: str
+) -> None:
     """Cut off without a word, or still connected but asleep."""
     gone_s = time.monotonic()
     if how == "vanished":
@@ -153,7 +165,11 @@ def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> Non
     eventually(lambda: driving.beats > beats + 5)
     for what in ({"do": "resume"}, {"do": "drive", "goal": "dock"}):
         driving.refusals.clear()
-        driving.insist(lambda: any("too late" in refusal for refusal in driving.refusals), **what, beat=asked_at)
+        driving.insist(
+            lambda: any("too late" in refusal for refusal in driving.refusals),
+            **what,
+            beat=asked_at,
+        )
     driving.say(do="cancel")
     assert robot.gate.stop_cause == "operator_lost"
     assert driving.state["robot"]["episode"] == episode
@@ -218,7 +234,9 @@ def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page:
     eventually(lambda: other.beats)
 
 
-def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost) -> None:
+def test_anybody_stops_it_for_an_emergency(
+    driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost
+) -> None:
     """Whoever drives also by the socket that they drive by, where all places to watch are taken."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
@@ -232,7 +250,9 @@ def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_pag
         eventually(lambda: other.robot(emergency=True, cause="emergency_stop"))
         driving.let_go()
         eventually(lambda: driving.robot(cause="emergency_stop"))
-        driving.insist(lambda: robot.gate.stop_cause is None and other.robot(emergency=False), do="resume")
+        driving.insist(
+            lambda: robot.gate.stop_cause is None and other.robot(emergency=False), do="resume"
+        )
     driving.insist(lambda: other.robot(episode=None), do="end", found=True)
     driving.say(do="leave")
     eventually(lambda: robot.gate.operator is None)
@@ -241,7 +261,9 @@ def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_pag
 
 
 @unattended
-def test_nonsense_moves_nothing_and_is_told(driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
+def test_nonsense_moves_nothing_and_is_told(
+    driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture
+) -> None:
     assert driving._drive is not None
     for said in ("nonsense", b"\x00", '{"do": "hold", "beat": 0, "held": [0, 1.1]}'):
         driving.refusals.clear()
@@ -264,7 +286,12 @@ def _ended(socket: object) -> int | None:
 
 @pytest.mark.parametrize("how", ["leaves", "falls silent"])
 def test_nothing_begins_for_who_has_left_before_it_could(
-    robot: Robot, console: Console, open_page: OpenPage, settings: ServiceSettings, run_node: RunNode, how: str
+    robot: Robot,
+    console: Console,
+    open_page: OpenPage,
+    settings: ServiceSettings,
+    run_node: RunNode,
+    how: str,
 ) -> None:
     """A model takes seconds to load; a robot must not set out then with nobody there."""
     asked = threading.Event()

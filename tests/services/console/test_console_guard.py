@@ -59,9 +59,16 @@ def test_only_what_the_page_has_is_answered(page: Page) -> None:
         assert page.get(path, Origin="http://evil.example")[0] == 403, path
 
 
-@pytest.mark.parametrize(("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b"")], ids=["stop", "ping"])
+@pytest.mark.parametrize(
+    ("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b"")], ids=["stop", "ping"]
+)
 def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
-    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, lost_s: Lost, opcode: int, said: bytes
+    seated: Page,
+    nobody: Nobody,
+    monkeypatch: pytest.MonkeyPatch,
+    lost_s: Lost,
+    opcode: int,
+    said: bytes,
 ) -> None:
     """The robot misses a driver who is not heard for LEASE_S."""
     heard_s: list[float] = []
@@ -105,7 +112,11 @@ def keys(tmp_path: Path) -> Path:
 
 
 def serve(keys: Path, console: str = "127.0.0.1:0", **others: object) -> WebServer:
-    given = {"console_cert": keys / "cert.pem", "console_key": keys / "key.pem", "console_token": keys / "token"}
+    given = {
+        "console_cert": keys / "cert.pem",
+        "console_key": keys / "key.pem",
+        "console_token": keys / "token",
+    }
     settings = ConsoleSettings.model_validate({"root": keys, "console": console} | given | others)
     return WebServer(Nobody(keys), Board(), settings)  # type: ignore[arg-type]
 
@@ -131,18 +142,24 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
         # Whoever has no token does not keep the loop busy, which an emergency stop may wait for.
         began_s = time.process_time()
         assert get("/", Cookie=f'{COOKIE}="' + "\\" * 15_000 + '"')[0] == 401
-        assert time.process_time() - began_s < 2.0, "unquoting it with the square of its length takes 5 s"
+        assert time.process_time() - began_s < 2.0, (
+            "unquoting it with the square of its length takes 5 s"
+        )
         known = cookie.partition(";")[0]
         assert get("/", Cookie=known)[0] == 200
         own = {"origin": f"https://{address}", "ssl": trusted}
         with pytest.raises(InvalidStatus, match="403"), connect(f"wss://{address}/watch", **own):
             pass
-        with connect(f"wss://{address}/watch", additional_headers={"Cookie": known}, **own) as watch:
+        with connect(
+            f"wss://{address}/watch", additional_headers={"Cookie": known}, **own
+        ) as watch:
             assert "now" in str(watch.recv(5.0))
 
 
 def test_a_certificate_that_is_of_no_use_is_said_before_anything_is_served(keys: Path) -> None:
-    subprocess.run(["openssl", "genpkey", "-algorithm", "ed25519", "-out", "key.pem"], cwd=keys, check=True)
+    subprocess.run(
+        ["openssl", "genpkey", "-algorithm", "ed25519", "-out", "key.pem"], cwd=keys, check=True
+    )
     with pytest.raises(ServiceError, match="are of no use"):
         serve(keys)
 
@@ -150,7 +167,11 @@ def test_a_certificate_that_is_of_no_use_is_said_before_anything_is_served(keys:
 @pytest.mark.parametrize(
     ("console", "others", "why"),
     [
-        ("0.0.0.0:0", {"console_token": None, "console_cert": None, "console_key": None}, "other machines reach it"),
+        (
+            "0.0.0.0:0",
+            {"console_token": None, "console_cert": None, "console_key": None},
+            "other machines reach it",
+        ),
         ("0.0.0.0:0", {"console_token": None}, "other machines reach it"),
         ("127.0.0.1:0", {"console_token": None}, "go together"),
         ("127.0.0.1:0", {"console_key": None}, "go together"),

@@ -33,7 +33,9 @@ def jobs_of(monkeypatch: pytest.MonkeyPatch) -> JobsOf:
     """Give what runs a script as a job's command, and what is shown of it."""
 
     def of(script: str) -> tuple[Jobs, list[dict[str, object]]]:
-        monkeypatch.setattr("services.console.jobs._COMMAND", (sys.executable, "-c", SCRIPT + script))
+        monkeypatch.setattr(
+            "services.console.jobs._COMMAND", (sys.executable, "-c", SCRIPT + script)
+        )
         shown: list[dict[str, object]] = []
         return Jobs(shown.append), shown
 
@@ -42,7 +44,9 @@ def jobs_of(monkeypatch: pytest.MonkeyPatch) -> JobsOf:
 
 def learning(out: Path) -> BackgroundJob:
     arguments = ("learn", "a.mcap")
-    return BackgroundJob("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
+    return BackgroundJob(
+        "model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/"
+    )
 
 
 def ended(shown: list[dict[str, object]]) -> dict[str, object]:
@@ -54,7 +58,11 @@ def ended(shown: list[dict[str, object]]) -> dict[str, object]:
     ("script", "outcome", "why"),
     [
         ("", "done", ""),
-        ("sys.stderr.write('smal: left out\\nsmal: /root/a: no\\n'); sys.exit(1)", "failed", "a: no"),
+        (
+            "sys.stderr.write('smal: left out\\nsmal: /root/a: no\\n'); sys.exit(1)",
+            "failed",
+            "a: no",
+        ),
         ("sys.exit(1)", "failed", "a line for people"),
     ],
 )
@@ -94,7 +102,12 @@ DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True);
     ("patience_s", "outcome", "why"), [(60.0, "cancelled", ""), (3.0, "failed", "it said nothing")]
 )
 def test_a_job_that_does_not_hear_is_ended(
-    jobs_of: JobsOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float, outcome: str, why: str
+    jobs_of: JobsOf,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    patience_s: float,
+    outcome: str,
+    why: str,
 ) -> None:
     monkeypatch.setattr("services.console.jobs._ENDING_S", 0.1)
     monkeypatch.setattr("services.console.jobs.PATIENCE_S", patience_s)

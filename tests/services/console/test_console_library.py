@@ -43,11 +43,18 @@ def library(tmp_path: Path) -> Library:
     return Library(tmp_path)
 
 
-def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(library: Library) -> None:
+def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(
+    library: Library,
+) -> None:
     listed = library.look()
     (shown,) = listed["recordings"]  # type: ignore[misc]
     assert shown["name"] == "drives/drive-1.mcap"
-    assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == ("found", 12, 6, "")
+    assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == (
+        "found",
+        12,
+        6,
+        "",
+    )
     assert shown["seconds"] == pytest.approx(1.1)
     (recording,) = library.recordings()
     assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)
@@ -90,13 +97,17 @@ def test_what_is_known_is_shown_while_more_is_read(
     shown: list[Any] = []
     library.look(shown.append)
     names = [[one["name"] for one in each["recordings"]] for each in shown]
-    assert names == [["drives/bomb.mcap"], ["drives/bomb.mcap", "drives/drive-1.mcap"]], "the newest first"
+    assert names == [["drives/bomb.mcap"], ["drives/bomb.mcap", "drives/drive-1.mcap"]], (
+        "the newest first"
+    )
     bomb, drive = shown[-1]["recordings"]
     assert bomb["useless"].startswith("unpacks to more than 256 times its size")
     assert drive["useless"] == ""
 
 
-@pytest.mark.parametrize(("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")])
+@pytest.mark.parametrize(
+    ("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")]
+)
 def test_what_teaches_nothing_says_why(tmp_path: Path, outcome: Any, why: str) -> None:
     record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))
     (tmp_path / "drives" / "broken.mcap").write_bytes(b"nonsense")
@@ -104,7 +115,9 @@ def test_what_teaches_nothing_says_why(tmp_path: Path, outcome: Any, why: str) -
     (tmp_path / "models" / "broken.smal").write_bytes(b"nonsense")
     library = Library(tmp_path)
     library.look()
-    assert {one.name: one.useless for one in library.recordings()}["drives/broken.mcap"] == "not an MCAP file"
+    assert {one.name: one.useless for one in library.recordings()}[
+        "drives/broken.mcap"
+    ] == "not an MCAP file"
     assert why in {one.name: one.useless for one in library.recordings()}["drives/drive-1.mcap"]
     assert [one.useless for one in library.models()] == ["not a SMAL model"]
 
@@ -122,7 +135,9 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 
-def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there(tmp_path: Path) -> None:
+def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there(
+    tmp_path: Path,
+) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
     (shown,) = library.look()["models"]  # type: ignore[misc]
@@ -130,20 +145,31 @@ def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there
     (model,) = library.models()
     assert (model.longest, model.fingerprint) == (corridor.FRAMES, corridor.FEATURES.fingerprint)
     (episode,) = model.episodes
-    record(tmp_path / "drives", [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")])
+    record(
+        tmp_path / "drives",
+        [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")],
+    )
     record(tmp_path / "drives", list(recorded_messages.episode("other")))
     (shown,) = library.look()["models"]  # type: ignore[misc]
     assert shown["worlds"] == [library.recordings()[0].world]
 
 
-def test_only_what_is_listed_is_deleted(console: Console, robot: Robot, open_page: Callable[[], Page]) -> None:
+def test_only_what_is_listed_is_deleted(
+    console: Console, robot: Robot, open_page: Callable[[], Page]
+) -> None:
     kept = record(console.root / "other", list(recorded_messages.episode("drive-1")))
     gone = record(console.root / "drives", list(recorded_messages.episode("drive-2")))
     page = open_page()
     eventually(lambda: page.state.get("library", {}).get("recordings"))
     page.take()
     eventually(lambda: page.beats)
-    for name in ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap", str(kept), ""):
+    for name in (
+        "other/drive-1.mcap",
+        "../drives/drive-2.mcap",
+        "drives/../other/drive-1.mcap",
+        str(kept),
+        "",
+    ):
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
@@ -190,4 +216,8 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]
-    assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
+    assert (recording["purpose"], recording["goal"], recording["outcome"]) == (
+        "run",
+        "victim",
+        "found",
+    )

@@ -53,9 +53,14 @@ def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> Non
     assert nobody.maps == []
 
 
-def test_a_map_that_is_too_large_ends_early(seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_that_is_too_large_ends_early(
+    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
-    assert seated.post("/map?name=town", bytes(1_000_001)) == (413, "a map has at most 1 MB; cut it smaller\n")
+    assert seated.post("/map?name=town", bytes(1_000_001)) == (
+        413,
+        "a map has at most 1 MB; cut it smaller\n",
+    )
     assert (nobody.maps, kept()) == ([], 0)
 
 
@@ -68,7 +73,9 @@ def head(page: Page, *lines: str) -> bytes:
 def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> None:
     """The word of a seat is of no use to anybody later."""
     with connected(seated) as sending:
-        sending.sendall(head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half")
+        sending.sendall(
+            head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half"
+        )
         eventually(kept)
         seated.say(do="leave")
         eventually(lambda: not seated.state.get("taken"))

@@ -55,7 +55,9 @@ def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_anothe
         page.say(do="withdraw")
         page.let_go()  # what was said before is heard
     goes_on.set()
-    eventually(lambda: "the person who asked has left" in other.news() or "cancelled" in other.news())
+    eventually(
+        lambda: "the person who asked has left" in other.news() or "cancelled" in other.news()
+    )
     eventually(lambda: other.robot(episode=None, waiting=False))
 
 
@@ -104,7 +106,10 @@ def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
     page.insist(endless.is_set, do="drive", goal="dock")
     eventually(lambda: page.robot(waiting=True))
     page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
-    assert "robot reset: cancelled by who asked for it; the robot is in line, without an episode" in page.news()
+    assert (
+        "robot reset: cancelled by who asked for it; the robot is in line, without an episode"
+        in page.news()
+    )
     page.say(do="withdraw")
     eventually(lambda: "there is nothing to cancel: no episode is being begun" in page.news())
     monkeypatch.undo()

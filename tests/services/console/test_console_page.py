@@ -117,16 +117,30 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
     assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
 
 
-def test_a_model_learns_more_from_the_runs_of_today(page: Page, nobody: Nobody, board: Board) -> None:
+def test_a_model_learns_more_from_the_runs_of_today(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
     now = {"when_s": time.time(), "purpose": "run"}
     runs = [recording(name) | now for name in ("a", "b")]
-    others = [recording("before") | {"purpose": "run"}, recording("timed-out") | now | {"outcome": "timeout"}]
-    elsewhere = [recording("elsewhere") | now | {"world": "campus"}, recording("drive") | now | {"purpose": "drive"}]
+    others = [
+        recording("before") | {"purpose": "run"},
+        recording("timed-out") | now | {"outcome": "timeout"},
+    ]
+    elsewhere = [
+        recording("elsewhere") | now | {"world": "campus"},
+        recording("drive") | now | {"purpose": "drive"},
+    ]
     models = [{"name": "models/way.smal", "goals": ["victim"], "worlds": ["yard"], "useless": ""}]
-    board.put("library", {"folder": "drives", "models": models, "recordings": [runs[0], *others, *elsewhere]})
+    board.put(
+        "library",
+        {"folder": "drives", "models": models, "recordings": [runs[0], *others, *elsewhere]},
+    )
     page.wait_for_selector("#recordings input")
     assert page.is_hidden("#learn-today")
-    board.put("library", {"folder": "drives", "models": models, "recordings": [*runs, *others, *elsewhere]})
+    board.put(
+        "library",
+        {"folder": "drives", "models": models, "recordings": [*runs, *others, *elsewhere]},
+    )
     page.wait_for_selector("#learn-today:visible")
     assert page.inner_text("#learn-today") == "Learn from today's 2 runs"
     page.click("#seat")
@@ -136,12 +150,21 @@ def test_a_model_learns_more_from_the_runs_of_today(page: Page, nobody: Nobody, 
 
 
 def recording(name: str) -> dict[str, object]:
-    facts = {"when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard", "outcome": "found"}
+    facts = {
+        "when_s": 1.0,
+        "size": 1,
+        "purpose": "drive",
+        "goal": "victim",
+        "world": "yard",
+        "outcome": "found",
+    }
     shown = {"frames": 9, "seconds": 1.0, "useless": "", "thumbnails": 0}
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
 
 
-def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, nobody: Nobody, board: Board) -> None:
+def test_what_is_being_begun_is_cancelled_by_who_drives(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
     board.put("robot", told | {"waiting": True})
     page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
@@ -157,13 +180,24 @@ def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     """A box stands before it on the left; it drives on, in a bend to the right."""
-    node = SimpleNamespace(subscribe=lambda *_, **__: None, apart=lambda *_: None, bus=None, name="console")
+    node = SimpleNamespace(
+        subscribe=lambda *_, **__: None, apart=lambda *_: None, bus=None, name="console"
+    )
     live = LiveContent(node, board, nobody.library)  # type: ignore[arg-type]
     frame = Message(robot="r", episode="e", tick=1, stamp_ns=0)
     measured = depth([(3.0, 0.5, 4.0, 2.0, 1.2)], (0.0, 0.0, 0.0), shape=(240, 320))
-    picture = CompressedImage.after(frame, width=320, height=240, data=encode_jpeg(np.full((240, 320, 3), 128, "u1")))
+    picture = CompressedImage.after(
+        frame, width=320, height=240, data=encode_jpeg(np.full((240, 320, 3), 128, "u1"))
+    )
     tell_robot(board, world="yard", speed_m_s=2.0, turn_rate_rad_s=0.8)
-    told = {"episode": "e", "answers": True, "waiting": False, "emergency": False, "linear": 1.0, "angular": -0.5}
+    told = {
+        "episode": "e",
+        "answers": True,
+        "waiting": False,
+        "emergency": False,
+        "linear": 1.0,
+        "angular": -0.5,
+    }
 
     def drawn(x: int, y: int) -> list[int]:
         board.put("robot", told | {"at": board.clock()})
@@ -200,7 +234,13 @@ def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_mov
         eventually(lambda: nobody.asked)
         return nobody.asked.pop().box  # type: ignore[attr-defined, no-any-return]
 
-    told = {"episode": "e", "answers": True, "waiting": False, "emergency": False, "at": board.clock()}
+    told = {
+        "episode": "e",
+        "answers": True,
+        "waiting": False,
+        "emergency": False,
+        "at": board.clock(),
+    }
     board.put("robot", told)
     page.click("#seat")
     eventually(lambda: page.get_attribute("#seat", "aria-pressed") == "true")
@@ -213,7 +253,9 @@ def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_mov
     assert found() is None
 
 
-def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(page: Page, nobody: Nobody) -> None:
+def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(
+    page: Page, nobody: Nobody
+) -> None:
     def has(*held: float) -> None:
         eventually(lambda: nobody.held == (pytest.approx(held) if held else None))
 

@@ -15,13 +15,25 @@ ROOT = Path(__file__).parents[3]
 def scheduler_and_worker(keys: Path, folder: Path) -> Iterator[str]:
     """Start them; yield the scheduler's address."""
     certificate = str(keys / "engine.pem")
-    tls = ["--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key", str(keys / "engine.key")]
+    tls = [
+        "--tls-ca-file",
+        certificate,
+        "--tls-cert",
+        certificate,
+        "--tls-key",
+        str(keys / "engine.key"),
+    ]
     here = ["--host", "127.0.0.1", "--protocol", "tls", *tls]
 
     def start(*arguments: str) -> "subprocess.Popen[str]":
         command = [sys.executable, "-m", "dask", *arguments]
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "DASK_TEMPORARY_DIRECTORY": str(folder)}
-        return subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, env=environment)
+        environment = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "DASK_TEMPORARY_DIRECTORY": str(folder),
+        }
+        return subprocess.Popen(
+            command, cwd=folder, stderr=subprocess.PIPE, text=True, env=environment
+        )
 
     scheduler = start("scheduler", "--port", "0", "--no-dashboard", *here)
     worker = None

@@ -52,7 +52,9 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
     with Engine(None) as engine:
         assert same(engine.map(describe, IMAGES))
         assert multiprocessing.active_children() == []  # Threads, where no workers are asked for.
-    dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"})  # Of Dask: who is away for longer stays away.
+    dask.config.set(
+        {"distributed.deploy.lost-worker-timeout": "10ms"}
+    )  # Of Dask: who is away for longer stays away.
     with Engine(2) as engine:
         answers = engine.map(describe, IMAGES)
         first = next(answers)
@@ -61,7 +63,10 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
         assert same(chain([first], answers))
         me = psutil.Process()
         listening = [
-            one for process in (me, *me.children()) for one in process.net_connections() if one.status == "LISTEN"
+            one
+            for process in (me, *me.children())
+            for one in process.net_connections()
+            if one.status == "LISTEN"
         ]
         assert {one.laddr.ip for one in listening} == {"127.0.0.1"}
         assert engine.client.scheduler_info()["address"].startswith("tls://")
@@ -89,12 +94,18 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
         list(one.map(describe, IMAGES))
     with Engine(1, address, keys) as engine:
         assert same(engine.map(describe, IMAGES))
-        smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(tmp_path / "there")
+        smal.fit([corridor.drive()], corridor.FEATURES, parallel=engine.map).save(
+            tmp_path / "there"
+        )
         there = smal.match(WAY, LONG, tolerance=2, parallel=engine.map)
         results = Results(tmp_path, [])
         results.complete([After(SITE, (), 0)], engine, lambda _done, _of: None)
         port = int(address.rpartition(":")[2])
-        found = (one.pid for one in psutil.net_connections() if one.status == "LISTEN" and one.laddr.port == port)
+        found = (
+            one.pid
+            for one in psutil.net_connections()
+            if one.status == "LISTEN" and one.laddr.port == port
+        )
         os.kill(next(pid for pid in found if pid is not None), signal.SIGKILL)
         with pytest.raises(JobError, match=f"^--scheduler {address}: the scheduler is lost"):
             list(engine.map(describe, IMAGES * 100))

@@ -9,9 +9,14 @@ import pytest
 from services.experiments.progress import Bars
 
 
-def test_a_terminal_that_does_not_tell_its_size_shows_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_that_does_not_tell_its_size_shows_a_bar(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ours, theirs = pty.openpty()  # It is 0 columns wide and 0 rows high.
-    with os.fdopen(ours, "rb", buffering=0) as screen, os.fdopen(theirs, "w", encoding="utf-8") as terminal:
+    with (
+        os.fdopen(ours, "rb", buffering=0) as screen,
+        os.fdopen(theirs, "w", encoding="utf-8") as terminal,
+    ):
         monkeypatch.setattr(sys, "stderr", terminal)
         bars = Bars()
         bars("reading", 1, 2)

@@ -31,7 +31,9 @@ def routes(draw: st.DrawFn, sharpest_deg: float) -> list[tuple[float, float]]:
     points = [(0.0, 0.0)]
     for _ in range(draw(st.integers(1, 5))):
         length = draw(st.floats(5.0, 30.0))
-        points.append((points[-1][0] + length * math.cos(heading), points[-1][1] + length * math.sin(heading)))
+        points.append(
+            (points[-1][0] + length * math.cos(heading), points[-1][1] + length * math.sin(heading))
+        )
         heading += math.radians(draw(st.floats(-sharpest_deg, sharpest_deg)))
     return points
 
@@ -51,7 +53,9 @@ def follow(route: list[tuple[float, float]], *, car: bool = False) -> list[Plana
 
 def drive_on(driver: RouteDriver, pose: PlanarPose, drive: DriveTrain = DRIVE) -> PlanarPose:
     wanted = driver.velocity(pose.x, pose.y, pose.heading)
-    assert wanted == Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m).bounded(wanted)
+    assert wanted == Kinematics(drive.speed_m_s, drive.turn_rate_rad_s, drive.radius_m).bounded(
+        wanted
+    )
     return move(pose, wheel_speeds(wanted, drive), drive.track_m, TICK_S)
 
 
@@ -91,7 +95,11 @@ def frame(
 
 def begun(expert: ExpertService, episode: str = "e") -> ExpertService:
     route = ((0.0, 0.0), (10.0, 0.0), (10.0, 10.0))
-    expert.begin(ResetReply(episode=episode, world="w", route=route, speed_m_s=DRIVE.speed_m_s, found_m=FOUND_M))
+    expert.begin(
+        ResetReply(
+            episode=episode, world="w", route=route, speed_m_s=DRIVE.speed_m_s, found_m=FOUND_M
+        )
+    )
     return expert
 
 

@@ -29,7 +29,7 @@ START_NS: Final = 1_700_000_000_250_000_000
 def poses(share: float = 1.0) -> list[corridor.Pose]:
     """Return where the robot is at each tick, at a share of full speed."""
     found = []
-    (x, y, heading) = (0.0, 0.0, 0.0)
+    x = y = heading = 0.0
     for atom in MADE:
         found.append((x, y, heading))
         heading += share * 0.1 * TURN_RATE * ((atom == "left") - (atom == "right"))
@@ -48,9 +48,17 @@ def recording(
     folder.mkdir(parents=True, exist_ok=True)
 
     def header(tick: int) -> Message:
-        return Message(robot=robot, episode=episode, tick=tick, stamp_ns=start_ns + 100_000_000 * tick)
+        return Message(
+            robot=robot, episode=episode, tick=tick, stamp_ns=start_ns + 100_000_000 * tick
+        )
 
-    told: dict[str, Any] = {"purpose": "drive", "driver": "teleop", "world": "corridor", "seed": 1, "goal": "dock"}
+    told: dict[str, Any] = {
+        "purpose": "drive",
+        "driver": "teleop",
+        "world": "corridor",
+        "seed": 1,
+        "goal": "dock",
+    }
     started = Episode.after(header(0), event="started", **told)
     writer = EpisodeWriter.begin(folder, started)
     writer.write(started)
@@ -70,7 +78,12 @@ def recording(
 
 
 def _tick(
-    cause: Message, atom: Atom, pose: corridor.Pose, share: float, scale: int, jpeg: dict[int, bytes]
+    cause: Message,
+    atom: Atom,
+    pose: corridor.Pose,
+    share: float,
+    scale: int,
+    jpeg: dict[int, bytes],
 ) -> list[Message]:
     x, y, heading = pose
     image = corridor.view(x, y, heading, scale)
@@ -97,7 +110,9 @@ def _tick(
             lens="equidistant",
             distortion=(0.01, -0.02, 0.0, 0.0),
         ),
-        Odometry.after(cause, x_m=x, y_m=y, heading_rad=heading, speed_m_s=1.5, turn_rate_rad_s=0.25),
+        Odometry.after(
+            cause, x_m=x, y_m=y, heading_rad=heading, speed_m_s=1.5, turn_rate_rad_s=0.25
+        ),
         Imu.after(cause, samples=tuple(samples)),
         *([made] if cause.tick < len(MADE) - 1 else []),
     ]

@@ -20,7 +20,15 @@ from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.recorded import RecordedEpisode
 from tests import corridor
-from tests.services.exporters.recorded_drive import MADE, SPEED, START_NS, TURN_RATE, atoms_of, poses, recording
+from tests.services.exporters.recorded_drive import (
+    MADE,
+    SPEED,
+    START_NS,
+    TURN_RATE,
+    atoms_of,
+    poses,
+    recording,
+)
 from tests.services.importers import sources
 from tests.services.importers.test_formats import episode_of, imported
 
@@ -32,7 +40,11 @@ LOST_IN_VIDEO = 6.0
 
 
 def exported(
-    files: Sequence[Path], form: Any, folder: Path, speed: float | None = None, turn_rate: float | None = None
+    files: Sequence[Path],
+    form: Any,
+    folder: Path,
+    speed: float | None = None,
+    turn_rate: float | None = None,
 ) -> tuple[NominalSpeeds, Tally]:
     tally = Tally()
     drives = read(files, speed, turn_rate, tally)
@@ -67,7 +79,9 @@ def test_what_is_imported_again_is_the_same_drive(form: str, tmp_path: Path) -> 
     """Images to the byte, every movement, where the wheels were, and ticks that were lost."""
     file = recording(tmp_path / "recordings", lost=range(9, 13))
     exported([file], form, tmp_path / "out")
-    (back,) = brought_back(tmp_path / "out" / ("drive" if form == "rosbag2" else ""), form, tmp_path / "back")
+    (back,) = brought_back(
+        tmp_path / "out" / ("drive" if form == "rosbag2" else ""), form, tmp_path / "back"
+    )
     was = episode_of(file)
     # What was nearer to a frame than an eighth of a second shows that.
     assert set(back.images) - set(was.images) <= {9, 12}
@@ -93,7 +107,10 @@ def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) ->
     ]
     _, tally = exported(files, "lerobot", tmp_path / "set")
     assert "1 gaps are the end of an episode and the beginning of another" in tally.lines()
-    assert "the camera's field of view has no place in it; import it with --field-of-view 81.86" in tally.lines()
+    assert (
+        "the camera's field of view has no place in it; import it with --field-of-view 81.86"
+        in tally.lines()
+    )
     back = brought_back(tmp_path / "set", "lerobot", tmp_path / "back")
     assert [episode.outcome for episode in back] == ["found", "aborted", "aborted", "found"]
     assert [len(episode.images) for episode in back] == [FRAMES, FRAMES, 10, FRAMES - 11]
@@ -111,7 +128,9 @@ def test_the_same_export_is_the_same_again(form: str, tmp_path: Path) -> None:
     for folder in (tmp_path / "first", tmp_path / "again"):
         exported(files, form, folder / "out")
         every = sorted(path for path in folder.rglob("*") if path.is_file())
-        found.append({path.relative_to(folder): path.read_bytes() for path in every if path.suffix != ".mp4"})
+        found.append(
+            {path.relative_to(folder): path.read_bytes() for path in every if path.suffix != ".mp4"}
+        )
         shown = [image for path in every if path.suffix == ".mp4" for image in images_of(path)]
         assert len(shown) == (2 * FRAMES if form == "lerobot" else 0)
         for image, was in zip(shown, taken, strict=False):
@@ -122,7 +141,9 @@ def test_the_same_export_is_the_same_again(form: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("share", [1.0, 0.5])
 def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> None:
     """Of full speed, also where it was driven at half of it."""
-    nominal, _ = exported([recording(tmp_path / "recordings", share=share)], "folder", tmp_path / "out")
+    nominal, _ = exported(
+        [recording(tmp_path / "recordings", share=share)], "folder", tmp_path / "out"
+    )
     assert nominal.speed == (pytest.approx(SPEED, rel=1e-4), "by its odometry")
     assert nominal.turn_rate == (pytest.approx(TURN_RATE, rel=1e-4), "by its odometry")
     rows = (tmp_path / "out" / "drive.csv").read_text().splitlines()[1:]
@@ -141,24 +162,39 @@ def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
 
 def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", odometry=False)
-    with pytest.raises(JobError, match="episode drive: no odometry says how fast forward is; say it with --speed"):
+    with pytest.raises(
+        JobError, match="episode drive: no odometry says how fast forward is; say it with --speed"
+    ):
         exported([file], "rosbag2", tmp_path / "none")
-    with pytest.raises(JobError, match="no odometry says how fast left is; say it with --turn-rate"):
+    with pytest.raises(
+        JobError, match="no odometry says how fast left is; say it with --turn-rate"
+    ):
         exported([file], "rosbag2", tmp_path / "none", speed=0.5)
     nominal, _ = exported([file], "rosbag2", tmp_path / "out", speed=0.5, turn_rate=1.0)
-    assert (nominal.speed.origin, nominal.turn_rate.origin) == ("as --speed says", "as --turn-rate says")
+    assert (nominal.speed.origin, nominal.turn_rate.origin) == (
+        "as --speed says",
+        "as --turn-rate says",
+    )
     (back,) = brought_back(tmp_path / "out/drive", "rosbag2", tmp_path / "back")
     assert list(atoms_of(back).values()) == list(MADE)
     assert back.odometry[8].x_m == pytest.approx(0.4)
 
 
-def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(tmp_path: Path) -> None:
-    files = [recording(tmp_path / "recordings", name, odometry=name == "with") for name in ("with", "without")]
+def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
+    tmp_path: Path,
+) -> None:
+    files = [
+        recording(tmp_path / "recordings", name, odometry=name == "with")
+        for name in ("with", "without")
+    ]
     exported(files, "folder", tmp_path / "folder")
     back = brought_back(tmp_path / "folder", "folder", tmp_path / "back", reckon=False)
     assert [bool(episode.odometry) for episode in back] == [True, False]
     _, tally = exported(files, "lerobot", tmp_path / "set")
-    assert f"{FRAMES} of {2 * FRAMES} frames lack odometry: there is no observation.state" in tally.lines()
+    assert (
+        f"{FRAMES} of {2 * FRAMES} frames lack odometry: there is no observation.state"
+        in tally.lines()
+    )
 
 
 def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
@@ -169,7 +205,12 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
     exported([file], "rosbag2", tmp_path / "out")
     with AnyReader([tmp_path / "out/drive"]) as bag:
         said = [
-            (connection.topic, connection.msgtype.rpartition("/")[2], at_ns, bag.deserialize(data, connection.msgtype))
+            (
+                connection.topic,
+                connection.msgtype.rpartition("/")[2],
+                at_ns,
+                bag.deserialize(data, connection.msgtype),
+            )
             for connection, at_ns, data in bag.messages()
         ]
     assert Counter((topic, kind) for topic, kind, _, _ in said) == {
@@ -178,12 +219,22 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
         ("/cmd_vel", "TwistStamped"): FRAMES, ("/imu", "Imu"): 2 * (FRAMES - 1),
     }  # fmt: skip
     for topic, _, stamp_ns, message in said:
-        stamps = [one.header.stamp for one in message.transforms] if topic.startswith("/tf") else [message.header.stamp]
+        stamps = (
+            [one.header.stamp for one in message.transforms]
+            if topic.startswith("/tf")
+            else [message.header.stamp]
+        )
         assert [one.sec * 10**9 + one.nanosec for one in stamps] == [stamp_ns]
-    assert [at_ns for topic, _, at_ns, _ in said if topic == "/odom"] == [START_NS + 10**8 * k for k in range(FRAMES)]
-    by_topic = {topic: [message for name, _, _, message in said if name == topic] for topic, *_ in said}
+    assert [at_ns for topic, _, at_ns, _ in said if topic == "/odom"] == [
+        START_NS + 10**8 * k for k in range(FRAMES)
+    ]
+    by_topic = {
+        topic: [message for name, _, _, message in said if name == topic] for topic, *_ in said
+    }
     images = jpegs(episode_of(file))
-    each = (by_topic[topic] for topic in ("/camera/image_raw/compressed", "/odom", "/tf", "/cmd_vel"))
+    each = (
+        by_topic[topic] for topic in ("/camera/image_raw/compressed", "/odom", "/tf", "/cmd_vel")
+    )
     for tick, (image, odometry, moved, command) in enumerate(zip(*each, strict=True)):
         x, y, heading = poses()[tick]
         assert (image.data.tobytes(), image.format) == (images[tick], "jpeg")
@@ -202,8 +253,19 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
         assert command.twist.angular.z == pytest.approx(left * TURN_RATE, abs=1e-4)
     info = by_topic["/camera/camera_info"][0]
     imu = by_topic["/imu"][0]
-    assert (info.k[0], info.k[4], info.k[2], info.k[5], info.width, info.height) == (44.8, 44.8, 32.0, 24.0, 64, 48)
-    assert (imu.linear_acceleration.z, imu.angular_velocity.z, imu.orientation_covariance[0]) == (9.81, 0.06, -1.0)
+    assert (info.k[0], info.k[4], info.k[2], info.k[5], info.width, info.height) == (
+        44.8,
+        44.8,
+        32.0,
+        24.0,
+        64,
+        48,
+    )
+    assert (imu.linear_acceleration.z, imu.angular_velocity.z, imu.orientation_covariance[0]) == (
+        9.81,
+        0.06,
+        -1.0,
+    )
     # The camera looks ahead: its z is the robot's x, its x the robot's -y.
     turn = by_topic["/tf_static"][0].transforms[0].transform.rotation
     assert (turn.x, turn.y, turn.z, turn.w) == (-0.5, 0.5, -0.5, 0.5)
@@ -219,7 +281,11 @@ def test_a_time_that_ros_cannot_say_is_one_line(tmp_path: Path) -> None:
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make a data set of two drives."""
     folder = tmp_path_factory.mktemp("lerobot")
-    exported([recording(folder / "recordings", name) for name in ("one", "two")], "lerobot", folder / "set")
+    exported(
+        [recording(folder / "recordings", name) for name in ("one", "two")],
+        "lerobot",
+        folder / "set",
+    )
     return folder / "set"
 
 
@@ -233,7 +299,11 @@ def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
     """As lerobot 0.4 writes them: it refuses rows with a column more or less than the description has."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"]) == ("v3.0", 10, 2)
-    assert (info["total_frames"], info["total_tasks"], info["splits"]) == (2 * FRAMES, 1, {"train": "0:2"})
+    assert (info["total_frames"], info["total_tasks"], info["splits"]) == (
+        2 * FRAMES,
+        1,
+        {"train": "0:2"},
+    )
     assert info["features"][CAMERA]["shape"] == [48, 64, 3]
     table = table_of(dataset / info["data_path"].format(chunk_index=0, file_index=0))
     assert set(table.column_names) == set(info["features"]) - {CAMERA}
@@ -248,11 +318,17 @@ def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
     assert rows["frame_index"] == [*range(FRAMES)] * 2
     assert rows["episode_index"] == [0] * FRAMES + [1] * FRAMES
     np.testing.assert_allclose(rows["timestamp"], np.array(rows["frame_index"]) / 10, atol=1e-6)
-    assert [at for at, arrived in enumerate(rows["next.success"]) if arrived] == [FRAMES - 1, 2 * FRAMES - 1]
+    assert [at for at, arrived in enumerate(rows["next.success"]) if arrived] == [
+        FRAMES - 1,
+        2 * FRAMES - 1,
+    ]
     np.testing.assert_allclose(rows["observation.state"][:FRAMES], poses(), atol=1e-5)
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
     assert episodes["length"] == [FRAMES, FRAMES]
-    assert (episodes["dataset_from_index"], episodes["dataset_to_index"]) == ([0, FRAMES], [FRAMES, 2 * FRAMES])
+    assert (episodes["dataset_from_index"], episodes["dataset_to_index"]) == (
+        [0, FRAMES],
+        [FRAMES, 2 * FRAMES],
+    )
     tasks = table_of(dataset / "meta/tasks.parquet")
     assert tasks.to_pydict() == {"task_index": [0], "task": ["Go to the dock."]}
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
@@ -265,13 +341,21 @@ def test_the_videos_of_a_data_set_show_every_frame_at_its_time(dataset: Path) ->
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
     info = json.loads((dataset / "meta/info.json").read_text())
     for number in range(2):
-        told = {name: episodes[f"videos/{CAMERA}/{name}"][number] for name in ("chunk_index", "file_index")}
+        told = {
+            name: episodes[f"videos/{CAMERA}/{name}"][number]
+            for name in ("chunk_index", "file_index")
+        }
         with av.open(str(dataset / info["video_path"].format(video_key=CAMERA, **told))) as video:
             assert video.streams.video[0].pix_fmt == "yuv420p"
-            frames = [(float(frame.time), frame.to_ndarray(format="rgb24")) for frame in video.decode(video=0)]
+            frames = [
+                (float(frame.time), frame.to_ndarray(format="rgb24"))
+                for frame in video.decode(video=0)
+            ]
         assert len(frames) == FRAMES
         for frame, (time_s, pixels) in enumerate(frames):
-            assert time_s + episodes[f"videos/{CAMERA}/from_timestamp"][number] == pytest.approx(frame / 10, abs=1e-4)
+            assert time_s + episodes[f"videos/{CAMERA}/from_timestamp"][number] == pytest.approx(
+                frame / 10, abs=1e-4
+            )
             off = np.abs(views - pixels).mean(axis=(1, 2, 3))
             assert off[frame] < min(off.min() + 0.5, 10.0)
 
@@ -281,11 +365,18 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
     rows = table_of(dataset / "data/chunk-000/file-000.parquet").to_pydict()
     assert set(stats) == set(json.loads((dataset / "meta/info.json").read_text())["features"])
     pixels = np.stack([decode_jpeg(encode_jpeg(corridor.view(*pose))) for pose in poses()]) / 255.0
-    values = {key: np.array(rows[key], float).reshape(len(rows[key]), -1) for key in ("action", "next.success")}
+    values = {
+        key: np.array(rows[key], float).reshape(len(rows[key]), -1)
+        for key in ("action", "next.success")
+    }
     for key, seen in (values | {CAMERA: pixels.reshape(-1, 3)}).items():
         for name in ("min", "max", "mean", "std"):
-            np.testing.assert_allclose(np.ravel(stats[key][name]), getattr(seen, name)(axis=0), atol=1e-9)
-        np.testing.assert_allclose(np.ravel(stats[key]["q50"]), np.median(seen, axis=0), atol=1 / 255)
+            np.testing.assert_allclose(
+                np.ravel(stats[key][name]), getattr(seen, name)(axis=0), atol=1e-9
+            )
+        np.testing.assert_allclose(
+            np.ravel(stats[key]["q50"]), np.median(seen, axis=0), atol=1 / 255
+        )
     assert np.shape(stats[CAMERA]["mean"]) == (3, 1, 1)
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
     assert episodes["stats/action/max"][0] == stats["action"]["max"]
@@ -293,7 +384,9 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
 
 def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
     odd = {tick: encode_jpeg(np.zeros((49, 65, 3), np.uint8)) for tick in range(FRAMES)}
-    with pytest.raises(JobError, match="images of 65x49 pixels: a video has an even number of columns and rows"):
+    with pytest.raises(
+        JobError, match="images of 65x49 pixels: a video has an even number of columns and rows"
+    ):
         exported([recording(tmp_path / "odd", jpeg=odd)], "lerobot", tmp_path / "none")
     files = [recording(tmp_path / "recordings", f"scale-{scale}", scale=scale) for scale in (1, 2)]
     _, tally = exported(files, "lerobot", tmp_path / "set")
@@ -301,14 +394,20 @@ def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_damaged_images_and_a_frame_without_a_movement_are_counted(form: str, tmp_path: Path) -> None:
+def test_damaged_images_and_a_frame_without_a_movement_are_counted(
+    form: str, tmp_path: Path
+) -> None:
     """Of a recorder that was killed the last frame does not tell what was done then; it is no arrival either."""
-    file = recording(tmp_path / "recordings", jpeg={3: b"GIF89a", 4: b"\xff\xd8\xff\xd9"}, outcome=None)
+    file = recording(
+        tmp_path / "recordings", jpeg={3: b"GIF89a", 4: b"\xff\xd8\xff\xd9"}, outcome=None
+    )
     _, tally = exported([file], form, tmp_path / "out")
     assert tally.counts["images are damaged"] == 2
     if form != "rosbag2":
         assert "1 frames do not tell what was done then, and are left out" in tally.lines()
-        assert {episode.outcome for episode in brought_back(tmp_path / "out", form, tmp_path / "back")} == {"aborted"}
+        assert {
+            episode.outcome for episode in brought_back(tmp_path / "out", form, tmp_path / "back")
+        } == {"aborted"}
 
 
 def test_what_cannot_be_read_is_said_and_the_rest_exported(tmp_path: Path) -> None:

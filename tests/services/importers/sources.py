@@ -49,7 +49,11 @@ def drive(rate_hz: float = 20.0) -> list[Moment]:
             moments.append(Moment(START_S + time_s, pose, linear, angular))
             x, y, heading = pose
             ahead = linear / rate_hz
-            pose = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading + angular / rate_hz)
+            pose = (
+                x + ahead * math.cos(heading),
+                y + ahead * math.sin(heading),
+                heading + angular / rate_hz,
+            )
             time_s += 1.0 / rate_hz
     return [*moments, Moment(START_S + time_s, pose, 0.0, 0.0)]
 
@@ -95,30 +99,59 @@ def donkeycar(
         lines.append(json.dumps(record))
     (folder / "catalog_0.catalog").write_text("\n".join(lines) + "\n")
     count = len(lines) if announced is None else announced
-    last = {"paths": ["catalog_0.catalog"], "current_index": count, "max_len": 1000, "deleted_indexes": list(deleted)}
-    manifest = [["cam/image_array", "user/angle", "user/throttle"], ["image_array", "float", "float"], {}, {}, last]
+    last = {
+        "paths": ["catalog_0.catalog"],
+        "current_index": count,
+        "max_len": 1000,
+        "deleted_indexes": list(deleted),
+    }
+    manifest = [
+        ["cam/image_array", "user/angle", "user/throttle"],
+        ["image_array", "float", "float"],
+        {},
+        {},
+        last,
+    ]
     (folder / "manifest.json").write_text("\n".join(map(json.dumps, manifest)) + "\n")
     return folder
 
 
 @made_once
-def csv_folder(folder: Path, rate_hz: float = 20.0, *, poses: bool = True, png: bool = False) -> Path:
+def csv_folder(
+    folder: Path, rate_hz: float = 20.0, *, poses: bool = True, png: bool = False
+) -> Path:
     """Write a folder of images and a drive.csv."""
     folder.mkdir(parents=True)
-    columns = ["time_s", "image", "linear_m_s", "angular_rad_s"] + (["x_m", "y_m", "heading_rad"] if poses else [])
+    columns = ["time_s", "image", "linear_m_s", "angular_rad_s"] + (
+        ["x_m", "y_m", "heading_rad"] if poses else []
+    )
     with (folder / "drive.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(columns)
         for number, moment in enumerate(drive(rate_hz)):
             name = f"{number:04d}.{'png' if png else 'jpg'}"
-            data = cv2.imencode(".png", moment.image[..., ::-1])[1].tobytes() if png else encode_jpeg(moment.image)
+            data = (
+                cv2.imencode(".png", moment.image[..., ::-1])[1].tobytes()
+                if png
+                else encode_jpeg(moment.image)
+            )
             (folder / name).write_bytes(data)
-            table.writerow([moment.time_s, name, moment.linear, moment.angular, *(moment.pose if poses else ())])
+            table.writerow(
+                [
+                    moment.time_s,
+                    name,
+                    moment.linear,
+                    moment.angular,
+                    *(moment.pose if poses else ()),
+                ]
+            )
     return folder
 
 
 @made_once
-def lerobot(folder: Path, version: str = "v3.0", *, video: bool = True, episodes: int = 2, fps: int = 20) -> Path:
+def lerobot(
+    folder: Path, version: str = "v3.0", *, video: bool = True, episodes: int = 2, fps: int = 20
+) -> Path:
     """Write a LeRobotDataset of a LeKiwi, whose turn rate is in degrees a second."""
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
@@ -138,8 +171,15 @@ def lerobot(folder: Path, version: str = "v3.0", *, video: bool = True, episodes
     for episode in range(episodes):
         for number, moment in enumerate(moments):
             action = [0.5, moment.linear, 0.0, math.degrees(moment.angular)]
-            row: dict[str, Any] = {"action": action, "timestamp": number / fps, "episode_index": episode}
-            rows.append(row | ({} if video else {CAMERA: {"bytes": encode_jpeg(moment.image), "path": None}}))
+            row: dict[str, Any] = {
+                "action": action,
+                "timestamp": number / fps,
+                "episode_index": episode,
+            }
+            rows.append(
+                row
+                | ({} if video else {CAMERA: {"bytes": encode_jpeg(moment.image), "path": None}})
+            )
     pixels = [moment.image for moment in moments]
 
     def table(path: str, content: list[dict[str, Any]]) -> None:
@@ -160,7 +200,10 @@ def lerobot(folder: Path, version: str = "v3.0", *, video: bool = True, episodes
         if video:
             mp4(folder / f"videos/{CAMERA}/chunk-000/file-000.mp4", pixels * episodes, fps)
         return folder
-    lines = [json.dumps({"episode_index": episode, "length": len(moments)}) for episode in range(episodes)]
+    lines = [
+        json.dumps({"episode_index": episode, "length": len(moments)})
+        for episode in range(episodes)
+    ]
     (folder / "meta/episodes.jsonl").write_text("\n".join(lines) + "\n")
     for episode in range(episodes):
         mine = [row for row in rows if row["episode_index"] == episode]
@@ -195,9 +238,13 @@ def rosbag2(
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP)
+    writer = Writer(
+        folder, version=9, storage_plugin=StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
+    )
     if packed:
-        writer.set_compression(CompressionMode.MESSAGE if sqlite else CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer.set_compression(
+            CompressionMode.MESSAGE if sqlite else CompressionMode.STORAGE, CompressionFormat.ZSTD
+        )
     #: By topic: the type, every so many hundredths of a second, beginning when, and what.
     said: dict[str, tuple[str, int, int, Callable[[Moment], dict[str, Any]]]] = {
         "/camera/image": ("sensor_msgs/msg/CompressedImage", 5, 0, _compressed),
@@ -208,12 +255,20 @@ def rosbag2(
     if raw is not None:
         said["/camera/image"] = "sensor_msgs/msg/Image", 5, 0, lambda moment: _raw(moment, raw)
     if stamped:
-        said["/cmd_vel"] = "geometry_msgs/msg/TwistStamped", 10, 3, lambda moment: {"twist": _twist(moment)}
+        said["/cmd_vel"] = (
+            "geometry_msgs/msg/TwistStamped",
+            10,
+            3,
+            lambda moment: {"twist": _twist(moment)},
+        )
     for topic, there in (("/cmd_vel", command), ("/odom", odometry)):
         if not there:
             del said[topic]
     with writer:
-        channels = {topic: writer.add_connection(topic, kind, typestore=store) for topic, (kind, *_) in said.items()}
+        channels = {
+            topic: writer.add_connection(topic, kind, typestore=store)
+            for topic, (kind, *_) in said.items()
+        }
         for number, moment in enumerate(drive(100.0)[:hundredths]):
             for topic, (kind, period, first, make) in said.items():
                 if number % period == first:

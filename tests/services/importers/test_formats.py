@@ -23,7 +23,9 @@ from tests.services.importers import sources
 
 pytest.importorskip("rosbags", reason="needs the extra formats")
 
-MADE = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["stop"]  # The drive in ticks.
+MADE = (
+    ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["stop"]
+)  # The drive in ticks.
 FRAMES = len(sources.drive(20.0))
 
 
@@ -37,7 +39,9 @@ def imported(path: Path, form: str, folder: Path, **fields: object) -> tuple[Imp
 
 
 def episode_of(source: ImportReport | Path | str) -> RecordedEpisode:
-    (episode,) = read_recording(Path(source.files[0] if isinstance(source, ImportReport) else source)).episodes
+    (episode,) = read_recording(
+        Path(source.files[0] if isinstance(source, ImportReport) else source)
+    ).episodes
     return episode
 
 
@@ -78,7 +82,12 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
     report, tally = imported(BAGS[kind](tmp_path / "bag"), "rosbag2", tmp_path / "out")
     episode = episode_of(report)
     check_drive(episode, blurred=3)
-    assert (episode.outcome, episode.goal, episode.purpose, episode.robot) == ("found", "victim", "drive", "burger")
+    assert (episode.outcome, episode.goal, episode.purpose, episode.robot) == (
+        "found",
+        "victim",
+        "drive",
+        "burger",
+    )
     assert episode.camera is not None
     assert (episode.camera.focal_px, episode.camera.lens) == (pytest.approx(45.0), "plumb_bob")
     assert report.odometry == "of the source"
@@ -86,8 +95,12 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "db3"])
-def test_the_bare_file_of_a_bag_is_imported_too_and_a_grey_camera_is_a_camera(suffix: str, tmp_path: Path) -> None:
-    (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3", raw="mono8").glob(f"*.{suffix}")
+def test_the_bare_file_of_a_bag_is_imported_too_and_a_grey_camera_is_a_camera(
+    suffix: str, tmp_path: Path
+) -> None:
+    (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3", raw="mono8").glob(
+        f"*.{suffix}"
+    )
     report, _ = imported(file, "rosbag2", tmp_path / "out")
     assert report.ticks == len(MADE)
     pixels = decode_image(bytes(episode_of(report).images[0]))
@@ -95,7 +108,9 @@ def test_the_bare_file_of_a_bag_is_imported_too_and_a_grey_camera_is_a_camera(su
 
 
 def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> None:
-    report, tally = imported(sources.rosbag2(tmp_path / "bag", command=False), "rosbag2", tmp_path / "out")
+    report, tally = imported(
+        sources.rosbag2(tmp_path / "bag", command=False), "rosbag2", tmp_path / "out"
+    )
     check_drive(episode_of(report))
     assert "images are those of /camera/image, velocities those of /odom" in tally.lines()
 
@@ -123,7 +138,9 @@ def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Pat
     assert [Path(file).name[:2] for file in report.files] == ["1-"]
 
 
-def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(tmp_path: Path) -> None:
+def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(
+    tmp_path: Path,
+) -> None:
     dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
     info = dataset / "meta/info.json"
     text = info.read_text().replace("x.vel", "thrust").replace("theta.vel", "yaw")
@@ -142,10 +159,15 @@ def test_a_tub_is_imported(tmp_path: Path) -> None:
     assert tally.lines() == [f"{FRAMES - len(MADE)} frames between two ticks are not needed"]
     # What was JPEG is the same JPEG, to the byte.
     assert (tmp_path / "tub/images/0_cam_image_array_.jpg").read_bytes() in bytes(episode.images[0])
-    report, _ = imported(tmp_path / "tub", "donkeycar", tmp_path / "metric", speed=4.0, turn_rate=0.8 / 0.3)
+    report, _ = imported(
+        tmp_path / "tub", "donkeycar", tmp_path / "metric", speed=4.0, turn_rate=0.8 / 0.3
+    )
     assert report.odometry == "reckoned from velocities"
     way = episode_of(report)
-    assert (way.wheels(15)[0], way.wheels(19)[2]) == (pytest.approx(3.0, abs=0.02), pytest.approx(0.32, abs=0.02))
+    assert (way.wheels(15)[0], way.wheels(19)[2]) == (
+        pytest.approx(3.0, abs=0.02),
+        pytest.approx(0.32, abs=0.02),
+    )
 
 
 def test_what_is_not_a_persons_drive_is_left_out_and_its_time_is_a_gap(tmp_path: Path) -> None:
@@ -165,7 +187,9 @@ def test_what_is_not_a_persons_drive_is_left_out_and_its_time_is_a_gap(tmp_path:
 
 
 def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> None:
-    tub = sources.donkeycar(tmp_path / "tub", change=lambda record: record.update(_timestamp_ms=3 * record["_index"]))
+    tub = sources.donkeycar(
+        tmp_path / "tub", change=lambda record: record.update(_timestamp_ms=3 * record["_index"])
+    )
     with pytest.raises(Exception, match="its times say 333 frames a second"):
         imported(tub, "donkeycar", tmp_path / "out")
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
@@ -173,27 +197,35 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("rate_hz", "png"), [(20.0, True), (30.0, False)])
 def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None:
-    report, _ = imported(sources.csv_folder(tmp_path / "set", rate_hz, png=png), "folder", tmp_path / "out")
+    report, _ = imported(
+        sources.csv_folder(tmp_path / "set", rate_hz, png=png), "folder", tmp_path / "out"
+    )
     assert report.odometry == "of the source"
     check_drive(episode_of(report), blurred=2)
 
 
 def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
     report, tally = imported(sources.csv_folder(tmp_path / "set", 5.0), "folder", tmp_path / "out")
-    assert tally.counts["ticks show the frame of the tick before"] == report.ticks - len(sources.drive(5.0))
+    assert tally.counts["ticks show the frame of the tick before"] == report.ticks - len(
+        sources.drive(5.0)
+    )
 
 
 def test_success_is_what_the_source_or_the_user_says(tmp_path: Path) -> None:
     folder = sources.csv_folder(tmp_path / "set")
     text = (folder / "drive.csv").read_text().splitlines()
-    (folder / "drive.csv").write_text("\n".join([text[0] + ",success", *(line + ",0" for line in text[1:])]))
+    (folder / "drive.csv").write_text(
+        "\n".join([text[0] + ",success", *(line + ",0" for line in text[1:])])
+    )
     for success, outcome in ((None, "aborted"), (True, "found"), (False, "aborted")):
         report, _ = imported(folder, "folder", tmp_path / f"out-{success}", success=success)
         assert episode_of(report).outcome == outcome
 
 
 def test_a_part_of_a_drive_can_be_cut_out(tmp_path: Path) -> None:
-    report, _ = imported(sources.csv_folder(tmp_path / "set"), "folder", tmp_path / "out", from_s=1.5, to_s=2.25)
+    report, _ = imported(
+        sources.csv_folder(tmp_path / "set"), "folder", tmp_path / "out", from_s=1.5, to_s=2.25
+    )
     assert set(atoms_of(episode_of(report))) == {"left", "right"}
 
 
@@ -226,7 +258,9 @@ def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize(("form", "ahead"), [("donkeycar", 0.6), ("folder", 0.0)])
-def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahead: float, tmp_path: Path) -> None:
+def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(
+    form: str, ahead: float, tmp_path: Path
+) -> None:
     """The car drives its turns at 0.3 of full throttle, and straight on at 0.5; the other robot turns on the spot."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", reckon=False)
     teacher = Teacher(corridor.FEATURES, shortest=2)
@@ -240,6 +274,9 @@ def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahea
 def test_an_import_is_the_same_every_time_and_another_source_is_another(tmp_path: Path) -> None:
     one = sources.csv_folder(tmp_path / "one")
     other = sources.csv_folder(tmp_path / "other", 30.0)
-    reports = [imported(folder, "folder", tmp_path / out)[0] for folder, out in ((one, "a"), (one, "b"), (other, "c"))]
+    reports = [
+        imported(folder, "folder", tmp_path / out)[0]
+        for folder, out in ((one, "a"), (one, "b"), (other, "c"))
+    ]
     names = [Path(report.files[0]).name for report in reports]
     assert names[0] == names[1] != names[2]

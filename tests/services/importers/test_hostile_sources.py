@@ -65,7 +65,9 @@ FILES: list[tuple[str, Callable[[Path], Path], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("form", "make", "name"), FILES, ids=[f"{form}-{Path(name).name}" for form, _, name in FILES])
+@pytest.mark.parametrize(
+    ("form", "make", "name"), FILES, ids=[f"{form}-{Path(name).name}" for form, _, name in FILES]
+)
 def test_a_damaged_file_is_one_line_or_counted(
     form: str, make: Callable[[Path], Path], name: str, tmp_path: Path
 ) -> None:
@@ -136,7 +138,8 @@ def test_a_bag_that_is_a_link_out_of_its_folder_is_not_read(suffix: str, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "text", ["#EXTM3U\n#EXTINF:9,\nfile://{0}\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile '{0}'\n"]
+    "text",
+    ["#EXTM3U\n#EXTINF:9,\nfile://{0}\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile '{0}'\n"],
 )
 def test_a_playlist_that_calls_itself_a_video_opens_nothing(text: str, tmp_path: Path) -> None:
     dataset = sources.lerobot(tmp_path / "set")
@@ -147,11 +150,15 @@ def test_a_playlist_that_calls_itself_a_video_opens_nothing(text: str, tmp_path:
 
 def png_that_claims(width: int, height: int) -> bytes:
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     pixels = zlib.compress(bytes(10_000_000), 9)
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    )
 
 
 def jpeg_that_claims(pixels: int) -> bytes:
@@ -172,10 +179,23 @@ def test_an_image_that_is_none_is_counted(tmp_path: Path) -> None:
         (folder / f"{number + 4:04d}.jpg").write_bytes(data)
     report, tally = imported(folder, "folder", tmp_path / "out")
     assert sum(tally.counts.values()) == len(images)
-    assert set(range(len(MADE))) - set(episode_of(report).images) == {4 + k for k in range(len(images))}
+    assert set(range(len(MADE))) - set(episode_of(report).images) == {
+        4 + k for k in range(len(images))
+    }
 
 
-NUMBERS = ["NaN", "Infinity", "-Infinity", "1e400", '"fast"', "null", "[]", "{}", "1" * 400, "[" * 2000 + "]" * 2000]
+NUMBERS = [
+    "NaN",
+    "Infinity",
+    "-Infinity",
+    "1e400",
+    '"fast"',
+    "null",
+    "[]",
+    "{}",
+    "1" * 400,
+    "[" * 2000 + "]" * 2000,
+]
 
 
 @pytest.mark.parametrize("field", ["_index", "_timestamp_ms", "user/angle", "user/throttle"])
@@ -183,7 +203,9 @@ def test_a_number_of_a_tub_that_is_none_is_counted(field: str, tmp_path: Path) -
     tub = sources.donkeycar(tmp_path / "tub")
     lines = (tub / CATALOG).read_text().splitlines()
     for row, number in enumerate(NUMBERS):
-        lines[2 * row] = json.dumps(json.loads(lines[2 * row]) | {field: "HERE"}).replace('"HERE"', number)
+        lines[2 * row] = json.dumps(json.loads(lines[2 * row]) | {field: "HERE"}).replace(
+            '"HERE"', number
+        )
     (tub / CATALOG).write_text("\n".join(lines))
     _, tally = imported(tub, "donkeycar", tmp_path / "out")
     assert tally.counts["records lack an image, an angle, a throttle or a time"] == len(NUMBERS)
@@ -203,7 +225,9 @@ def test_a_number_of_a_tub_that_is_none_is_counted(field: str, tmp_path: Path) -
         (f'"{CAMERA}"', '"{0.__class__}"', "lacks the column"),
     ],
 )
-def test_a_description_that_says_nonsense_is_named(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_a_description_that_says_nonsense_is_named(
+    old: str, new: str, said: str, tmp_path: Path
+) -> None:
     dataset = sources.lerobot(tmp_path / "set")
     replaced(dataset / INFO, old, new)
     assert said in refused(dataset, "lerobot", tmp_path)
@@ -222,14 +246,22 @@ def rewrite(dataset: Path, name: str, change: Callable[[dict[str, Any]], object]
     ("name", "change", "said"),
     [
         (DATA, lambda row: row.update(action=[1.0]), "has fewer numbers than"),
-        (DATA, lambda row: row.update(action=[1.0] * (1 + int(20 * row["timestamp"]) % 3)), "not equally long"),
+        (
+            DATA,
+            lambda row: row.update(action=[1.0] * (1 + int(20 * row["timestamp"]) % 3)),
+            "not equally long",
+        ),
         (DATA, lambda row: row.update(action="go"), "is not a column of numbers"),
         (DATA, lambda row: row.update(timestamp="now"), "is not a column of numbers"),
         (DATA, lambda row: row.pop("timestamp"), "lacks the column timestamp"),
         (EPISODES, lambda row: row.update(episode_index=-1), "not numbers from 0 on"),
         (EPISODES, lambda row: row.update({"data/file_index": 7}), "no such file"),
         (EPISODES, lambda row: row.update({f"videos/{CAMERA}/file_index": 10**15}), "no such file"),
-        (EPISODES, lambda row: row.update({f"videos/{CAMERA}/from_timestamp": np.nan}), "not numbers from 0 on"),
+        (
+            EPISODES,
+            lambda row: row.update({f"videos/{CAMERA}/from_timestamp": np.nan}),
+            "not numbers from 0 on",
+        ),
         (EPISODES, lambda row: row.update({"data/chunk_index": 1e300}), "file name too long"),
     ],
 )
@@ -248,16 +280,22 @@ def test_wrong_counts_and_a_video_that_ends_early_are_said(tmp_path: Path) -> No
     _, tally = imported(dataset, "lerobot", tmp_path / "out")
     assert "meta/info.json announces 99 episodes, there are 2" in tally.lines()
     assert f"episode 0: announces 1000000000000 frames, has {FRAMES}" in tally.lines()
-    _, tally = imported(sources.donkeycar(tmp_path / "tub", announced=10**9), "donkeycar", tmp_path / "out2")
+    _, tally = imported(
+        sources.donkeycar(tmp_path / "tub", announced=10**9), "donkeycar", tmp_path / "out2"
+    )
     assert f"the manifest announces 1000000000 records, the catalogs have {FRAMES}" in tally.lines()
     sources.mp4(dataset / VIDEO, [moment.image for moment in sources.drive(20.0)][:40], 20)
     _, tally = imported(dataset, "lerobot", tmp_path / "out3", episodes=("0",))
     assert tally.counts["frames are not in the video"] == 14
 
 
-def test_catalog_is_read_once_when_the_manifest_repeats_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_catalog_is_read_once_when_the_manifest_repeats_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tub = sources.donkeycar(tmp_path / "tub")
-    replaced(tub / "manifest.json", f'"{CATALOG}"', ", ".join([f'"{CATALOG}"', f'"./{CATALOG}"'] * 500))
+    replaced(
+        tub / "manifest.json", f'"{CATALOG}"', ", ".join([f'"{CATALOG}"', f'"./{CATALOG}"'] * 500)
+    )
     read: list[str] = []
     lines = Inside.lines
 
@@ -329,7 +367,9 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
 
     bag = sources.rosbag2(tmp_path / "bag", sqlite=True)
     with sqlite3.connect(bag / "bag.db3") as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 3", (ZstdCompressor().compress(bytes(2**26)),))
+        database.execute(
+            "UPDATE messages SET data = ? WHERE id = 3", (ZstdCompressor().compress(bytes(2**26)),)
+        )
     database.close()
     assert "a packed message of more than" in refused(bag, "rosbag2", tmp_path)
 
@@ -342,9 +382,18 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
         ("image,time_s,linear_m_s,angular_rad_s\n", "no row has"),
         ("image,time_s,linear_m_s,angular_rad_s\n" + "x" * 2_000_000, "a line of more than"),
         ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "no CSV"),
-        ("image,time_s,linear_m_s,angular_rad_s\n0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n", "no row has"),
-        ("image,time_s,linear_m_s,angular_rad_s\n0000.jpg,0,1,0\n0001.jpg,1e300,1,0\n", "not in seconds"),
-        ("image,time_s,linear_m_s,angular_rad_s\n0000.jpg,5,0,0\n0001.jpg,6,0,0\n", "the robot never drives"),
+        (
+            "image,time_s,linear_m_s,angular_rad_s\n0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n",
+            "no row has",
+        ),
+        (
+            "image,time_s,linear_m_s,angular_rad_s\n0000.jpg,0,1,0\n0001.jpg,1e300,1,0\n",
+            "not in seconds",
+        ),
+        (
+            "image,time_s,linear_m_s,angular_rad_s\n0000.jpg,5,0,0\n0001.jpg,6,0,0\n",
+            "the robot never drives",
+        ),
     ],
     ids=["empty", "columns", "rows", "line", "quote", "numbers", "times", "still"],
 )
@@ -356,7 +405,9 @@ def test_a_table_that_says_nonsense_is_named(text: str, said: str, tmp_path: Pat
 
 def test_a_folder_of_bags_and_a_recording_of_our_own_are_no_bag(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bags/monday")
-    assert "monday in it is a bag: import each by itself" in refused(tmp_path / "bags", "rosbag2", tmp_path)
+    assert "monday in it is a bag: import each by itself" in refused(
+        tmp_path / "bags", "rosbag2", tmp_path
+    )
     report, _ = imported(bag, "rosbag2", tmp_path / "recordings")
     said = refused(Path(report.files[0]), "rosbag2", tmp_path)
     assert "it has: none; " in said

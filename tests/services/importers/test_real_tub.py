@@ -24,16 +24,24 @@ def images_of(episode: RecordedEpisode) -> list[NDArray[np.uint8]]:
     return [decode_image(bytes(episode.images[tick])) for tick in sorted(episode.images)]
 
 
-BEGIN_S = (22.0, 25.48, 28.96)  # When laps of it begin, seconds after the second session does; they take 3.5 s.
+BEGIN_S = (
+    22.0,
+    25.48,
+    28.96,
+)  # When laps of it begin, seconds after the second session does; they take 3.5 s.
 
 
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
-def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp_path: Path) -> None:
+def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(
+    tmp_path: Path,
+) -> None:
     def lap(number: int) -> ImportReport:
         begin_s = BEGIN_S[number]
         episodes = ("22-08-27_1",)
         folder = tmp_path / str(number)
-        return imported(CIRCLES, "donkeycar", folder, episodes=episodes, from_s=begin_s, to_s=begin_s + 3.45)[0]
+        return imported(
+            CIRCLES, "donkeycar", folder, episodes=episodes, from_s=begin_s, to_s=begin_s + 3.45
+        )[0]
 
     teacher = Teacher(FeatureSettings(), shortest=5)
     first = lap(0)

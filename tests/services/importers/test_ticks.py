@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.importers.drive import ImportedDrive, ImportFailure, Tally, motion_of
-from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, nominal, odometry, shares_of, ticks
+from services.importers.ticks import (
+    GAP_S,
+    HOLD_S,
+    TICK_S,
+    Moves,
+    nominal,
+    odometry,
+    shares_of,
+    ticks,
+)
 
 
 def shown(times_s: list[float]) -> tuple[list[int], list[int], Tally]:
@@ -41,7 +50,9 @@ def test_every_tick_shows_the_nearest_frame_and_none_that_is_far(times_s: list[f
 @pytest.mark.parametrize("jitter_s", [0.0, 0.02, 0.04])
 def test_a_camera_of_ten_hertz_that_jitters_has_each_frame_once(jitter_s: float) -> None:
     rng = np.random.default_rng(1)
-    times_s = (0.1 * np.arange(200) + rng.uniform(-jitter_s, jitter_s, 200) * (np.arange(200) > 0)).tolist()
+    times_s = (
+        0.1 * np.arange(200) + rng.uniform(-jitter_s, jitter_s, 200) * (np.arange(200) > 0)
+    ).tolist()
     _, frames, tally = shown(times_s)
     assert frames == list(range(200))
     assert tally.lines() == []
@@ -65,11 +76,15 @@ def test_times_that_go_back_are_counted() -> None:
     assert tally.counts == {"frames are not later than the one before": 2}
 
 
-ROWS = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=30)
+ROWS = st.lists(
+    st.tuples(st.floats(0.0, 20.0), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=30
+)
 
 
 @given(ROWS)
-def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(rows: list[tuple[float, float, float]]) -> None:
+def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
+    rows: list[tuple[float, float, float]],
+) -> None:
     motion = motion_of(rows, Tally())
     holds_s = np.minimum(np.append(motion[1:, 0], np.inf) - motion[:, 0], HOLD_S)
     gone = np.diff(Moves(motion).until(np.array([-1.0, 30.0])), axis=0)[0]
@@ -88,14 +103,19 @@ def test_a_silent_driver_stands() -> None:
 def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
     """A quarter of a circle of 2 m, and then a turn on the spot."""
     quarter = math.pi / 2.0
-    rows = [(0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter) for k in range(60)]
+    rows = [
+        (0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter)
+        for k in range(60)
+    ]
     way = moves(*rows).way(0.1 * np.arange(61))
     radius_m = (0.2 * math.pi / 2.0) / (quarter / 5.0)
     assert way[50] == pytest.approx([radius_m, radius_m, quarter], abs=1e-3)
     assert way[60] == pytest.approx([radius_m, radius_m, 0.0], abs=1e-3)
 
 
-def tracked(rows: list[tuple[float, float, float, float]], times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tracked(
+    rows: list[tuple[float, float, float, float]], times_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     drive = ImportedDrive.of_rows("lap", np.zeros(0), lambda: iter(()), [], rows, Tally())
     found = odometry(drive, times_s, None)
     assert found is not None
@@ -112,7 +132,9 @@ def test_odometry_begins_at_zero_and_its_heading_may_pass_half_a_turn() -> None:
 
 def test_odometry_that_jumps_is_named() -> None:
     rows = [(0.1 * k, 0.1 * k + 100.0 * (k > 12), 0.0, 0.0) for k in range(20)]
-    with pytest.raises(ImportFailure, match=r"drive lap: the odometry jumps by 100 m within 0.1 s, 1.2 s after"):
+    with pytest.raises(
+        ImportFailure, match=r"drive lap: the odometry jumps by 100 m within 0.1 s, 1.2 s after"
+    ):
         tracked(rows, 0.1 * np.arange(20))
 
 
@@ -135,7 +157,9 @@ def test_atoms_are_shares_of_what_is_usual_and_velocities_are_kept(scale: float)
     np.testing.assert_allclose(shares, np.clip([row[:2] for row in table], -1.0, 1.0), atol=1e-6)
 
 
-def test_noise_of_a_robot_that_never_turns_is_no_turn_and_one_that_never_drives_teaches_nothing() -> None:
+def test_noise_of_a_robot_that_never_turns_is_no_turn_and_one_that_never_drives_teaches_nothing() -> (
+    None
+):
     velocities = np.stack([np.ones(100), np.random.default_rng(1).normal(0.0, 0.01, 100)], axis=1)
     assert {share.atom() for share in shares_of(velocities, nominal(velocities))} == {"forward"}
     with pytest.raises(ImportFailure, match="the robot never drives"):

@@ -30,20 +30,32 @@ from tests.services.waiting import eventually
 
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
 TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
-SERVED: Final = {rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves}
+SERVED: Final = {
+    rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves
+}
 #: Signs of life of a process, by role.
 ECHOES: Final = {echo_key(name, "1", "urgent", "stop"): name for name in roles()}
-KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded}
+KEPT: Final = {
+    f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded
+}
 #: What nobody may name: other robots, the administration of the router, and keys that stand for many.
 ADMINISTRATION: Final = "@/1/router/config/adminspace"
 FOREIGN: Final = (
     *(ADMINISTRATION, "elsewhere", "smal/other/command/teleop", "smal/other/rpc/robot/arm"),
     f"smal/{ROBOT}/rpc/robot/nothing",
 )
-WILD: Final = ("**", f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*", f"smal/{ROBOT}/rpc/**", "smal/*/heartbeat")
+WILD: Final = (
+    "**",
+    f"smal/{ROBOT}/**",
+    f"smal/{ROBOT}/command/*",
+    f"smal/{ROBOT}/rpc/**",
+    "smal/*/heartbeat",
+)
 KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *ECHOES, *FOREIGN, *WILD)
 Cell = tuple[str, str]
-PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}  # Of who waits for a busy machine.
+PATIENT: Final[dict[str, object]] = {
+    "connect/timeout_ms": 10_000
+}  # Of who waits for a busy machine.
 
 
 def allowed(role: Role, verb: str, key: str) -> bool:
@@ -87,7 +99,9 @@ class Trial:
         """Publish, delete, ask and declare tokens."""
 
         def on_sample(sample: zenoh.Sample) -> None:
-            self.note("put" if sample.kind == zenoh.SampleKind.PUT else "delete", str(sample.attachment))
+            self.note(
+                "put" if sample.kind == zenoh.SampleKind.PUT else "delete", str(sample.attachment)
+            )
 
         def on_query(query: zenoh.Query) -> None:
             with query:
@@ -99,10 +113,19 @@ class Trial:
         direct = zenoh.handlers.Callback
         # `**` stands for no key with @ in it: what senders keep is named.
         everything = ("**", *KEPT, *ECHOES, ADMINISTRATION)
-        made = [self._within.declare_subscriber(key, direct(on_sample, indirect=False)) for key in everything]
-        made += [self._within.declare_queryable(key, direct(on_query, indirect=False)) for key in everything]
+        made = [
+            self._within.declare_subscriber(key, direct(on_sample, indirect=False))
+            for key in everything
+        ]
+        made += [
+            self._within.declare_queryable(key, direct(on_query, indirect=False))
+            for key in everything
+        ]
         liveliness = self._within.liveliness()
-        made += [liveliness.declare_subscriber(key, direct(on_token, indirect=False)) for key in everything]
+        made += [
+            liveliness.declare_subscriber(key, direct(on_token, indirect=False))
+            for key in everything
+        ]
         tokens = []
         for key in KEYS:
             self._session.put(key, b"x", attachment=key)
@@ -136,7 +159,9 @@ class Trial:
                 with query:
                     query.reply(query.key_expr, b"forged")
 
-            served = self._session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+            served = self._session.declare_queryable(
+                key, zenoh.handlers.Callback(answer, indirect=False)
+            )
             self.settle(self._session)
             for one in (*SERVED, *TOPIC_KEYS, *KEPT, *FOREIGN) if key in WILD else (key,):
                 if any(reply.ok for reply in self._within.get(one, timeout=100.0)):
@@ -186,7 +211,10 @@ def test_a_role_can_do_what_the_tables_say_and_nothing_else(
 
 
 def test_without_rules_every_attempt_goes_through(free_endpoint: str) -> None:
-    with closing(Router(free_endpoint)) as router, closing(open_session(free_endpoint, None)) as session:
+    with (
+        closing(Router(free_endpoint)) as router,
+        closing(open_session(free_endpoint, None)) as session,
+    ):
         done = tried(session, router._session)
     could = {(verb, key) for verb in VERBS for key in KEYS if verb != "token" or key not in WILD}
     assert could - done == set()
@@ -203,7 +231,9 @@ def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
     assert done - permitted(roles()["watcher"]) == set()
 
 
-def test_only_the_operator_sees_who_is_connected(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+def test_only_the_operator_sees_who_is_connected(
+    endpoint: str, keys: Path, within: zenoh.Session
+) -> None:
     for role in roles():
         with closing(open_session(endpoint, credentials_in(keys, role))) as session:
             told = [reply for reply in session.get("@/*/router", timeout=100.0) if reply.ok]
@@ -225,7 +255,9 @@ def _refused(endpoint: str, credentials: Credentials) -> bool:
     return False
 
 
-def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+def test_who_has_no_certificate_or_another_one_does_not_get_in(
+    free_endpoint: str, keys: Path, tmp_path: Path
+) -> None:
     endpoint = free_endpoint.replace("tcp/", "tls/")
     foreign = make_keys(tmp_path / "foreign")
     old = tmp_path / "old"
@@ -247,7 +279,9 @@ def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: st
         assert _refused(endpoint, operator)
 
 
-def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+def test_a_connection_ends_with_its_certificate(
+    free_endpoint: str, keys: Path, tmp_path: Path
+) -> None:
     endpoint = free_endpoint.replace("tcp/", "tls/")
     brief = tmp_path / "brief"
     shutil.copytree(keys, brief)
@@ -270,7 +304,9 @@ def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
                      for role in ("robot", "policy"))  # fmt: skip
     key = COMMANDS["policy"].key(ROBOT)
     heard = threading.Event()
-    robot.declare_subscriber(key, zenoh.handlers.Callback(lambda _sample: heard.set(), indirect=False))
+    robot.declare_subscriber(
+        key, zenoh.handlers.Callback(lambda _sample: heard.set(), indirect=False)
+    )
     publisher = policy.declare_publisher(key)
 
     def drive() -> None:
@@ -282,14 +318,18 @@ def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
     return drive
 
 
-def test_a_full_router_says_so_and_who_is_in_goes_on(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+def test_a_full_router_says_so_and_who_is_in_goes_on(
+    endpoint: str, keys: Path, within: zenoh.Session
+) -> None:
     watcher = credentials_in(keys, "watcher")
     with ExitStack() as stack:
         drive = _driving(endpoint, keys, stack)
         with ExitStack() as crowd:
             for _ in range(MAX_SESSIONS - 2):
                 crowd.enter_context(closing(open_session(endpoint, watcher, PATIENT)))
-            with pytest.raises(BusError, match=rf"or is full \(it takes {MAX_SESSIONS} sessions") as error:
+            with pytest.raises(
+                BusError, match=rf"or is full \(it takes {MAX_SESSIONS} sessions"
+            ) as error:
                 Bus(ROBOT, endpoint, patience_s=0.0, credentials=credentials_in(keys, "operator"))
             assert "\n" not in str(error.value)
             assert len(within.info.transports()) == MAX_SESSIONS
@@ -320,7 +360,9 @@ def test_strangers_at_the_door_do_not_disturb_who_is_in(
         drive()
 
 
-def test_who_does_not_say_who_they_are_is_sent_away(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+def test_who_does_not_say_who_they_are_is_sent_away(
+    endpoint: str, keys: Path, within: zenoh.Session
+) -> None:
     """More than may wait at the door, so that nobody else is let in meanwhile."""
     with ExitStack() as at_door:
         for _ in range(150):
@@ -340,7 +382,9 @@ def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) 
         assert bus.connected()
 
 
-def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+def test_who_refuses_whose_certificate_is_one_line(
+    free_endpoint: str, keys: Path, tmp_path: Path
+) -> None:
     """Zenoh says nothing of it."""
     endpoint = free_endpoint.replace("tcp/", "tls/")
     foreign = make_keys(tmp_path / "foreign")
@@ -356,7 +400,11 @@ def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Pat
     everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
     with closing(Router(everywhere, certificate_in(keys, "router"), ROBOT)):
         for address, folder, why in [
-            (other_name, keys, rf"that {other_name} shows is refused: IP address mismatch.*--host 127\.0\.0\.2"),
+            (
+                other_name,
+                keys,
+                rf"that {other_name} shows is refused: IP address mismatch.*--host 127\.0\.0\.2",
+            ),
             (endpoint, foreign, f"that {endpoint} shows is refused: unable to get local issuer"),
             (endpoint, mixed, f"{endpoint} refuses {mixed}/operator.pem: unknown ca"),
             (endpoint, old, f"{endpoint} refuses {old}/operator.pem: certificate expired"),
@@ -366,7 +414,10 @@ def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Pat
                 Bus(ROBOT, address, 0.0, certificate_in(folder, "operator"))
             assert "\n" not in str(error.value)
         assert why_refused(certificate_in(keys, "operator"), *host_and_port(endpoint)) is None
-    with closing(Router(free_endpoint)), pytest.raises(BusError, match="is no router that encrypts"):
+    with (
+        closing(Router(free_endpoint)),
+        pytest.raises(BusError, match="is no router that encrypts"),
+    ):
         Bus(ROBOT, endpoint, 0.0, certificate_in(keys, "operator"))
 
 
@@ -382,7 +433,13 @@ def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Pat
     ],
 )
 def test_what_root_gives_to_our_group_is_for_us(
-    owner: int, group: int, mode: int, user: int, taken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    owner: int,
+    group: int,
+    mode: int,
+    user: int,
+    taken: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (path := tmp_path / "key").write_text("secret\n")
     told = SimpleNamespace(st_uid=owner, st_gid=group, st_mode=stat.S_IFREG | mode)
@@ -392,7 +449,9 @@ def test_what_root_gives_to_our_group_is_for_us(
         assert secret(path) == "secret"
 
 
-def test_an_encrypted_address_without_a_certificate_is_one_line(free_endpoint: str, keys: Path) -> None:
+def test_an_encrypted_address_without_a_certificate_is_one_line(
+    free_endpoint: str, keys: Path
+) -> None:
     endpoint = free_endpoint.replace("tcp/", "tls/")
     with pytest.raises(BusError, match="needs a certificate"):
         Bus(ROBOT, endpoint)

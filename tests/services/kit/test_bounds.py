@@ -25,7 +25,9 @@ def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:
     assert calls <= {rule["key_expr"] for rule in item["rules"]}
 
 
-def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(router_endpoint: str) -> None:
+def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(
+    router_endpoint: str,
+) -> None:
     asked = [0]
     stops = [0]
 

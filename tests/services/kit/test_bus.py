@@ -25,7 +25,9 @@ Sample = tuple[bytes, str]
 
 
 def command(tick: int) -> Command:
-    return Command(robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left")
+    return Command(
+        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
+    )
 
 
 @pytest.fixture
@@ -66,7 +68,9 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
     for cls in chain:
         other.subscribe(
             topics.TOPICS[EXAMPLES[cls].topic_name],
-            lambda payload, encoding, _transit_s, cls=cls: ticks.append(decode(cls, payload, encoding).tick),
+            lambda payload, encoding, _transit_s, cls=cls: ticks.append(
+                decode(cls, payload, encoding).tick
+            ),
         )
     for cls in chain:
         publish_until(client, EXAMPLES[cls].model_copy(update={"tick": 0}), lambda: bool(ticks))
@@ -105,7 +109,9 @@ def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: B
     assert len(threads) == len(threads - {threading.get_ident()}) == 1
 
 
-def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_endpoint: str) -> None:
+def test_who_has_left_neither_hears_nor_answers(
+    client: Bus, other: Bus, router_endpoint: str
+) -> None:
     leaving = Bus("rescuebot", router_endpoint)
     before = heard(leaving, topics.STATE)
     stayed = heard(other, topics.STATE)
@@ -122,7 +128,9 @@ def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_
         client.call("sim", "end", Nothing(), EndRequest)
 
 
-def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus, other: Bus) -> None:
+def test_another_robots_messages_are_not_heard(
+    router_endpoint: str, client: Bus, other: Bus
+) -> None:
     stranger = Bus("stranger", router_endpoint)
     try:
         samples = heard(other, topics.COMMANDS["teleop"])
@@ -133,7 +141,9 @@ def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus
         payload, encoding = samples.get(timeout=100.0)
         assert decode(Command, payload, encoding).tick == 2
         publish_until(
-            stranger, command(1), lambda: any(of_all.get().startswith("smal/stranger/") for _ in range(of_all.qsize()))
+            stranger,
+            command(1),
+            lambda: any(of_all.get().startswith("smal/stranger/") for _ in range(of_all.qsize())),
         )
         while not samples.empty():
             payload, encoding = samples.get()
@@ -142,7 +152,9 @@ def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus
         stranger.close()
 
 
-def call_when_served(bus: Bus, service: str, verb: str, request: Strict, timeout_s: float = 100.0) -> Strict:
+def call_when_served(
+    bus: Bus, service: str, verb: str, request: Strict, timeout_s: float = 100.0
+) -> Strict:
     def answered() -> Strict | None:
         try:
             return bus.call(service, verb, request, EndRequest, timeout_s)
@@ -156,7 +168,9 @@ def call_when_served(bus: Bus, service: str, verb: str, request: Strict, timeout
     return reply
 
 
-def test_a_call_that_is_refused_malformed_late_or_nobody_s(client: Bus, other: Bus, router_endpoint: str) -> None:
+def test_a_call_that_is_refused_malformed_late_or_nobody_s(
+    client: Bus, other: Bus, router_endpoint: str
+) -> None:
     kept: list[Callable[[Strict], None]] = []
     other.serve("sim", "refused", lambda _request, reply: reply(Failure(error="no such episode")))
     other.serve("sim", "malformed", lambda _request, reply: reply(Nothing()))
@@ -167,9 +181,13 @@ def test_a_call_that_is_refused_malformed_late_or_nobody_s(client: Bus, other: B
         ("late", "^sim late: "),
     ):
         with pytest.raises(RpcError, match=error):
-            call_when_served(client, "sim", verb, Nothing(), timeout_s=0.5 if verb == "late" else 100.0)
+            call_when_served(
+                client, "sim", verb, Nothing(), timeout_s=0.5 if verb == "late" else 100.0
+            )
     assert kept
-    with pytest.raises(RpcError, match=rf"^nobody end: no answer; is the service running.*{router_endpoint}"):
+    with pytest.raises(
+        RpcError, match=rf"^nobody end: no answer; is the service running.*{router_endpoint}"
+    ):
         client.call("nobody", "end", Nothing(), Nothing)
 
 
@@ -215,7 +233,9 @@ def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> No
     receiver = Bus("rescuebot", free_endpoint)
     try:
         samples = heard(receiver, topics.COMMANDS["teleop"])
-        receiver.serve("sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request)))
+        receiver.serve(
+            "sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request))
+        )
         publish_until(sender, command(1), lambda: not samples.empty())
         eventually(lambda: sender.has_listeners(topics.COMMANDS["teleop"]))
         router.close()
@@ -228,12 +248,16 @@ def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> No
 
         def arrived() -> bool:
             ticks = {decode(Command, *samples.get()).tick for _ in range(samples.qsize())}
-            assert 2 not in ticks, "a command given during an outage must not move the robot after it"
+            assert 2 not in ticks, (
+                "a command given during an outage must not move the robot after it"
+            )
             return 3 in ticks
 
         publish_until(sender, command(3), arrived)
         assert sender.has_listeners(topics.COMMANDS["teleop"])
-        assert call_when_served(sender, "sim", "end", EndRequest(episode="e")) == EndRequest(episode="e")
+        assert call_when_served(sender, "sim", "end", EndRequest(episode="e")) == EndRequest(
+            episode="e"
+        )
     finally:
         sender.close()
         receiver.close()
@@ -245,7 +269,9 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
     ticks: list[int] = []
     bus.subscribe(
         topic,
-        lambda payload, encoding, _transit_s: ticks.append(decode(topic.message, payload, encoding).tick),
+        lambda payload, encoding, _transit_s: ticks.append(
+            decode(topic.message, payload, encoding).tick
+        ),
         replay=True,
     )
     return lambda: ticks
@@ -253,11 +279,18 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
 
 @pytest.mark.parametrize(
     ("topic", "kept_s", "away_s"),
-    [(topics.STATE, topics.KEPT_S, 3 * HEARTBEAT_S), (topics.COMMANDS["teleop"], 0.05, 3 * HEARTBEAT_S)],
+    [
+        (topics.STATE, topics.KEPT_S, 3 * HEARTBEAT_S),
+        (topics.COMMANDS["teleop"], 0.05, 3 * HEARTBEAT_S),
+    ],
     ids=["short", "longer than is asked for"],
 )
 def test_what_is_recorded_survives_an_outage_of_the_router(
-    free_endpoint: str, topic: topics.Topic, kept_s: float, away_s: float, monkeypatch: pytest.MonkeyPatch
+    free_endpoint: str,
+    topic: topics.Topic,
+    kept_s: float,
+    away_s: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
     monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
@@ -288,7 +321,9 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
         router.close()
 
 
-def test_nothing_is_missing_where_live_samples_come_during_the_replay(client: Bus, router_endpoint: str) -> None:
+def test_nothing_is_missing_where_live_samples_come_during_the_replay(
+    client: Bus, router_endpoint: str
+) -> None:
     """As for a recorder that is started again while the robot drives."""
     before = 100
     after = 150
@@ -322,7 +357,9 @@ def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> 
     eventually(lambda: client.has_listeners(topics.DEPTH))
     assert not client.has_listeners(topics.OVERHEAD)
     client.publish(EXAMPLES[DepthImage])
-    assert decode(DepthImage, *samples.get(timeout=100.0)) == EXAMPLES[DepthImage], "a known listener hears at once"
+    assert decode(DepthImage, *samples.get(timeout=100.0)) == EXAMPLES[DepthImage], (
+        "a known listener hears at once"
+    )
     all_of_it.listen("smal/**", lambda *_: None)
     eventually(lambda: client.has_listeners(topics.OVERHEAD))
     all_of_it.close()
@@ -333,7 +370,9 @@ def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> 
 
 
 def test_no_router(free_endpoint: str) -> None:
-    with pytest.raises(BusError, match=rf"^no router at {free_endpoint}; start the stack with `smal up`$"):
+    with pytest.raises(
+        BusError, match=rf"^no router at {free_endpoint}; start the stack with `smal up`$"
+    ):
         Bus("rescuebot", free_endpoint, patience_s=0.1)
 
 
@@ -361,11 +400,16 @@ def test_a_client_waits_for_a_router_that_is_starting(free_endpoint: str) -> Non
 
 @pytest.mark.zenoh
 def test_a_busy_port(router_endpoint: str) -> None:
-    with pytest.raises(BusError, match=rf"^cannot listen on {router_endpoint}: the port is in use; stop what uses it"):
+    with pytest.raises(
+        BusError,
+        match=rf"^cannot listen on {router_endpoint}: the port is in use; stop what uses it",
+    ):
         Router(router_endpoint)
 
 
-@pytest.mark.parametrize("cls", [Router, lambda endpoint: Bus("rescuebot", endpoint)], ids=["router", "client"])
+@pytest.mark.parametrize(
+    "cls", [Router, lambda endpoint: Bus("rescuebot", endpoint)], ids=["router", "client"]
+)
 @pytest.mark.parametrize(
     "endpoint",
     ["", "nonsense", "tcp/host", "tcp/host:port", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7447", "127.0.0.1:7447",

@@ -33,7 +33,9 @@ def ros(**fields: Any) -> Any:
     st.lists(st.floats(-1e6, 1e6), max_size=8).map(tuple),
     st.tuples(st.floats(-0.5, 0.5), st.floats(-0.375, 0.375)),
 )
-def test_a_camera_comes_back(focal: float, lens: Lens, distortion: tuple[float, ...], centre: Any) -> None:
+def test_a_camera_comes_back(
+    focal: float, lens: Lens, distortion: tuple[float, ...], centre: Any
+) -> None:
     camera = Camera(focal, lens, distortion, centre)
     back = camera_of(camera_info(CAUSE, camera, 640, 480))
     assert (back.lens, back.distortion) == (lens, distortion)
@@ -41,7 +43,12 @@ def test_a_camera_comes_back(focal: float, lens: Lens, distortion: tuple[float, 
     assert 0.0 < back.field_deg <= 360.0
 
 
-@given(st.lists(NUMBERS, min_size=9, max_size=9), st.lists(NUMBERS, max_size=14), st.integers(0, 2**32 - 1), st.text())
+@given(
+    st.lists(NUMBERS, min_size=9, max_size=9),
+    st.lists(NUMBERS, max_size=14),
+    st.integers(0, 2**32 - 1),
+    st.text(),
+)
 def test_whatever_ros_tells_is_a_camera_that_can_be_told_or_one_error(
     k: list[float], d: list[float], width: int, lens: str
 ) -> None:
@@ -54,7 +61,9 @@ def test_whatever_ros_tells_is_a_camera_that_can_be_told_or_one_error(
 
 def test_a_calibration_of_ros_is_taken_as_it_is() -> None:
     camera = camera_of_ros(ros(d=[-0.2, 0.05, 0.001, 0.0, 0.0], distortion_model="plumb_bob"))
-    assert camera == Camera(300.0 / 640.0, "plumb_bob", (-0.2, 0.05, 0.001, 0.0, 0.0), (10.0 / 640.0, -10.0 / 640.0))
+    assert camera == Camera(
+        300.0 / 640.0, "plumb_bob", (-0.2, 0.05, 0.001, 0.0, 0.0), (10.0 / 640.0, -10.0 / 640.0)
+    )
     assert camera_of_ros(ros()).lens == "plumb_bob"
     with pytest.raises(ValueError, match="thin_prism"):
         camera_of_ros(ros(d=[0.1], distortion_model="thin_prism"))

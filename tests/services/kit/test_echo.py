@@ -60,12 +60,17 @@ def test_every_lane_echoes_with_a_certificate(free_endpoint: str, tmp_path: Path
     endpoint = free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     with secured_router(endpoint, keys):
         for role in ("robot", "watcher"):
-            with closing(Bus("rescuebot", endpoint, credentials=credentials_in(keys, role), role=role)) as bus:
+            with closing(
+                Bus("rescuebot", endpoint, credentials=credentials_in(keys, role), role=role)
+            ) as bus:
                 assert is_proved(bus)
 
 
 def test_a_sample_of_another_size_is_no_echo(
-    client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    client: Bus,
+    router_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """A router that a flood holds up delivered samples of other keys as well."""
     monkeypatch.setattr("services.kit.echo.secrets.token_hex", lambda _size: "known")
@@ -95,7 +100,9 @@ def test_echo_passes_between_linked_routers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lane", LANES)
-def test_process_ends_when_its_lane_stays_deaf(settings: ServiceSettings, way: Link, soon: float, lane: Lane) -> None:
+def test_process_ends_when_its_lane_stays_deaf(
+    settings: ServiceSettings, way: Link, soon: float, lane: Lane
+) -> None:
     with Node("tracker", settings.model_copy(update={"router": way.address})) as node:
         assert is_proved(node.bus)
         way.harm("deafen", lane)
@@ -104,7 +111,9 @@ def test_process_ends_when_its_lane_stays_deaf(settings: ServiceSettings, way: L
         assert node.status().silent == (lane,)
 
 
-def test_group_without_a_robot_ends_when_a_lane_stays_deaf(router_endpoint: str, way: Link, soon: float) -> None:
+def test_group_without_a_robot_ends_when_a_lane_stays_deaf(
+    router_endpoint: str, way: Link, soon: float
+) -> None:
     """An instance that serves nobody has no node that could notice."""
     group = Group("tracker", FleetSettings(router=way.address), lambda *_: None)
     group.robots = ()
@@ -134,7 +143,9 @@ def test_process_waits_when_the_whole_router_is_gone(free_endpoint: str, soon: f
 
 @pytest.mark.system
 @pytest.mark.parametrize("service", ["tracker", "recorder"])
-def test_service_reports_and_fails_when_its_stop_lane_is_deaf(way: Link, tmp_path: Path, service: str) -> None:
+def test_service_reports_and_fails_when_its_stop_lane_is_deaf(
+    way: Link, tmp_path: Path, service: str
+) -> None:
     http = free_endpoint().removeprefix("tcp/")
 
     def health() -> str:

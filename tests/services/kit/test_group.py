@@ -61,12 +61,19 @@ def test_where_an_instance_leaves_its_robots_alone_move(
 
 
 @given(
-    st.dictionaries(st.from_regex(r"[0-9a-f]{8}", fullmatch=True), st.integers(1, MAX_ROBOTS), min_size=1, max_size=9)
+    st.dictionaries(
+        st.from_regex(r"[0-9a-f]{8}", fullmatch=True),
+        st.integers(1, MAX_ROBOTS),
+        min_size=1,
+        max_size=9,
+    )
 )
 def test_robots_are_shared_out_among_those_who_serve_so_many(counts: dict[str, int]) -> None:
     instances = {f"{one}-{many}": many for one, many in counts.items()}
     shares = [share(one, fleet("rescuebot", many), instances) for one, many in instances.items()]
-    assert sorted(robot for each in shares for robot in each) == sorted(fleet("rescuebot", max(counts.values())))
+    assert sorted(robot for each in shares for robot in each) == sorted(
+        fleet("rescuebot", max(counts.values()))
+    )
 
 
 def test_instances_get_about_as_many_robots() -> None:
@@ -79,7 +86,10 @@ def test_instances_get_about_as_many_robots() -> None:
 def test_tokens_of_another_form_are_left_out(rests: list[str]) -> None:
     tokens = {f"{PREFIX}/0123abcd-2", f"{PREFIX}/0123abcd-2/rescuebot-2"}
     wrong = (*rests, "*", "0123abcd-2/**", "0123ABCD-2", "0123abcd-2/r/s", "0123abcd-0")
-    found = Seen.of({*tokens, *(f"{PREFIX}/{rest}" for rest in wrong), "smal/other/@group/features/0123abcd-2"}, PREFIX)
+    found = Seen.of(
+        {*tokens, *(f"{PREFIX}/{rest}" for rest in wrong), "smal/other/@group/features/0123abcd-2"},
+        PREFIX,
+    )
     assert found == (frozenset({"0123abcd-2"}), {"rescuebot-2": frozenset({"0123abcd-2"})})
 
 
@@ -105,7 +115,9 @@ def test_an_instance_counts_while_its_answers_are_recent() -> None:
 
 
 def test_announcements_without_an_answer_are_left_out() -> None:
-    announced = Seen.of([f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX)
+    announced = Seen.of(
+        [f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX
+    )
     assert announced.among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
 
 
@@ -115,13 +127,17 @@ def test_announcements_without_an_answer_are_left_out() -> None:
 class Robots:
     """Robots of a fleet: each publishes what it is told to, and counts the answers by robot and frame."""
 
-    def __init__(self, client: Bus, names: tuple[str, ...], topic: topics.Topic, stack: ExitStack) -> None:
+    def __init__(
+        self, client: Bus, names: tuple[str, ...], topic: topics.Topic, stack: ExitStack
+    ) -> None:
         self.buses = {name: stack.enter_context(closing(client.of_robot(name))) for name in names}
         self.answers: Counter[tuple[str, int]] = Counter()
         self.newest: dict[str, Message] = {}
         for name, bus in self.buses.items():
 
-            def take(payload: bytes, encoding: str, _transit_s: float | None, name: str = name) -> None:
+            def take(
+                payload: bytes, encoding: str, _transit_s: float | None, name: str = name
+            ) -> None:
                 self.newest[name] = message = decode(topic.message, payload, encoding)
                 self.answers[name, message.tick] += 1
 
@@ -147,7 +163,9 @@ class Robots:
         """Return which instance answers for each robot that has one."""
         found = {name: status_of(bus, service) for name, bus in self.buses.items()}
         return {
-            name: str(status.detail["instance"]) for name, status in found.items() if status and status.state == "ready"
+            name: str(status.detail["instance"])
+            for name, status in found.items()
+            if status and status.state == "ready"
         }
 
     def served_by(self, service: str, many: int) -> dict[str, str]:
@@ -155,7 +173,9 @@ class Robots:
 
         def all_served() -> dict[str, str] | None:
             found = self.instances(service)
-            return found if len(found) == len(self.buses) and len({*found.values()}) == many else None
+            return (
+                found if len(found) == len(self.buses) and len({*found.values()}) == many else None
+            )
 
         return eventually(all_served)
 
@@ -166,7 +186,9 @@ def stack() -> Iterator[ExitStack]:
         yield opened
 
 
-def start(stack: ExitStack, service: str, endpoint: str, robots: int, *flags: str) -> subprocess.Popen[str]:
+def start(
+    stack: ExitStack, service: str, endpoint: str, robots: int, *flags: str
+) -> subprocess.Popen[str]:
     return stack.enter_context(process(service, endpoint, "--robots", str(robots), *flags))
 
 
@@ -202,7 +224,11 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
         # It has ended as well.
         assert {*robots.served_by("features", 1).values()} < {*served.values()}
     since = tick
-    eventually(lambda: all(any(robots.answers[name, at] for at in range(since, tick)) for name in robots.buses))
+    eventually(
+        lambda: all(
+            any(robots.answers[name, at] for at in range(since, tick)) for name in robots.buses
+        )
+    )
     ended.set()
     driving.join()
     assert max(robots.answers.values()) == 1
@@ -215,7 +241,9 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def nothing_seen(tick: int) -> Observation:
     """Return the observation of a picture that is all grey: it tells nothing of where the robot is."""
-    vector = extract(np.full((corridor.HEIGHT, corridor.WIDTH, 3), 128, np.uint8), corridor.FEATURES)
+    vector = extract(
+        np.full((corridor.HEIGHT, corridor.WIDTH, 3), 128, np.uint8), corridor.FEATURES
+    )
     return seen(tick).model_copy(update={"features": Float32Array.from_numpy(vector)})
 
 
@@ -226,9 +254,20 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
     names = fleet("rescuebot", MANY)
     robots = Robots(client, names, topics.STATE, stack)
     handed = Robots(client, names, topics.SNAPSHOTS["recognition"], stack)
-    flags = ["--model", str(model)] if loaded == "of the settings" else ["--root", str(model.parent)]
+    flags = (
+        ["--model", str(model)] if loaded == "of the settings" else ["--root", str(model.parent)]
+    )
     start(stack, "recognition", router_endpoint, MANY, *flags)
-    command = [sys.executable, "-m", "services.recognition", "--router", router_endpoint, "--robots", str(MANY), *flags]
+    command = [
+        sys.executable,
+        "-m",
+        "services.recognition",
+        "--router",
+        router_endpoint,
+        "--robots",
+        str(MANY),
+        *flags,
+    ]
     first = stack.enter_context(subprocess.Popen(command))
     stack.callback(first.kill)
     served = robots.served_by("recognition", 2)
@@ -241,7 +280,11 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         eventually(lambda tick=tick: all(robots.answers[name, tick] for name in names))
     # Each has told what is to be handed on of the last frame.
     eventually(lambda: all(handed.answers[name, 8] for name in names))
-    pids = {name: status.pid for name, bus in robots.buses.items() if (status := status_of(bus, "recognition"))}
+    pids = {
+        name: status.pid
+        for name, bus in robots.buses.items()
+        if (status := status_of(bus, "recognition"))
+    }
     moving = {name for name, pid in pids.items() if pid == first.pid}
     assert 0 < len(moving) < MANY
     first.kill()
@@ -255,7 +298,9 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         assert isinstance(state, State)
         here = state.places[0]
         x_m = corridor.model().mapped.key_poses[here.keyframe, 0] + here.ahead_m
-        assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), name
+        assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), (
+            name
+        )
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
 
 
@@ -281,7 +326,9 @@ def test_what_an_idle_robot_sent_is_let_go_and_what_it_sends_next_arrives(
     robot.close()
 
 
-def test_a_process_tells_the_health_of_all_its_robots(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+def test_a_process_tells_the_health_of_all_its_robots(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
     address = free_endpoint().removeprefix("tcp/")
     start(stack, "features", router_endpoint, 2, "--http", address)
     robots = Robots(client, fleet("rescuebot", 2), topics.OBSERVATION, stack)
@@ -321,7 +368,10 @@ def test_a_frozen_instance_s_robots_move_and_it_answers_nothing_old_when_it_goes
     robots.served_by("features", 2)
     robots.insist(image(4))
     assert {robots.answers[name, 3] for name in robots.buses} == {1}
-    assert {robots.answers[name, 1] for name in robots.buses} == {0, 1}  # Those of the frozen one are nobody's.
+    assert {robots.answers[name, 1] for name in robots.buses} == {
+        0,
+        1,
+    }  # Those of the frozen one are nobody's.
 
 
 def stronger_than(instance: str) -> str:
@@ -341,11 +391,16 @@ def health(address: str) -> str:
         return ""
 
 
-def test_an_announcement_does_not_take_a_robot(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+def test_an_announcement_does_not_take_a_robot(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
     address = free_endpoint().removeprefix("tcp/")
     robots = Robots(client, ("rescuebot",), topics.OBSERVATION, stack)
     stolen = "00000000-1"
-    for key in (stolen, f"{stolen}/rescuebot"):  # Announced before the real instance comes, it also claims the robot.
+    for key in (
+        stolen,
+        f"{stolen}/rescuebot",
+    ):  # Announced before the real instance comes, it also claims the robot.
         stack.callback(client.stand(f"{PREFIX}/{key}"))
     start(stack, "features", router_endpoint, 1, "--http", address)
     (instance,) = robots.served_by("features", 1).values()
@@ -372,8 +427,12 @@ class Looking(Group[FleetSettings]):
         super()._settle(announced)
 
 
-def test_a_flood_of_announcements_keeps_no_instance_busy(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
-    instance = Looking("features", FleetSettings(router=router_endpoint), lambda _node, _settings: None)
+def test_a_flood_of_announcements_keeps_no_instance_busy(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
+    instance = Looking(
+        "features", FleetSettings(router=router_endpoint), lambda _node, _settings: None
+    )
     thread = threading.Thread(target=instance.run)
     thread.start()
     stack.callback(thread.join)
@@ -387,7 +446,9 @@ def test_a_flood_of_announcements_keeps_no_instance_busy(client: Bus, router_end
     assert instance.looks - before <= (time.monotonic() - began_s) / LOOK_S + 3
 
 
-def test_a_robot_that_no_instance_serves_is_reported(client: Bus, router_endpoint: str, stack: ExitStack) -> None:
+def test_a_robot_that_no_instance_serves_is_reported(
+    client: Bus, router_endpoint: str, stack: ExitStack
+) -> None:
     address = free_endpoint().removeprefix("tcp/")
     robots = Robots(client, ("rescuebot",), topics.OBSERVATION, stack)
     start(stack, "features", router_endpoint, 1, "--http", address)
@@ -422,10 +483,14 @@ class FrozenBus(Bus):
         self.closed.set()
 
 
-def test_an_instance_ends_when_its_router_is_frozen(router_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_instance_ends_when_its_router_is_frozen(
+    router_endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bus = FrozenBus("rescuebot", router_endpoint)
     monkeypatch.setattr(FleetSettings, "open_bus", lambda _settings, _role: bus)
-    instance = Group("features", FleetSettings(router=router_endpoint), lambda _node, _settings: None)
+    instance = Group(
+        "features", FleetSettings(router=router_endpoint), lambda _node, _settings: None
+    )
     thread = threading.Thread(target=instance.run, daemon=True)
     thread.start()
     assert bus.asked.wait(20.0)
@@ -434,7 +499,9 @@ def test_an_instance_ends_when_its_router_is_frozen(router_endpoint: str, monkey
     assert not thread.is_alive()
 
 
-def test_a_question_about_tokens_has_no_answer_when_the_session_is_closed(router_endpoint: str) -> None:
+def test_a_question_about_tokens_has_no_answer_when_the_session_is_closed(
+    router_endpoint: str,
+) -> None:
     bus = Bus("rescuebot", router_endpoint)
     bus.close()
     assert bus.look(f"{PREFIX}/**", 1.0) == frozenset()

@@ -29,7 +29,9 @@ HEALTHY = Status(
 
 
 def command(tick: int) -> Command:
-    return Command(robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left")
+    return Command(
+        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
+    )
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,9 @@ def command(tick: int) -> Command:
         ({"oldest_s": 5.1}, "a message has waited for 5.1 s"),
     ],
 )
-def test_health_is_about_work_that_gets_done(change: dict[str, object], problem: str | None) -> None:
+def test_health_is_about_work_that_gets_done(
+    change: dict[str, object], problem: str | None
+) -> None:
     assert ailment(HEALTHY.model_copy(update=change)) == problem
 
 
@@ -57,7 +61,9 @@ def node(settings: ServiceSettings) -> Iterator[Node]:
 def get(node: Node, path: str) -> tuple[int, str]:
     assert node._http is not None
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{node._http.server_port}{path}", timeout=100.0) as answer:
+        with urllib.request.urlopen(
+            f"http://127.0.0.1:{node._http.server_port}{path}", timeout=100.0
+        ) as answer:
             return answer.status, answer.read().decode()
     except HTTPError as error:
         with closing(error):
@@ -68,7 +74,10 @@ def values(text: str) -> Iterator[tuple[tuple[str, str], float]]:
     """Give every sample of the metrics by its name and its topic, or what else it is about."""
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
-            yield (sample.name, sample.labels.get("topic", sample.labels.get("name", ""))), sample.value
+            yield (
+                (sample.name, sample.labels.get("topic", sample.labels.get("name", ""))),
+                sample.value,
+            )
 
 
 def test_a_stuck_handler_is_no_health(
@@ -124,7 +133,9 @@ def test_clients_that_say_nothing_take_few_threads_and_are_sent_away(
     before = threading.active_count()
     with ExitStack() as silent:
         for _ in range(10 * MOST_CONNECTIONS):
-            one = silent.enter_context(socket.create_connection(("127.0.0.1", node._http.server_port)))
+            one = silent.enter_context(
+                socket.create_connection(("127.0.0.1", node._http.server_port))
+            )
             one.send(b"G")
         assert threading.active_count() <= before + MOST_CONNECTIONS
 
@@ -136,7 +147,9 @@ def test_clients_that_say_nothing_take_few_threads_and_are_sent_away(
         eventually(answered)
 
 
-def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client: Bus, run_node: RunNode) -> None:
+def test_metrics_count_every_message_and_the_parts_of_its_hop(
+    node: Node, client: Bus, run_node: RunNode
+) -> None:
     def answer(message: Command) -> None:
         if message.tick == 13:
             raise ServiceError("not this one")
@@ -148,14 +161,20 @@ def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client
     before = node.status().received["command/teleop"]
     for tick in (11, 12, 13):
         client.publish(command(tick))
-    eventually(lambda: node.status().received["command/teleop"] == before + 3 and node.status().failed == 1)
+    eventually(
+        lambda: node.status().received["command/teleop"] == before + 3 and node.status().failed == 1
+    )
     found = dict(values(get(node, "/metrics")[1]))
     topic = "command/teleop"
     assert found["smal_messages_received_total", topic] == before + 3
     assert found["smal_wait_seconds_count", topic] == before + 2, "all but the one that failed"
     assert found["smal_work_seconds_count", topic] == before + 2
     assert found["smal_transit_seconds_count", topic] == before + 3
-    assert 0.0 < found["smal_transit_seconds_sum", topic] < 5.0 * found["smal_transit_seconds_count", topic]
+    assert (
+        0.0
+        < found["smal_transit_seconds_sum", topic]
+        < 5.0 * found["smal_transit_seconds_count", topic]
+    )
     assert found["smal_queue_depth", topic] == 0
     assert found["smal_handling_failures_total", ""] == 1
     assert found["smal_healthy", ""] == 1
@@ -169,7 +188,9 @@ def test_an_address_that_cannot_be_had_is_one_line() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(JobError, match=rf"^cannot answer HTTP on {address}: Address already in use$"):
+        with pytest.raises(
+            JobError, match=rf"^cannot answer HTTP on {address}: Address already in use$"
+        ):
             serve_http(address, str, CollectorRegistry())
     with pytest.raises(JobError, match=r"^cannot answer HTTP on 127\.0\.0\.1:99999: no such port$"):
         serve_http("127.0.0.1:99999", str, CollectorRegistry())

@@ -47,7 +47,9 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(params=REFUSALS)
-def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[Path, LoadRequest, str]:
+def refused(
+    request: pytest.FixtureRequest, tmp_path: Path, other: Path
+) -> tuple[Path, LoadRequest, str]:
     """Give a root, a request that must be refused, and what the refusal says."""
     name = request.param
     file, asked = {
@@ -63,7 +65,11 @@ def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tupl
         (tmp_path / file).write_bytes(other.read_bytes()[:-7])
     if file == "mapped.smal":
         corridor.save_model(tmp_path / file)
-    return other.parent if file == other.name else tmp_path, LoadRequest(model=file, **asked), REFUSALS[name]
+    return (
+        other.parent if file == other.name else tmp_path,
+        LoadRequest(model=file, **asked),
+        REFUSALS[name],
+    )
 
 
 def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
@@ -98,18 +104,26 @@ def decisions(answer: list[Message]) -> list[Message]:
 
 @pytest.mark.parametrize("cls", SERVICES)
 @pytest.mark.parametrize(("stride", "got"), [(None, LENGTH), (1, 1), (2, 2), (LENGTH, LENGTH)])
-def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: int, model: Path) -> None:
+def test_the_loaded_model_is_told(
+    cls: type[Service], stride: int | None, got: int, model: Path
+) -> None:
     service = cls()
     assert service.detail() == {"model": None}
     reply = service.load(LoadedModel.read(model, "paper", stride))
     assert reply == LoadReply(scheme="paper", states=6, stride=got)
     detail = service.detail()
-    assert (detail["model"], detail["checksum"], detail["scheme"]) == (str(model), identity(model), "paper")
+    assert (detail["model"], detail["checksum"], detail["scheme"]) == (
+        str(model),
+        identity(model),
+        "paper",
+    )
 
 
 @pytest.mark.parametrize("cls", SERVICES)
 @pytest.mark.parametrize("stride", [None, 1])
-def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | None, tmp_path: Path) -> None:
+def test_a_model_with_a_map_is_for_the_filter(
+    cls: type[Service], stride: int | None, tmp_path: Path
+) -> None:
     mapped = corridor.save_model(tmp_path / "mapped.smal")
     service = cls()
     reply = service.load(LoadedModel.read(mapped, stride=stride))
@@ -158,14 +172,18 @@ def test_who_goes_by_a_map_runs_none_of_the_paper(tmp_path: Path) -> None:
         "print([name for name in ('smal.paper.recognition', 'smal.paper.state_matching') if name in sys.modules])"
     )
     mapped = corridor.save_model(tmp_path / "mapped.smal")
-    done = subprocess.run([sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "[]\n"
 
 
 # -- two models -------------------------------------------------------------------------------------------------------
 
 
-def test_states_name_the_model_that_they_are_of(recognition: RecognitionService, model: Path, other: Path) -> None:
+def test_states_name_the_model_that_they_are_of(
+    recognition: RecognitionService, model: Path, other: Path
+) -> None:
     assert RecognitionService().handle(observation(0)).model is None
     assert recognition.handle(observation(0)).model == identity(model)
     recognition.load(LoadedModel.read(other))
@@ -173,7 +191,9 @@ def test_states_name_the_model_that_they_are_of(recognition: RecognitionService,
     assert identity(model) != identity(other)
 
 
-@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
+@pytest.mark.parametrize(
+    "fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str
+)
 def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
     policy: PolicyService, fields: dict[str, object], model: Path, other: Path
 ) -> None:

@@ -34,7 +34,14 @@ TELEOP = topics.COMMANDS["teleop"]
 
 def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
     return Command.model_validate(
-        {"robot": robot, "episode": "e", "tick": tick, "stamp_ns": 0, "source": source, "atom": "left"}
+        {
+            "robot": robot,
+            "episode": "e",
+            "tick": tick,
+            "stamp_ns": 0,
+            "source": source,
+            "atom": "left",
+        }
     )
 
 
@@ -58,13 +65,18 @@ def node(settings: ServiceSettings) -> Iterator[Node]:
 # -- messages ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_message_is_handled_and_its_answers_are_published(node: Node, run_node: RunNode, client: Bus) -> None:
+def test_a_message_is_handled_and_its_answers_are_published(
+    node: Node, run_node: RunNode, client: Bus
+) -> None:
     def answer(received: Command) -> Iterator[Message]:
         yield Pose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
         yield Command.after(received, source="policy", atom="right")
 
     poses: list[Pose] = []
-    client.subscribe(topics.POSE, lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)))
+    client.subscribe(
+        topics.POSE,
+        lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)),
+    )
     node.subscribe(TELEOP, answer)
     run_node(node)
     introduce(client, "sample", command(3))
@@ -84,8 +96,16 @@ def test_a_message_is_handled_and_its_answers_are_published(node: Node, run_node
         (b"", encoding_of(Command), "not msgpack"),
         (b"\x80", encoding_of(Command), "robot: Field required"),
         (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/1"),
-        (encode(command(1, robot="stranger")), encoding_of(Command), "message of stranger/command/teleop"),
-        (encode(command(1, source="policy")), encoding_of(Command), "message of rescuebot/command/policy"),
+        (
+            encode(command(1, robot="stranger")),
+            encoding_of(Command),
+            "message of stranger/command/teleop",
+        ),
+        (
+            encode(command(1, source="policy")),
+            encoding_of(Command),
+            "message of rescuebot/command/policy",
+        ),
     ],
     ids=["garbage", "empty", "no fields", "no encoding", "another robot", "another source"],
 )
@@ -113,7 +133,9 @@ def test_a_malformed_message_is_logged_once_counted_and_dropped(
     assert reason in lines[0]
 
 
-def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(node: Node, run_node: RunNode, client: Bus) -> None:
+def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(
+    node: Node, run_node: RunNode, client: Bus
+) -> None:
     handled: list[int] = []
     node.subscribe(TELEOP, lambda received: handled.append(received.tick), depth=3)
     for tick in range(10):
@@ -138,25 +160,35 @@ def serve_end(node: Node) -> None:
     node.serve("end", EndRequest, end)
 
 
-def test_calls(node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture) -> None:
+def test_calls(
+    node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
     serve_end(node)
     run_node(node)
     ready(client, "sample")
-    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(episode="e")
+    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(
+        episode="e"
+    )
     assert client.call("sample", "end", EndRequest(episode="quiet"), Nothing) == Nothing()
     with pytest.raises(RpcError, match=r"^sample end: episode gone is not running$"):
         client.call("sample", "end", EndRequest(episode="gone"), Nothing)
-    with pytest.raises(RpcError, match=r"^sample end: internal error; the log of sample says more$"):
+    with pytest.raises(
+        RpcError, match=r"^sample end: internal error; the log of sample says more$"
+    ):
         client.call("sample", "end", EndRequest(episode="bug"), Nothing)
     with pytest.raises(RpcError, match=r"^sample end: episode: Field required$"):
         client.call("sample", "end", Nothing(), Nothing)
     eventually(lambda: status(client).failed == 1)
     assert "end refused: episode gone is not running" in caplog.text
     assert "KeyError: 'a bug'" in caplog.text
-    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(episode="e")
+    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(
+        episode="e"
+    )
 
 
-def test_status_is_answered_while_a_handler_is_busy(node: Node, run_node: RunNode, client: Bus) -> None:
+def test_status_is_answered_while_a_handler_is_busy(
+    node: Node, run_node: RunNode, client: Bus
+) -> None:
     begun = threading.Event()
     finish = threading.Event()
 
@@ -249,11 +281,17 @@ def test_a_node_ends_although_what_works_apart_hangs(
     assert caplog.messages == ["the thread 'sample, hang' did not end within 0.05 s"]
 
 
-def test_a_signal_just_before_the_loop_waits_ends_it(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_just_before_the_loop_waits_ends_it(
+    node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It wakes nobody; idle services hung so, one in twelve that were ended on a busy machine."""
     wait = node._inbox.take
-    before = [(one, signal.getsignal(one)) for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)]
-    monkeypatch.setattr(node._inbox, "take", lambda s: (signal.raise_signal(signal.SIGTERM), wait(s))[1])
+    before = [
+        (one, signal.getsignal(one)) for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+    ]
+    monkeypatch.setattr(
+        node._inbox, "take", lambda s: (signal.raise_signal(signal.SIGTERM), wait(s))[1]
+    )
     node.stop_on_signals()
     assert not node.spin()
     for handled in before:
@@ -294,7 +332,9 @@ def wait_for(log: TextIO, text: str) -> None:
 
 @pytest.mark.zenoh
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, number: signal.Signals) -> None:
+def test_a_signal_stops_a_process_cleanly(
+    router_endpoint: str, client: Bus, number: signal.Signals
+) -> None:
     process = start("--router", router_endpoint)
     assert process.stderr is not None
     with process:
@@ -349,7 +389,10 @@ def test_read_settings_names_the_unknown_flag(
 
 @pytest.mark.parametrize("error", [ServiceError("no such model"), BusError("no router")])
 def test_a_service_that_cannot_start_says_why(
-    error: Exception, caplog: pytest.LogCaptureFixture, router_endpoint: str, monkeypatch: pytest.MonkeyPatch
+    error: Exception,
+    caplog: pytest.LogCaptureFixture,
+    router_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def serve(_node: Node, _settings: ServiceSettings) -> None:
         raise error
@@ -392,8 +435,12 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
     try:
         for _ in range(100):
             send_as_stranger(client, stop, b"\xc1", encoding_of(stop.message))
-        eventually(lambda: (client.publish(command(0, source="emergency_stop")), stopped.is_set())[1])
-        eventually(lambda: status(client).bad[stop.name] == 100)  # two senders: the stop may overtake the junk
+        eventually(
+            lambda: (client.publish(command(0, source="emergency_stop")), stopped.is_set())[1]
+        )
+        eventually(
+            lambda: status(client).bad[stop.name] == 100
+        )  # two senders: the stop may overtake the junk
         assert status(client).busy_s > 0.0
     finally:
         release.set()

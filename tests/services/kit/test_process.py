@@ -37,7 +37,9 @@ run_node("sample", ServiceSettings, serve)
 def ended(router: str, does: str) -> tuple[int, list[str]]:
     """Run a service that does something before it waits for messages; return its status, and what it logged."""
     command = [sys.executable, "-c", _SERVICE.format(does=does), "--router", router]
-    done = subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False
+    )
     return done.returncode, done.stderr.splitlines()
 
 
@@ -59,11 +61,17 @@ def test_process_ends_with_one_line_when_it_lacks_memory(router_endpoint: str, d
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("how", ["node.at_once(STOP, allocate)", "node.bus.subscribe(STOP, allocate)"])
-def test_process_ends_when_a_callback_lacks_memory(router_endpoint: str, client: Bus, how: str) -> None:
+@pytest.mark.parametrize(
+    "how", ["node.at_once(STOP, allocate)", "node.bus.subscribe(STOP, allocate)"]
+)
+def test_process_ends_when_a_callback_lacks_memory(
+    router_endpoint: str, client: Bus, how: str
+) -> None:
     does = how.replace("STOP", "topics.COMMANDS['emergency_stop']")
     command = [sys.executable, "-c", _SERVICE.format(does=does), "--router", router_endpoint]
-    stop = Command(robot="rescuebot", episode="e", tick=0, stamp_ns=0, source="emergency_stop", atom="stop")
+    stop = Command(
+        robot="rescuebot", episode="e", tick=0, stamp_ns=0, source="emergency_stop", atom="stop"
+    )
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
 
         def has_ended() -> bool:
@@ -81,7 +89,9 @@ def test_process_ends_when_a_callback_lacks_memory(router_endpoint: str, client:
 def test_process_ends_when_one_of_its_threads_fails(router_endpoint: str) -> None:
     status, lines = ended(router_endpoint, "threading.Thread(target=fail, name='worker').start()")
     assert status == 1
-    assert lines[0].endswith(" sample: the thread 'worker' failed; this process ends and must be started again")
+    assert lines[0].endswith(
+        " sample: the thread 'worker' failed; this process ends and must be started again"
+    )
     assert lines[-1] == "KeyError: 'a bug'"
 
 
@@ -95,7 +105,12 @@ def test_process_is_killed_when_it_cannot_tidy_up(router_endpoint: str) -> None:
 def test_process_ends_with_one_line_when_little_memory_is_allowed() -> None:
     limited = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (90 << 20, 90 << 20)); import services.kit.bus"
     done = subprocess.run(
-        [sys.executable, "-c", limited], cwd=ROOT, capture_output=True, text=True, timeout=100.0, check=False
+        [sys.executable, "-c", limited],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=100.0,
+        check=False,
     )
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert done.stderr.startswith("out of memory: less than 150 MB can be used")

@@ -79,7 +79,9 @@ def at_once(node: Node, handled: list[Message]) -> None:
     node.at_once(TELEOP, handled.append)
 
 
-WAYS = pytest.mark.parametrize("subscribe", [plain, replayed, at_once], ids=lambda way: way.__name__)
+WAYS = pytest.mark.parametrize(
+    "subscribe", [plain, replayed, at_once], ids=lambda way: way.__name__
+)
 
 
 @pytest.fixture
@@ -107,7 +109,9 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
     handled.clear()
     with stranger(router_endpoint) as session:
         # One after the other: on the way those to everybody have another priority, and replay drops what is overtaken.
-        for count, key in enumerate(("**", "smal/**", "smal/*/command/teleop", KEY.replace("teleop", "*")), start=1):
+        for count, key in enumerate(
+            ("**", "smal/**", "smal/*/command/teleop", KEY.replace("teleop", "*")), start=1
+        ):
             session.put(key, encode(COMMAND), encoding=ENCODING)
             bad(client, TELEOP.name, count)
         for count, key in enumerate((KEY, "**"), start=5):
@@ -122,11 +126,18 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
         tracemalloc.start()
         try:
             while status(client).bad.get(TELEOP.name, 0) < 13:  # a busy machine may lose some
-                session.put(KEY, payload, encoding=ENCODING, congestion_control=zenoh.CongestionControl.BLOCK)
+                session.put(
+                    KEY,
+                    payload,
+                    encoding=ENCODING,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
             _, most = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-    assert most < 2_000_000, "bytes that Python held at one time: nothing of what is too large is copied"
+    assert most < 2_000_000, (
+        "bytes that Python held at one time: nothing of what is too large is copied"
+    )
     assert handled == []
     client.publish(COMMAND)
     eventually(lambda: handled)
@@ -143,7 +154,9 @@ def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
             key = f"smal/rescuebot/{name}"
             came = SimpleQueue[zenoh.Sample]()
             receiver.declare_subscriber(key, came.put)
-            publisher = rude.declare_publisher(key, congestion_control=block, priority=first, express=True)
+            publisher = rude.declare_publisher(
+                key, congestion_control=block, priority=first, express=True
+            )
             eventually(lambda publisher=publisher: publisher.matching_status.matching)
             publisher.put(b"")
             sample = came.get(timeout=100.0)
@@ -154,7 +167,9 @@ def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
 
 
 @pytest.mark.zenoh
-def test_a_forged_sign_of_life_is_refused(router_endpoint: str, node: Node, run_node: RunNode, client: Bus) -> None:
+def test_a_forged_sign_of_life_is_refused(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus
+) -> None:
     """Whoever kept something is asked for it by that name, so it must be one, and no pattern."""
     heard: list[int] = []
     node.subscribe(topics.STATE, lambda state: heard.append(state.tick), replay=True)
@@ -163,7 +178,9 @@ def test_a_forged_sign_of_life_is_refused(router_endpoint: str, node: Node, run_
     eventually(lambda: heard)
     with stranger(router_endpoint) as session:
         for count, name in enumerate(("x", "**", "*/1", "0f/1x"), start=1):
-            token = session.liveliness().declare_token(f"{topics.STATE.key('rescuebot')}/@adv/pub/{name}")
+            token = session.liveliness().declare_token(
+                f"{topics.STATE.key('rescuebot')}/@adv/pub/{name}"
+            )
             bad(client, "state", count)
             client.publish(EXAMPLES[State].model_copy(update={"tick": count}))
             eventually(lambda count=count: heard[-1] == count)
@@ -185,7 +202,9 @@ def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) 
 
 
 @pytest.mark.zenoh
-def test_a_message_larger_than_any_topic_s_reaches_nobody(router_endpoint: str, client: Bus) -> None:
+def test_a_message_larger_than_any_topic_s_reaches_nobody(
+    router_endpoint: str, client: Bus
+) -> None:
     """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
     camera = topics.JPEG.key("rescuebot")
     sizes = SimpleQueue[int]()
@@ -214,7 +233,9 @@ def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> 
         try:
             bus.listen("smal/**", lambda _key, payload, _encoding: sizes.put(len(payload)))
             taken_until(lambda: sender.put(KEY, b"1"), 1, sizes)
-            sender.put(KEY, bytes(2 * LARGEST_BYTES), congestion_control=zenoh.CongestionControl.BLOCK)
+            sender.put(
+                KEY, bytes(2 * LARGEST_BYTES), congestion_control=zenoh.CongestionControl.BLOCK
+            )
             assert taken_until(lambda: sender.put(KEY, b"12"), 2, sizes) <= {1, 2}
         finally:
             bus.close()
@@ -224,9 +245,12 @@ def test_the_other_router_is_told_the_same() -> None:
     comment, configured = (ROOT / "deploy" / "zenohd.json5").read_text().split("{", 1)
     assert all(line.startswith("//") for line in comment.splitlines())
     rows = (
-        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in zenohd_configuration(OTHERS, [], None).items()
+        f"  {json.dumps(key)}: {json.dumps(value)}"
+        for key, value in zenohd_configuration(OTHERS, [], None).items()
     )
-    assert "{" + configured == "{\n" + ",\n".join(rows) + "\n}\n", "what differs is to be written there"
+    assert "{" + configured == "{\n" + ",\n".join(rows) + "\n}\n", (
+        "what differs is to be written there"
+    )
     assert f"ZENOH_RUNTIME: {runtime(MAX_SESSIONS)!r}" in (ROOT / "docker-compose.yml").read_text()
 
 
@@ -260,21 +284,30 @@ def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node
     run_node(node)
     ready(client, "sample")
     for episode in ("fails", "e"):
-        with pytest.raises(RpcError, match=r"^sample end: unfit reply: 2000012 bytes, at most 1000000 allowed$"):
+        with pytest.raises(
+            RpcError, match=r"^sample end: unfit reply: 2000012 bytes, at most 1000000 allowed$"
+        ):
             client.call("sample", "end", EndRequest(episode=episode), Failure)
 
 
 @pytest.mark.zenoh
-def test_a_call_of_everybody_is_nobody_s(router_endpoint: str, node: Node, run_node: RunNode, client: Bus) -> None:
+def test_a_call_of_everybody_is_nobody_s(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus
+) -> None:
     stopped: list[Nothing] = []
     node.serve("stop", Nothing, stopped.append)
     run_node(node)
     ready(client, "sample")
     with stranger(router_endpoint) as session:
-        for count, key in enumerate(("**", "smal/**", "smal/*/rpc/*/stop", "smal/rescuebot/rpc/**"), start=1):
+        for count, key in enumerate(
+            ("**", "smal/**", "smal/*/rpc/*/stop", "smal/rescuebot/rpc/**"), start=1
+        ):
             replies = list(session.get(key, timeout=100.0))
             assert replies
-            assert all(reply.err is not None and b"its key is" in reply.err.payload.to_bytes() for reply in replies)
+            assert all(
+                reply.err is not None and b"its key is" in reply.err.payload.to_bytes()
+                for reply in replies
+            )
             eventually(lambda count=count: status(client).bad.get("rpc/stop") == count)
     assert stopped == []
 
@@ -299,7 +332,9 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
         before = answered
         began_s = time.monotonic()
         ended = SimpleQueue[None]()
-        handler = zenoh.handlers.Callback(lambda _reply: None, lambda: ended.put(None), indirect=False)
+        handler = zenoh.handlers.Callback(
+            lambda _reply: None, lambda: ended.put(None), indirect=False
+        )
         for _ in range(5000):
             session.get(rpc_key("rescuebot", "sim", "end"), handler, timeout=100.0)
         for _ in range(5000):
@@ -311,17 +346,24 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
 
 
 @pytest.mark.zenoh
-def test_a_call_larger_than_any_service_takes_reaches_none(router_endpoint: str, client: Bus) -> None:
+def test_a_call_larger_than_any_service_takes_reaches_none(
+    router_endpoint: str, client: Bus
+) -> None:
     """The router does not pass it on: calls that wait take no memory."""
     asked: list[int] = []
     service = Bus("rescuebot", router_endpoint)
     service.serve(
-        "sim", "end", lambda _request, reply: reply(EndRequest(episode="e")), lambda why: asked.append(len(why))
+        "sim",
+        "end",
+        lambda _request, reply: reply(EndRequest(episode="e")),
+        lambda why: asked.append(len(why)),
     )
     eventually(lambda: _called(client, "sim"))
     with stranger(router_endpoint) as session:
         key = rpc_key("rescuebot", "sim", "end")
-        assert [reply.err for reply in session.get(key, payload=bytes(MAX_RPC_BYTES + 1), timeout=100.0)] != []
+        assert [
+            reply.err for reply in session.get(key, payload=bytes(MAX_RPC_BYTES + 1), timeout=100.0)
+        ] != []
         assert len(asked) == 1
         assert list(session.get(key, payload=bytes(3 * MAX_RPC_BYTES), timeout=100.0)) == []
     assert len(asked) == 1
@@ -359,7 +401,11 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
         assert _called(client, "other") == "e"
         assert sent.wait(100.0)
         other.close()
-    expected = {"key": "unfit reply: its key is smal", "delete": "unfit reply: it deletes", "many": "first"}
+    expected = {
+        "key": "unfit reply: its key is smal",
+        "delete": "unfit reply: it deletes",
+        "many": "first",
+    }
     assert expected[way] in told
     assert most < 5_000_000
 
@@ -399,6 +445,13 @@ def test_whoever_goes_on_and_on_does_not_fill_the_log(
         client.publish(EXAMPLES[State])
     eventually(lambda: status(client).failed == before + 60)
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-    for text in ("refuse refused: not now", "handling rpc/fail", "handling state", "handling command/teleop"):
-        assert 1 <= len([line for line in lines if text in line]) <= 3 + time.monotonic() - began_s, "one a second"
+    for text in (
+        "refuse refused: not now",
+        "handling rpc/fail",
+        "handling state",
+        "handling command/teleop",
+    ):
+        assert (
+            1 <= len([line for line in lines if text in line]) <= 3 + time.monotonic() - began_s
+        ), "one a second"
     assert "ZeroDivisionError" in caplog.text

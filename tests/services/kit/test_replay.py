@@ -37,7 +37,9 @@ class Bench:
     joined=st.integers(0, 30),
     rng=st.randoms(use_true_random=False),
 )
-def test_all_samples_come_in_order_and_once(sent: list[int], joined: int, rng: random.Random) -> None:
+def test_all_samples_come_in_order_and_once(
+    sent: list[int], joined: int, rng: random.Random
+) -> None:
     """Of each sender those from `joined` on come live as well, anywhere between and after those it replays."""
     bench = Bench()
     for name, count in zip("abc", sent, strict=False):
@@ -50,7 +52,9 @@ def test_all_samples_come_in_order_and_once(sent: list[int], joined: int, rng: r
                 bench.replay.ended(name)
             else:
                 step[0](name, step[1])
-    assert bench.passed == [(name, number) for name, count in zip("abc", sent, strict=False) for number in range(count)]
+    assert bench.passed == [
+        (name, number) for name, count in zip("abc", sent, strict=False) for number in range(count)
+    ]
     assert bench.asked == list("abc")[: len(sent)]
 
 
@@ -91,7 +95,9 @@ def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> N
     assert (bench.passed, bench.overdue) == ([("b", 7), ("b", 8)], ["b"])
     bench.replayed("b", 3)
     bench.ended_all("a", "b")
-    assert bench.passed == [("b", 7), ("b", 8), ("a", 5), ("a", 6)], "what was waited for is left out: order is kept"
+    assert bench.passed == [("b", 7), ("b", 8), ("a", 5), ("a", 6)], (
+        "what was waited for is left out: order is kept"
+    )
     assert bench.budget.take(10), "all room is given back"
 
 
@@ -120,7 +126,9 @@ def test_samples_are_taken_by_one_thread_at_a_time() -> None:
         replay.ended(name)
 
     replay: Replay[int] = Replay(take, ask, Budget(1000), print)
-    threads = [threading.Thread(target=replay.live, args=("a", number, number, 1)) for number in (0, 1)]
+    threads = [
+        threading.Thread(target=replay.live, args=("a", number, number, 1)) for number in (0, 1)
+    ]
     threads[0].start()
     assert entered.wait(100.0)
     threads[1].start()

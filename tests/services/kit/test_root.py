@@ -35,7 +35,9 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(params=[RecognitionService, PolicyService])
-def service(request: pytest.FixtureRequest, settings: ServiceSettings, run_node: RunNode, root: Path) -> str:
+def service(
+    request: pytest.FixtureRequest, settings: ServiceSettings, run_node: RunNode, root: Path
+) -> str:
     """Give the name of a service that works with a model below a root."""
     name = request.param.__name__.removesuffix("Service").lower()
     node = Node(name, settings)
@@ -102,7 +104,9 @@ def test_what_is_no_model_is_as_if_it_were_not_there(service: str, root: Path, c
     assert (before["model"], before["root"]) == ("good.smal", str(root))
 
 
-def test_a_link_of_a_folder_leads_out_no_more_than_one_of_a_file(service: str, root: Path, client: Bus) -> None:
+def test_a_link_of_a_folder_leads_out_no_more_than_one_of_a_file(
+    service: str, root: Path, client: Bus
+) -> None:
     save_model(root.parent / "outside.smal")
     (root / "up").symlink_to("..")
     (root / "inside").symlink_to(".")
@@ -121,7 +125,9 @@ def test_a_device_is_none(settings: ServiceSettings, run_node: RunNode, client: 
         assert line == f"no model '{device}' below the root of this service"
 
 
-def test_names_that_are_none_are_refused_before_anything_is_looked_at(service: str, client: Bus) -> None:
+def test_names_that_are_none_are_refused_before_anything_is_looked_at(
+    service: str, client: Bus
+) -> None:
     lines = {refusal(lambda name=name: load(client, service, name)) for name in MALFORMED}
     assert lines == {
         "model: must be a path below the root of the service, relative, and no part may begin with a dot",
@@ -154,7 +160,13 @@ def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, root: Pa
 
 
 def start(bus: Bus, name: str) -> None:
-    bus.call("recorder", "start", RecordRequest.model_construct(folder=name), Nothing, timeout_s=DEADLINE_S)
+    bus.call(
+        "recorder",
+        "start",
+        RecordRequest.model_construct(folder=name),
+        Nothing,
+        timeout_s=DEADLINE_S,
+    )
 
 
 def files(folder: Path) -> list[str]:
@@ -172,10 +184,25 @@ def test_the_recorder_writes_nothing_outside_of_its_root(client: Bus, root: Path
     (root / "loop").symlink_to("loop")
     (root / "file").touch()
     os.mkfifo(root / "fifo")
-    for name in ("out", "out/deeper", "dangling", "up/elsewhere", "null", "null/x", "loop", "file", "file/x", "fifo"):
+    for name in (
+        "out",
+        "out/deeper",
+        "dangling",
+        "up/elsewhere",
+        "null",
+        "null/x",
+        "loop",
+        "file",
+        "file/x",
+        "fifo",
+    ):
         line = refusal(lambda name=name: start(client, name))
         assert line == f"cannot record in '{name}' below the root of the recorder"
-    lines = {refusal(lambda name=name: start(client, name)).partition(":")[0] for name in MALFORMED if name}
+    lines = {
+        refusal(lambda name=name: start(client, name)).partition(":")[0]
+        for name in MALFORMED
+        if name
+    }
     assert lines == {"folder"}
     assert files(elsewhere) == []
     assert sorted(path.name for path in root.parent.iterdir()) == ["elsewhere", "root"]
@@ -196,7 +223,9 @@ def test_the_recorder_s_root_itself_can_be_named(client: Bus, root: Path) -> Non
 
 
 @pytest.mark.usefixtures("recorder")
-def test_what_lies_in_a_folder_like_a_recording_is_no_way_out_of_it(client: Bus, root: Path) -> None:
+def test_what_lies_in_a_folder_like_a_recording_is_no_way_out_of_it(
+    client: Bus, root: Path
+) -> None:
     folder = root / "trap"
     folder.mkdir()
     precious = root.parent / "precious.mcap.partial"
@@ -209,7 +238,9 @@ def test_what_lies_in_a_folder_like_a_recording_is_no_way_out_of_it(client: Bus,
     client.publish(event("e", 0, "started"))
     for message in list(episode("e", frames=2))[1:]:
         client.publish(message)
-    eventually(lambda: any(path.is_file() and not path.is_symlink() for path in folder.glob("e*.mcap")))
+    eventually(
+        lambda: any(path.is_file() and not path.is_symlink() for path in folder.glob("e*.mcap"))
+    )
     shutil.rmtree(folder)
     assert sorted(path.name for path in root.parent.iterdir()) == ["precious.mcap.partial", "root"]
     assert precious.read_bytes() == b""

@@ -44,15 +44,24 @@ class Stream:
         self.heard: list[int] = []
         self.recorded: list[int] = []
         self.robot.serve("robot", "end", lambda _request, reply: reply(EndRequest(episode="here")))
-        for bus, ticks, replay in ((self.policy, self.heard, False), (self.recorder, self.recorded, True)):
-            bus.subscribe(topics.ODOMETRY, lambda *sample, ticks=ticks: self._note(ticks, *sample), replay=replay)
+        for bus, ticks, replay in (
+            (self.policy, self.heard, False),
+            (self.recorder, self.recorded, True),
+        ):
+            bus.subscribe(
+                topics.ODOMETRY,
+                lambda *sample, ticks=ticks: self._note(ticks, *sample),
+                replay=replay,
+            )
         self.sent = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
         eventually(lambda: self.heard and self.recorded and self.answered())
 
-    def _note(self, ticks: list[int], payload: bytes, encoding: str, _transit_s: float | None) -> None:
+    def _note(
+        self, ticks: list[int], payload: bytes, encoding: str, _transit_s: float | None
+    ) -> None:
         ticks.append(decode(Odometry, payload, encoding).tick)
 
     def _send(self) -> None:
@@ -63,7 +72,10 @@ class Stream:
 
     def answered(self) -> bool:
         try:
-            return self.operator.call("robot", "end", Nothing(), EndRequest, timeout_s=2.0).episode == "here"
+            return (
+                self.operator.call("robot", "end", Nothing(), EndRequest, timeout_s=2.0).episode
+                == "here"
+            )
         except RpcError:
             return False
 
@@ -134,14 +146,19 @@ def test_who_finds_a_router_again_that_was_frozen_comes_under_a_new_name(tmp_pat
         eventually(lambda: not any(session.info.routers_zid() for session in sessions))
         os.kill(stack.pid("router"), signal.SIGCONT)
         eventually(
-            lambda: not {id(one) for bus in stream.buses for one in bus.sessions.values()} & {*map(id, sessions)}
+            lambda: (
+                not {id(one) for bus in stream.buses for one in bus.sessions.values()}
+                & {*map(id, sessions)}
+            )
         )
         stream.goes_on()
         eventually(lambda: sorted(stream.recorded) == list(range(1, max(stream.recorded) + 1)))
     assert stream.heard == sorted(set(stream.heard))
 
 
-def test_stacks_of_two_machines_are_one_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stacks_of_two_machines_are_one_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keys = make_keys(tmp_path / "keys")
     addresses_of_both = [free_endpoint() for _ in range(2)]
     here, there = (one.replace("tcp/127.0.0.1", "tls/localhost") for one in addresses_of_both)

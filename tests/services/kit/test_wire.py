@@ -12,7 +12,9 @@ from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
 
 
-def test_a_message_that_was_changed_on_its_way_is_refused(client: Bus, router_endpoint: str) -> None:
+def test_a_message_that_was_changed_on_its_way_is_refused(
+    client: Bus, router_endpoint: str
+) -> None:
     pose = EXAMPLES[Pose]
     heard = SimpleQueue[bytes]()
     refused = SimpleQueue[str]()

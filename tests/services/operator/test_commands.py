@@ -36,19 +36,32 @@ def applied(
     return CommandApplied.model_validate(
         {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": tick, "atom": "stop"}
         | {"linear": 0.0, "angular": 0.0, "source": source, "reason": reason}
-        | ({"emergency_stop": stop, "stop_cause": "emergency_stop"} if reason == "emergency_stop" else {})
+        | (
+            {"emergency_stop": stop, "stop_cause": "emergency_stop"}
+            if reason == "emergency_stop"
+            else {}
+        )
     )
 
 
 def event(name: str, episode: str = "e", outcome: str | None = None) -> Episode:
     return Episode.model_validate(
-        {"robot": "r", "episode": episode, "tick": 0, "stamp_ns": 0, "event": name, "purpose": "drive"}
+        {
+            "robot": "r",
+            "episode": episode,
+            "tick": 0,
+            "stamp_ns": 0,
+            "event": name,
+            "purpose": "drive",
+        }
         | {"driver": "teleop", "world": "yard", "seed": 1, "outcome": outcome}
     )
 
 
 def brief(command: Command | None) -> tuple[str, str, int, int] | None:
-    return None if command is None else (command.source, command.atom, command.tick, command.sequence)
+    return (
+        None if command is None else (command.source, command.atom, command.tick, command.sequence)
+    )
 
 
 @pytest.fixture
@@ -63,7 +76,9 @@ def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operato
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
 
 
-def test_a_turn_key_drives_a_car_in_a_bend_and_turns_any_other_robot_on_the_spot(operator: Operator) -> None:
+def test_a_turn_key_drives_a_car_in_a_bend_and_turns_any_other_robot_on_the_spot(
+    operator: Operator,
+) -> None:
     car = Kinematics(speed_m_s=1.0, turn_rate_rad_s=1.0, radius_m=2.0)
 
     def asked(command: Command | None) -> Velocity:
@@ -79,12 +94,18 @@ def test_a_turn_key_drives_a_car_in_a_bend_and_turns_any_other_robot_on_the_spot
     assert asked(operator.service.hold(KEYS["backward"], math.inf)) == KEYS["backward"]
     assert asked(operator.service.hold(None)) == STANDING
     assert asked(operator.service.hold(KEYS["right"], math.inf)) == (0.5, -1.0), "it knows by now"
-    assert asked(operator.service.hold(Velocity(1.0, 1.0), math.inf)) == (1.0, 1.0), "it drives on as well"
-    assert asked(operator.service.hold(Velocity(0.0, 0.2), math.inf)) == (0.1, 0.2), "a stick that turns a little"
+    assert asked(operator.service.hold(Velocity(1.0, 1.0), math.inf)) == (1.0, 1.0), (
+        "it drives on as well"
+    )
+    assert asked(operator.service.hold(Velocity(0.0, 0.2), math.inf)) == (0.1, 0.2), (
+        "a stick that turns a little"
+    )
     operator.service.handle(applied(5, "radius", "teleop"))
     operator.service.on_event(event("started", "another"))
     operator.beat(0, episode="another")
-    assert asked(operator.service.hold(KEYS["left"], math.inf)) == KEYS["left"], "the next one may be another robot"
+    assert asked(operator.service.hold(KEYS["left"], math.inf)) == KEYS["left"], (
+        "the next one may be another robot"
+    )
 
 
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
@@ -129,7 +150,9 @@ steps = st.one_of(
 
 
 @given(st.lists(steps, max_size=60))
-def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list[tuple[str, object]]) -> None:
+def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(
+    script: list[tuple[str, object]],
+) -> None:
     operator = Operator()
     sent = []
     tick = 0
@@ -156,8 +179,16 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
         assert said[-1][1] == "stop"
 
 
-@given(st.lists(st.sampled_from(["e", "heartbeat", "lost", "n", "armed", "refused"]), min_size=20, max_size=60))
-def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(script: list[str]) -> None:
+@given(
+    st.lists(
+        st.sampled_from(["e", "heartbeat", "lost", "n", "armed", "refused"]),
+        min_size=20,
+        max_size=60,
+    )
+)
+def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(
+    script: list[str],
+) -> None:
     """Whatever gets lost: while a stop of the operator's is not released, the robot stands or hears of it again."""
     operator = Operator()
     gate = CommandGate(first_stop=1)
@@ -192,14 +223,18 @@ def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(s
         assert operator.service.emergency == held
 
 
-def test_who_has_seen_the_robot_stand_before_something_and_holds_again_insists(operator: Operator) -> None:
+def test_who_has_seen_the_robot_stand_before_something_and_holds_again_insists(
+    operator: Operator,
+) -> None:
     def hold(velocity: Velocity | None) -> bool:
         command = operator.service.hold(velocity, math.inf)
         return command is not None and command.insists
 
     def stand(tick: int, seconds: float) -> None:
         for part in range(11):
-            assert not cast("Command", operator.service.handle(applied(tick + part, "obstacle", "teleop"))).insists
+            assert not cast(
+                "Command", operator.service.handle(applied(tick + part, "obstacle", "teleop"))
+            ).insists
             operator.now_s += seconds / 10
 
     operator.beat(0)

@@ -55,7 +55,9 @@ def operator(node: Node, said: list[str]) -> Operator:
     return operator
 
 
-def asked(operator: Operator, request: ResetRequest, done: Callable[[], bool]) -> Callable[[], bool]:
+def asked(
+    operator: Operator, request: ResetRequest, done: Callable[[], bool]
+) -> Callable[[], bool]:
     """Ask for an episode until something holds: again where a busy machine missed the operator, as a person would."""
     before = operator.mine
 
@@ -71,7 +73,9 @@ def asked(operator: Operator, request: ResetRequest, done: Callable[[], bool]) -
 def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     node: Node, robot: Robot, operator: Operator, said: list[str], stopped: bool
 ) -> None:
-    begun = asked(operator, RUN, lambda: operator.mine is not None and operator.commands.applied is not None)
+    begun = asked(
+        operator, RUN, lambda: operator.mine is not None and operator.commands.applied is not None
+    )
     assert node.spin(begun, 100.0), said
     first = operator.mine
     operator.hold(KEYS["forward"], math.inf)
@@ -84,13 +88,19 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     assert node.spin(asked(operator, RUN, lambda: operator.mine not in (None, first)), 100.0), said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
-    assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, "the first one"
+    assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, (
+        "the first one"
+    )
 
 
-def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(settings: ServiceSettings, client: Bus) -> None:
+def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(
+    settings: ServiceSettings, client: Bus
+) -> None:
     """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
     stops: list[bytes] = []
-    client.subscribe(COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload))
+    client.subscribe(
+        COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload)
+    )
     with Node("teleop", settings) as node:
         operator = Operator(node, lambda _: None)
         operator.stop_for_emergency()
@@ -112,12 +122,16 @@ def test_a_robot_whose_pictures_take_long_misses_nobody(
 ) -> None:
     """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
     monkeypatch.setattr(robot.wheels, "render", lambda _x: time.sleep(0.3))
-    assert node.spin(asked(operator, DRIVE, lambda: operator.commands.applied is not None), 100.0), said
+    assert node.spin(
+        asked(operator, DRIVE, lambda: operator.commands.applied is not None), 100.0
+    ), said
     since = operator.commands.heard.tick
 
     def five_frames() -> bool:
         nonlocal since
-        if not there(robot, node):  # which a busy machine may do once, and such a robot would with every frame
+        if not there(
+            robot, node
+        ):  # which a busy machine may do once, and such a robot would with every frame
             since = operator.commands.heard.tick
             operator.resume()
         return operator.commands.heard.tick >= since + 5
@@ -149,7 +163,9 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
 
     monkeypatch.setattr(robot.wheels, "begin", open_world)
     policy = Node("policy", settings)
-    policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
+    policy.subscribe(
+        APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward")
+    )
     run_node(policy)
 
     def open_it() -> None:
@@ -164,8 +180,12 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
 
     open_it()
     if stays:
-        for _ in range(4):  # which a busy machine may miss now and then; such a robot would miss them each time
-            assert node.spin(lambda: robot.wheels.driven or robot.gate.stop_cause is not None, 100.0)
+        for _ in range(
+            4
+        ):  # which a busy machine may miss now and then; such a robot would miss them each time
+            assert node.spin(
+                lambda: robot.wheels.driven or robot.gate.stop_cause is not None, 100.0
+            )
             if robot.wheels.driven:
                 return
             open_it()

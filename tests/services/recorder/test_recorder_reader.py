@@ -43,8 +43,18 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
     recording = read_messages(tmp_path, list(episode("drive-1", purpose="recovery")))
     (read,) = recording.episodes
     assert (recording.truncated, recording.bad) == (False, 0)
-    assert (read.robot, read.episode, read.world, read.seed) == ("rescuebot", "drive-1", "campus", 7)
-    assert (read.purpose, read.driver, read.outcome, read.end_tick) == ("recovery", "expert", "found", 4)
+    assert (read.robot, read.episode, read.world, read.seed) == (
+        "rescuebot",
+        "drive-1",
+        "campus",
+        7,
+    )
+    assert (read.purpose, read.driver, read.outcome, read.end_tick) == (
+        "recovery",
+        "expert",
+        "found",
+        4,
+    )
     assert sorted(read.poses) == list(range(5))
     assert read.poses[2].x_m == 3.0
     (piece,) = read.pieces()
@@ -60,8 +70,12 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost", ["camera/jpeg", "odometry"])
-def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(tmp_path: Path, lost: str) -> None:
-    for number, (ticks, pieces) in enumerate((((2,), [[0, 1], [3, 4]]), (range(5), [[0, 1, 2, 3, 4]]))):
+def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(
+    tmp_path: Path, lost: str
+) -> None:
+    for number, (ticks, pieces) in enumerate(
+        (((2,), [[0, 1], [3, 4]]), (range(5), [[0, 1, 2, 3, 4]]))
+    ):
         folder = tmp_path / str(number)
         folder.mkdir()
         sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
@@ -74,7 +88,11 @@ def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(tmp_path: P
 
 def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
     lost = {("observation", 3), ("camera/jpeg", 3), ("command/applied", 6)}
-    sent = [message for message in episode("e", frames=9) if (message.topic_name, message.tick) not in lost]
+    sent = [
+        message
+        for message in episode("e", frames=9)
+        if (message.topic_name, message.tick) not in lost
+    ]
     late = applied("e", 1, sequence=9, atom="right")
     (read,) = read_messages(tmp_path, [*sent, late]).episodes
     pieces = read.pieces()
@@ -104,7 +122,13 @@ def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Pa
     read = []
     complaints = set()
     # Every region is hit: magic, header, metadata, chunks, indexes, summary, footer.
-    for size in sorted({*range(0, 64, 3), *range(0, len(content), 4001), *range(len(content) - 64, len(content), 3)}):
+    for size in sorted(
+        {
+            *range(0, 64, 3),
+            *range(0, len(content), 4001),
+            *range(len(content) - 64, len(content), 3),
+        }
+    ):
         cut.write_bytes(content[:size])
         try:
             recording = read_recording(cut, FINGERPRINT)
@@ -116,7 +140,9 @@ def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Pa
         for tick, vector in only.features.items():
             np.testing.assert_array_equal(vector(), features("e", tick))
         read.append(only.frames)
-    assert complaints == {f"{cut}: {reason}" for reason in ("empty", "not an MCAP file", "holds no episode")}
+    assert complaints == {
+        f"{cut}: {reason}" for reason in ("empty", "not an MCAP file", "holds no episode")
+    }
     assert read == sorted(read)
     assert len(set(read)) == 3
     assert read[-1] == 24
@@ -145,7 +171,9 @@ def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> No
 def held_by(*files: str) -> int:
     """Return the bytes that were taken by files and are still held; those of other threads of this process are not."""
     gc.collect()
-    taken = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, file) for file in files])
+    taken = tracemalloc.take_snapshot().filter_traces(
+        [tracemalloc.Filter(True, file) for file in files]
+    )
     return sum(trace.size for trace in taken.traces)
 
 
@@ -153,7 +181,12 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
     settings: ServiceSettings, tmp_path: Path
 ) -> None:
     """With a clock that runs as the drive does: two minutes of four messages a tick, looked after each second."""
-    told = [image("e", 0), applied("e", 0, sequence=0), observation("e", 0), command("e", 0, "teleop")]
+    told = [
+        image("e", 0),
+        applied("e", 0, sequence=0),
+        observation("e", 0),
+        command("e", 0, "teleop"),
+    ]
     now_s = 0.0
     held = []
     ticks = 1200
@@ -170,7 +203,9 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
                 if tick % 10 == 9:
                     recorder.look_after_files()
                 if tick in (ticks // 2 - 1, ticks - 1):
-                    held.append(held_by("*/services/recorder/*", "*/services/recordings/*", "*/mcap/*"))
+                    held.append(
+                        held_by("*/services/recorder/*", "*/services/recordings/*", "*/mcap/*")
+                    )
         finally:
             tracemalloc.stop()
         recorder.close()
@@ -179,11 +214,15 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
     assert len(read_all(tmp_path / "e.mcap")) == 1 + 4 * ticks
 
 
-def test_what_waits_for_its_episode_is_bounded_and_counted(settings: ServiceSettings, tmp_path: Path) -> None:
+def test_what_waits_for_its_episode_is_bounded_and_counted(
+    settings: ServiceSettings, tmp_path: Path
+) -> None:
     """Frames of an episode that nobody began, as large as they may be; of those that fit none is lost."""
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path)
-        largest = CompressedImage.after(header("e", 0), width=4096, height=3072, data=b"\xff\xd8" + bytes(15 << 20))
+        largest = CompressedImage.after(
+            header("e", 0), width=4096, height=3072, data=b"\xff\xd8" + bytes(15 << 20)
+        )
         for tick in range(10):
             recorder.handle(largest.model_copy(update={"tick": tick}))
         recorder.handle(event("e", 0, "started"))

@@ -22,7 +22,15 @@ from services.recordings.contents import contents_of, verify
 from services.recordings.reader import read_recording
 from services.recordings.repair import repair
 from services.recordings.sink import partial_of
-from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, image, observation
+from tests.services.recordings.recorded_messages import (
+    FINGERPRINT,
+    applied,
+    episode,
+    event,
+    frame,
+    image,
+    observation,
+)
 from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
 from tests.services.waiting import eventually, introduce, ready, status_of
 
@@ -59,11 +67,17 @@ def contents(path: Path) -> list[tuple[str, int, bytes]]:
 
 def sealed(bus: Bus, count: int) -> bool:
     status = status_of(bus, "recorder")
-    return status is not None and status.detail["files"] == count and status.detail["recording"] is None
+    return (
+        status is not None
+        and status.detail["files"] == count
+        and status.detail["recording"] is None
+    )
 
 
 @pytest.fixture
-def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path) -> Iterator[RecorderService]:
+def recorder(
+    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
+) -> Iterator[RecorderService]:
     node = Node("recorder", settings)
     service = RecorderService(node, tmp_path, tmp_path)
     run_node(node)
@@ -75,7 +89,9 @@ def stop(bus: Bus) -> RecordReply:
     return bus.call("recorder", "stop", Nothing(), RecordReply)
 
 
-def test_one_file_an_episode_with_every_message(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+def test_one_file_an_episode_with_every_message(
+    recorder: RecorderService, client: Bus, tmp_path: Path
+) -> None:
     sent = list(episode("drive-1")), list(episode("drive-2", frames=3))
     for messages in sent:
         publish(client, messages[:1])
@@ -87,7 +103,10 @@ def test_one_file_an_episode_with_every_message(recorder: RecorderService, clien
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive-1.mcap", "drive-2.mcap"]
     for messages, name in zip(sent, ("drive-1", "drive-2"), strict=True):
         assert contents(tmp_path / f"{name}.mcap") == wanted(messages)
-    send(client, [event("third", 0, "started"), *frame("third", 0), event("third", 0, "ended", "found")])
+    send(
+        client,
+        [event("third", 0, "started"), *frame("third", 0), event("third", 0, "ended", "found")],
+    )
     reply = client.call("recorder", "flush", Nothing(), RecordReply)
     assert (reply.files, reply.dropped) == (("drive-1.mcap", "drive-2.mcap", "third.mcap"), 0)
     assert ready(client, "recorder").detail["duplicates"] == 0
@@ -131,7 +150,8 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(
 ) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(
-        RpcError, match=r"^recorder start: cannot record in 'file/folder' below the root of the recorder$"
+        RpcError,
+        match=r"^recorder start: cannot record in 'file/folder' below the root of the recorder$",
     ):
         client.call("recorder", "start", RecordRequest(folder="file/folder"), Nothing)
     with Node("other", settings) as node, pytest.raises(ServiceError, match="Not a directory"):
@@ -169,7 +189,15 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
 
 @pytest.fixture
 def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "services.recorder", "--router", router_endpoint, "--recordings", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "services.recorder",
+        "--router",
+        router_endpoint,
+        "--recordings",
+        str(tmp_path),
+    ]
     child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     yield child
     child.kill()
@@ -177,7 +205,9 @@ def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[s
 
 
 @pytest.mark.zenoh
-def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], client: Bus, tmp_path: Path) -> None:
+def test_sigterm_finishes_the_running_recording(
+    process: subprocess.Popen[str], client: Bus, tmp_path: Path
+) -> None:
     introduce(client, "recorder", *introductions())
     send(client, [event("cut", 0, "started"), *frame("cut", 0)])
     process.send_signal(signal.SIGTERM)
@@ -189,7 +219,11 @@ def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], 
 
 
 def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile(
-    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    settings: ServiceSettings,
+    run_node: RunNode,
+    client: Bus,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """On a busy machine the files were named before anything of it was sent again, and the rest was lost."""
     monkeypatch.setattr("services.recorder.service.EARLY_S", 2.0)
@@ -231,7 +265,11 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     eventually((tmp_path / "killed-2.mcap").exists)
     again.send_signal(signal.SIGTERM)
     _, log = again.communicate(timeout=100.0)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed-2.mcap", "killed.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "before.mcap",
+        "killed-2.mcap",
+        "killed.mcap",
+    ]
     assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
     assert contents(tmp_path / "killed.mcap") == wanted(killed[:50])
@@ -255,13 +293,17 @@ def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode
             recorder.handle(message)
         recorder.close()
     names = ["bad.mcap.partial", "e-2.mcap", "e.mcap", "over.mcap"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == names, "of what was over nothing is recorded again"
+    assert sorted(path.name for path in tmp_path.iterdir()) == names, (
+        "of what was over nothing is recorded again"
+    )
     assert contents(tmp_path / "e.mcap") == wanted(sent[:20])
     assert contents(tmp_path / "e-2.mcap") == wanted(sent)
     assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
-def test_recording_goes_on_when_the_recorder_is_restarted(settings: ServiceSettings, tmp_path: Path) -> None:
+def test_recording_goes_on_when_the_recorder_is_restarted(
+    settings: ServiceSettings, tmp_path: Path
+) -> None:
     sent = list(episode("e", frames=4))
     over = list(episode("over", frames=2))
     for messages in ((*over, *sent[:20]), (*over, *sent)):
@@ -323,7 +365,9 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
         assert whole.episodes[0].frames > 65
         room.free = LEAST_BYTES - 1
         recorder.handle(event("next", 0, "started"))
-        assert str(recorder.detail()["last_error"]).startswith("cannot record episode next: the disk is full")
+        assert str(recorder.detail()["last_error"]).startswith(
+            "cannot record episode next: the disk is full"
+        )
         room.free = 2 * LEAST_BYTES
         recorder.handle(event("last", 0, "started"))
         recorder.look_after_files()

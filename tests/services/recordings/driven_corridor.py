@@ -26,7 +26,10 @@ def pose(tick: int) -> corridor.Pose:
 def header(tick: int) -> Message:
     """Begin a message; a frame now and then comes late, as it does."""
     return Message(
-        robot="teacher", episode=NAME, tick=tick, stamp_ns=START_NS + tick * 100_000_000 + tick % 3 * 7_000_000
+        robot="teacher",
+        episode=NAME,
+        tick=tick,
+        stamp_ns=START_NS + tick * 100_000_000 + tick % 3 * 7_000_000,
     )
 
 
@@ -37,13 +40,22 @@ def told(tick: int) -> list[Message]:
         *([camera_info(here, Camera(0.7), corridor.WIDTH, corridor.HEIGHT)] if tick == 0 else []),
         *seen(here, corridor.view(*pose(tick)), pose(tick), speed_m_s=1.6),
         Command.after(here, source="teleop", atom="forward", session="somebody"),
-        CommandApplied.after(here, atom="forward", linear=1.0, angular=0.0, source="teleop", reason="command"),
+        CommandApplied.after(
+            here, atom="forward", linear=1.0, angular=0.0, source="teleop", reason="command"
+        ),
     ]
 
 
 def event(tick: int, name: str, **more: object) -> Episode:
     """Return an event of the drive."""
-    fields = {"event": name, "purpose": "drive", "driver": "teleop", "world": "corridor", "seed": 0, "goal": "end"}
+    fields = {
+        "event": name,
+        "purpose": "drive",
+        "driver": "teleop",
+        "world": "corridor",
+        "seed": 0,
+        "goal": "end",
+    }
     return Episode.after(header(tick), **fields, **more)
 
 

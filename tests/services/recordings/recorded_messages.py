@@ -27,13 +27,26 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def header(episode: str, tick: int) -> Message:
-    return Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=START_NS + tick * 100_000_000)
+    return Message(
+        robot="rescuebot", episode=episode, tick=tick, stamp_ns=START_NS + tick * 100_000_000
+    )
 
 
 def event(
-    episode: str, tick: int, name: EventName, outcome: Outcome | None = None, purpose: Purpose = "drive", seed: int = 7
+    episode: str,
+    tick: int,
+    name: EventName,
+    outcome: Outcome | None = None,
+    purpose: Purpose = "drive",
+    seed: int = 7,
 ) -> Episode:
-    fields = {"event": name, "purpose": purpose, "driver": "expert", "world": "campus", "seed": seed}
+    fields = {
+        "event": name,
+        "purpose": purpose,
+        "driver": "expert",
+        "world": "campus",
+        "seed": seed,
+    }
     return Episode.after(header(episode, tick), **fields, outcome=outcome)
 
 
@@ -46,13 +59,22 @@ def image(episode: str, tick: int) -> CompressedImage:
     return CompressedImage.after(header(episode, tick), width=WIDTH, height=HEIGHT, data=data)
 
 
-def seen(cause: Message, pixels: NDArray[np.uint8], pose: Iterable[float], speed_m_s: float = 2.0) -> list[Message]:
+def seen(
+    cause: Message, pixels: NDArray[np.uint8], pose: Iterable[float], speed_m_s: float = 2.0
+) -> list[Message]:
     """Give the image of a frame, and where odometry has the robot: (x, y, heading)."""
     height, width, _ = pixels.shape
     x_m, y_m, heading_rad = pose
     return [
         CompressedImage.after(cause, width=width, height=height, data=encode_jpeg(pixels)),
-        Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=speed_m_s, turn_rate_rad_s=0.0),
+        Odometry.after(
+            cause,
+            x_m=x_m,
+            y_m=y_m,
+            heading_rad=heading_rad,
+            speed_m_s=speed_m_s,
+            turn_rate_rad_s=0.0,
+        ),
     ]
 
 
@@ -78,7 +100,9 @@ def imu(episode: str, tick: int) -> Imu:
     return Imu.after(header(episode, tick), samples=samples)
 
 
-def applied(episode: str, tick: int, sequence: int | None = None, atom: str | None = None) -> CommandApplied:
+def applied(
+    episode: str, tick: int, sequence: int | None = None, atom: str | None = None
+) -> CommandApplied:
     key = atom or ATOMS[tick % 4]
     return CommandApplied.after(
         header(episode, tick),
@@ -91,7 +115,9 @@ def applied(episode: str, tick: int, sequence: int | None = None, atom: str | No
 
 
 def command(episode: str, tick: int, source: str = "expert", sequence: int = 0) -> Command:
-    return Command.after(header(episode, tick), source=source, sequence=sequence, atom=ATOMS[tick % 4])
+    return Command.after(
+        header(episode, tick), source=source, sequence=sequence, atom=ATOMS[tick % 4]
+    )
 
 
 def frame(episode: str, tick: int) -> list[Message]:
@@ -99,16 +125,28 @@ def frame(episode: str, tick: int) -> list[Message]:
     cause = header(episode, tick)
     return [
         Pose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
-        TrackedPose.after(cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25),
-        Odometry.after(cause, x_m=1.5 * tick, y_m=0.1, heading_rad=0.02, speed_m_s=2.0, turn_rate_rad_s=0.1),
+        TrackedPose.after(
+            cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25
+        ),
+        Odometry.after(
+            cause, x_m=1.5 * tick, y_m=0.1, heading_rad=0.02, speed_m_s=2.0, turn_rate_rad_s=0.1
+        ),
         imu(episode, tick),
         CameraInfo.after(
-            cause, width=WIDTH, height=HEIGHT, focal_px=FOCAL_PX, centre_x_px=WIDTH / 2, centre_y_px=HEIGHT / 2
+            cause,
+            width=WIDTH,
+            height=HEIGHT,
+            focal_px=FOCAL_PX,
+            centre_x_px=WIDTH / 2,
+            centre_y_px=HEIGHT / 2,
         ),
         image(episode, tick),
         observation(episode, tick),
         TaughtMap.after(
-            cause, model=MODEL, keyframes=Float32Array.from_numpy(np.eye(3, dtype=np.float32)), begins=(0, 2)
+            cause,
+            model=MODEL,
+            keyframes=Float32Array.from_numpy(np.eye(3, dtype=np.float32)),
+            begins=(0, 2),
         ),
         State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),
         Action.after(cause, kind="look_around", state=None, atoms=("forward", "left")),
@@ -116,7 +154,9 @@ def frame(episode: str, tick: int) -> list[Message]:
     ]
 
 
-def episode(name: str, frames: int = 5, purpose: Purpose = "drive", outcome: Outcome = "found") -> Iterator[Message]:
+def episode(
+    name: str, frames: int = 5, purpose: Purpose = "drive", outcome: Outcome = "found"
+) -> Iterator[Message]:
     """Give every message of a whole episode, in the order in which the robot would send them."""
     yield event(name, 0, "started", purpose=purpose)
     for tick in range(frames):

@@ -71,7 +71,12 @@ def raw(*parts: McapRecord) -> bytes:
 
 def channels(**more: str) -> bytes:
     metadata = {"robot": "rescuebot", "episode": "e"}
-    return raw(*(Channel(number, f"smal/rescuebot/{key}", "json", metadata | more, 0) for key, number in _KEYS.items()))
+    return raw(
+        *(
+            Channel(number, f"smal/rescuebot/{key}", "json", metadata | more, 0)
+            for key, number in _KEYS.items()
+        )
+    )
 
 
 def message(key: str, tick: int, data: bytes) -> bytes:
@@ -104,19 +109,28 @@ def reading(*paths: Path) -> tuple[int, list[str]]:
 def images(path: Path) -> Path:
     """Write images, each with padding that its chunk keeps: 300 MB in 4 MB."""
     padding = message("padding", 0, FAIR)
-    return write(path, *(packed(message("camera/jpeg", tick, b"x") + padding) for tick in range(CHUNKS)))
+    return write(
+        path, *(packed(message("camera/jpeg", tick, b"x") + padding) for tick in range(CHUNKS))
+    )
 
 
 def poses(path: Path) -> Path:
     """Write a hundred thousand true poses, each of 100 bytes in a file, and of 1.2 kB in memory."""
     pose = '{"robot":"rescuebot","episode":"e","tick":%d,"stamp_ns":%d,"x_m":0,"y_m":0,"heading_rad":0}'
     stamps = np.random.default_rng(1).integers(10**9, size=100_000).tolist()
-    told = [message("pose/truth", tick, (pose % (tick, stamp_ns)).encode()) for tick, stamp_ns in enumerate(stamps)]
-    return write(path, *(packed(b"".join(told[at : at + 25_000])) for at in range(0, len(told), 25_000)))
+    told = [
+        message("pose/truth", tick, (pose % (tick, stamp_ns)).encode())
+        for tick, stamp_ns in enumerate(stamps)
+    ]
+    return write(
+        path, *(packed(b"".join(told[at : at + 25_000])) for at in range(0, len(told), 25_000))
+    )
 
 
 @pytest.mark.parametrize("make", [images, poses])
-def test_what_reading_takes_in_memory_is_bounded(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+def test_what_reading_takes_in_memory_is_bounded(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
     path = make(tmp_path / "bomb.mcap")
     peak, remarks = reading(path)
     assert peak < ALLOWED + BESIDE
@@ -133,7 +147,9 @@ def test_many_recordings_share_what_is_allowed(tmp_path: Path) -> None:
     drives = [drive(tmp_path / f"{k}.mcap", f"e{k}", FAIR) for k in range(8)]
     for path in (*drives, drive(tmp_path / "small.mcap", "small")):
         teacher.read(path)
-    too_much = [remark for remark in teacher.teaching.remarks if "takes more than 0.125 GiB" in remark]
+    too_much = [
+        remark for remark in teacher.teaching.remarks if "takes more than 0.125 GiB" in remark
+    ]
     assert len(too_much) == 8 - ALLOWED // PADDING
     assert teacher.teaching.episodes == ALLOWED // PADDING + 1
 
@@ -180,27 +196,47 @@ def test_an_index_is_passed_over_and_what_is_taken_apart_is_small(tmp_path: Path
 def test_a_chunk_is_not_unpacked_that_says_that_it_is_large(tmp_path: Path) -> None:
     for size in (64 * MIB + 1, 2**63):
         lie = raw(Chunk("zstd", zstandard.compress(b"x"), 0, 0, 0, size))
-        with pytest.raises(RecordingError, match=f"damaged: a chunk of {size} bytes, at most {64 * MIB} are read"):
+        with pytest.raises(
+            RecordingError, match=f"damaged: a chunk of {size} bytes, at most {64 * MIB} are read"
+        ):
             read_recording(write(tmp_path / "lie.mcap", lie))
 
 
 NO_RECORDS = [
-    pytest.param(bytes(64 * MIB), r"unpacks to more than 256 times its size|a record of kind 0", id="zeros"),
+    pytest.param(
+        bytes(64 * MIB), r"unpacks to more than 256 times its size|a record of kind 0", id="zeros"
+    ),
     pytest.param(bytes(9) * 4, r"damaged: a record of kind 0 in a chunk; see", id="of no kind"),
-    pytest.param(raw(DataEnd(0)) + bytes(20), r"damaged: a record of kind 15 in a chunk; see", id="of another place"),
-    pytest.param(raw(Message(9, 0, b"", 0, 0)) * 4000, r"damaged: a record for less than 4 bytes", id="too many"),
+    pytest.param(
+        raw(DataEnd(0)) + bytes(20),
+        r"damaged: a record of kind 15 in a chunk; see",
+        id="of another place",
+    ),
+    pytest.param(
+        raw(Message(9, 0, b"", 0, 0)) * 4000,
+        r"damaged: a record for less than 4 bytes",
+        id="too many",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("content", "why"), NO_RECORDS)
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_what_a_few_bytes_unpack_to_costs_no_time(tmp_path: Path, content: bytes, why: str, compression: str) -> None:
+def test_what_a_few_bytes_unpack_to_costs_no_time(
+    tmp_path: Path, content: bytes, why: str, compression: str
+) -> None:
     """A file of 2 kB once took 13 s of the processor, one of 1 MB took 4 GiB."""
     pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
-    path = write(tmp_path / "bomb.mcap", raw(Chunk(compression, pack(content), 0, 0, 0, len(content))))
+    path = write(
+        tmp_path / "bomb.mcap", raw(Chunk(compression, pack(content), 0, 0, 0, len(content)))
+    )
     began_s = time.process_time()
     for read in (read_recording, contents_of, tracks_of):
-        with pytest.raises(RecordingError, match=why) if read is read_recording else suppress(RecordingError):
+        with (
+            pytest.raises(RecordingError, match=why)
+            if read is read_recording
+            else suppress(RecordingError)
+        ):
             read(path)
     assert time.process_time() - began_s < 3.0
 

@@ -17,8 +17,22 @@ from services.recordings.views import is_view
 from services.recordings.writer import EpisodeWriter
 from tests.services.cli.conftest import Smal
 from tests.services.recordings import driven_corridor
-from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, image
-from tests.services.recordings.test_recorder_files import check, leave, read_all, record, stored_in, wanted
+from tests.services.recordings.recorded_messages import (
+    FINGERPRINT,
+    applied,
+    episode,
+    event,
+    frame,
+    image,
+)
+from tests.services.recordings.test_recorder_files import (
+    check,
+    leave,
+    read_all,
+    record,
+    stored_in,
+    wanted,
+)
 
 
 def mended(path: Path, out: Path) -> Path:
@@ -36,7 +50,13 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     (one,) = contents.episodes
     assert (contents.state, contents.size, contents.findings) == ("sealed", path.stat().st_size, [])
     assert (one.robot, one.episode) == ("teacher", "drive-corridor")
-    assert one.said == {"world": "corridor", "seed": 0, "purpose": "drive", "goal": "end", "driver": "teleop"}
+    assert one.said == {
+        "world": "corridor",
+        "seed": 0,
+        "purpose": "drive",
+        "goal": "end",
+        "driver": "teleop",
+    }
     assert (one.outcome, one.judge) == ("found", "operator")
     assert one.drove == {"teleop": 30}
     assert (one.frames, one.seconds) == (30, pytest.approx(2.914))
@@ -45,7 +65,14 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     assert one.odometry_m == pytest.approx(4.1, abs=0.2)
     counts = {name: topic.messages for name, topic in one.topics.items()}
     assert counts == Counter(
-        {"camera/jpeg": 30, "odometry": 30, "command/applied": 30, "command/teleop": 30, "camera/info": 1, "episode": 2}
+        {
+            "camera/jpeg": 30,
+            "odometry": 30,
+            "command/applied": 30,
+            "command/teleop": 30,
+            "camera/info": 1,
+            "episode": 2,
+        }
     )
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
@@ -57,9 +84,15 @@ def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
         folder.mkdir()
         path = record(folder, [started, *sent, ended])
         (known,) = contents_of(path).episodes
-    (read,) = read_recording(path, FINGERPRINT).episodes
+        (read,) = read_recording(path, FINGERPRINT).episodes
         told.append(
-            (known, [(piece.ticks.tolist(), piece.atoms.tolist(), str(piece.odometry)) for piece in read.pieces()])
+            (
+                known,
+                [
+                    (piece.ticks.tolist(), piece.atoms.tolist(), str(piece.odometry))
+                    for piece in read.pieces()
+                ],
+            )
         )
     assert told[0] == told[1]
 
@@ -79,7 +112,11 @@ def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path, sma
 
 def test_each_kind_of_fault_is_one_line(tmp_path: Path, smal: Smal) -> None:
     assert verify(record(tmp_path, list(episode("e")))).findings == []
-    sent = [message for message in episode("e", frames=6) if (message.topic_name, message.tick) != ("camera/jpeg", 2)]
+    sent = [
+        message
+        for message in episode("e", frames=6)
+        if (message.topic_name, message.tick) != ("camera/jpeg", 2)
+    ]
     writer = EpisodeWriter.begin(tmp_path, sent[0])
     for message in sent[:-1]:
         writer.write(message)
@@ -108,13 +145,19 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
         end = one.chunk_start_offset + one.chunk_length + one.message_index_length
         stored = stored_in(path, log_time_order=False)
         times = range(one.message_start_time, one.message_end_time + 1)
-        count = sum(message.log_time in times for _, message in stored) if one.message_index_offsets.keys() & own else 0
+        count = (
+            sum(message.log_time in times for _, message in stored)
+            if one.message_index_offsets.keys() & own
+            else 0
+        )
         found.append((one.chunk_start_offset, end, count))
     return found
 
 
 @pytest.mark.parametrize("hole", [1, 4096])
-def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_path: Path, hole: int) -> None:
+def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(
+    tmp_path: Path, hole: int
+) -> None:
     path = record(tmp_path, list(episode("e", frames=35)))
     content = path.read_bytes()
     whole = read_all(path)
@@ -127,7 +170,9 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
         assert verify(bad).damage, f"byte {at} of {len(content)}"
         saved = read_all(mended(bad, out))
         assert set(saved) <= set(whole)
-        assert len(saved) >= len(whole) - sum(n for begin, end, n in seconds if begin < at + hole and at < end)
+        assert len(saved) >= len(whole) - sum(
+            n for begin, end, n in seconds if begin < at + hole and at < end
+        )
         out.unlink()
 
 
@@ -138,7 +183,10 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     before = partial.read_bytes()
     other.write_bytes(b"another")
     status, _, why = smal("recording", "repair", partial, "--out", other)
-    assert (status, why) == (2, f"smal: --out {other}: is there already; give another name, or --replace\n")
+    assert (status, why) == (
+        2,
+        f"smal: --out {other}: is there already; give another name, or --replace\n",
+    )
     with pytest.raises(JobError, match="is there already"):
         repair([partial], other)
     path = usual_name(partial, replace=False)

@@ -79,7 +79,9 @@ def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
         assert (stored.log_time, stored.sequence) == (message.stamp_ns, message.tick)
         if not isinstance(message, CompressedImage):
             assert type(message).model_validate_json(stored.data) == message
-    assert {topic_of(channel.topic) for channel, _ in found} == {t for t in TOPICS.values() if t.recorded}
+    assert {topic_of(channel.topic) for channel, _ in found} == {
+        t for t in TOPICS.values() if t.recorded
+    }
     late = [stored.sequence for _, stored in stored_in(path, starting_at=header("e", 3).stamp_ns)]
     assert late == [message.tick for message in sent if message.tick >= 3], "a viewer finds its way"
 
@@ -101,19 +103,44 @@ def test_json_schemas_are_of_the_kind_that_foxglove_reads(topic: Any) -> None:
 
 
 def test_what_is_sent_again_is_written_once_and_what_is_missing_is_named(tmp_path: Path) -> None:
-    again = [*frame("e", 0), *frame("e", 0), applied("e", 0), command("e", 0, sequence=1), applied("e", 0)]
-    path = record(tmp_path, [event("e", 0, "started"), *again, event("e", 0, "victim_found"), *frame("e", 1)])
+    again = [
+        *frame("e", 0),
+        *frame("e", 0),
+        applied("e", 0),
+        command("e", 0, sequence=1),
+        applied("e", 0),
+    ]
+    path = record(
+        tmp_path, [event("e", 0, "started"), *again, event("e", 0, "victim_found"), *frame("e", 1)]
+    )
     assert len(read_all(path)) == 2 + 2 * len(frame("e", 0)) + 2
     assert metadata(path)[GAPS_METADATA]["duplicates"] == str(len(frame("e", 0)) + 1)
     sent = [event("e", 0, "started"), *(image("e", tick) for tick in (0, 1, 4, 6))]
     path = record(
-        tmp_path, [*sent, *(observation("e", tick) for tick in range(1, 8)), event("e", 7, "ended", "aborted")]
+        tmp_path,
+        [
+            *sent,
+            *(observation("e", tick) for tick in range(1, 8)),
+            event("e", 7, "ended", "aborted"),
+        ],
     )
-    assert metadata(path)[GAPS_METADATA] == {"duplicates": "0", "camera/jpeg": "2-3 5 7", "observation": "0"}
+    assert metadata(path)[GAPS_METADATA] == {
+        "duplicates": "0",
+        "camera/jpeg": "2-3 5 7",
+        "observation": "0",
+    }
 
 
-@given(st.lists(st.tuples(st.sampled_from(["pose/truth", "observation", "command/applied"]), st.integers(0, 12))))
-def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(sent: list[tuple[str, int]]) -> None:
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["pose/truth", "observation", "command/applied"]), st.integers(0, 12)
+        )
+    )
+)
+def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
+    sent: list[tuple[str, int]],
+) -> None:
     ledger = Ledger()
     seen: set[tuple[str, int]] = set()
     for topic, tick in sent:
@@ -199,7 +226,11 @@ def exits_at(step: int) -> None:
 
 def test_a_kill_at_any_moment_loses_nothing_that_was_written(tmp_path: Path) -> None:
     """While it is recorded, while it is sealed, and while what was left is sealed."""
-    sent = [message for message in episode("e", frames=33) if message.topic_name in ("episode", "observation")]
+    sent = [
+        message
+        for message in episode("e", frames=33)
+        if message.topic_name in ("episode", "observation")
+    ]
     tell = os.write
     killed = True
     step = 0
@@ -267,13 +298,19 @@ def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
     assert read_all(living.seal())
 
 
-def test_a_leftover_that_is_damaged_before_its_end_stays_as_it_is_for_repair(tmp_path: Path) -> None:
+def test_a_leftover_that_is_damaged_before_its_end_stays_as_it_is_for_repair(
+    tmp_path: Path,
+) -> None:
     partial = leave(tmp_path, list(episode("e", frames=35)))
     content = bytearray(partial.read_bytes())
-    _, second, *_ = [head.begin for head in heads(memoryview(content), len(MAGIC)) if head.opcode == Opcode.CHUNK]
+    _, second, *_ = [
+        head.begin for head in heads(memoryview(content), len(MAGIC)) if head.opcode == Opcode.CHUNK
+    ]
     content[second - 6] ^= 0xFF  # its length
     partial.write_bytes(content)
-    with pytest.raises(LeftoverError, match=f"^it is damaged at byte {second - 9}; see smal recording repair$"):
+    with pytest.raises(
+        LeftoverError, match=f"^it is damaged at byte {second - 9}; see smal recording repair$"
+    ):
         seal_leftover(partial)
     assert partial.read_bytes() == content
 
@@ -290,7 +327,9 @@ class FullDisk(Sink):
         super().write(data)
 
 
-def test_a_full_disk_is_told_how_many_messages_it_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_how_many_messages_it_cost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Wherever the disk ends: within a chunk, or within the index behind it."""
     messages = list(episode("full", frames=25))
     whole = memoryview(leave(tmp_path, messages).read_bytes())

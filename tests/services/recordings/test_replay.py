@@ -66,7 +66,9 @@ class Heard:
 
     def wait(self, topic: topics.Topic, tick: int) -> None:
         with self._news:
-            assert self._news.wait_for(lambda: tick in self.said[topic.name], 20.0), f"no {topic.name} of {tick}"
+            assert self._news.wait_for(lambda: tick in self.said[topic.name], 20.0), (
+                f"no {topic.name} of {tick}"
+            )
 
 
 @pytest.fixture
@@ -81,7 +83,9 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
     """Run features, recognition and policy, wired as their processes are."""
 
     def run(model: Model) -> None:
-        features, recognition, policy = (Node(name, settings) for name in ("features", "recognition", "policy"))
+        features, recognition, policy = (
+            Node(name, settings) for name in ("features", "recognition", "policy")
+        )
         loaded = LoadedModel.of(model, "model")
         recognizing = RecognitionService()
         deciding = PolicyService()
@@ -103,7 +107,9 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
 def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]:
     """Return what the library does on the recorded frames: velocity, kind of decision, belief."""
     (recorded,) = read_recording(path).episodes
-    stamps = {tick: stamp_ns for tick, stamp_ns in stamps_of(path).items() if tick in recorded.images}
+    stamps = {
+        tick: stamp_ns for tick, stamp_ns in stamps_of(path).items() if tick in recorded.images
+    }
     robot = smal.Robot(model)
     decisions = []
     last_ns = None
@@ -141,7 +147,9 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
     for topic in (topics.STATE, topics.ACTION, topics.COMMANDS["policy"]):
         heard.wait(topic, last)
     for tick, (velocity, kind, belief) in enumerate(expected):
-        command, action, state = (heard.said[name][tick] for name in ("command/policy", "action", "state"))
+        command, action, state = (
+            heard.said[name][tick] for name in ("command/policy", "action", "state")
+        )
         assert isinstance(command, Command)
         assert isinstance(action, Action)
         assert isinstance(state, State)
@@ -162,10 +170,14 @@ def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
     path = driven_corridor.record(tmp_path)
     chain(corridor.model())
     atoms = check_decisions(client, robot, path, corridor.model())
-    assert {"forward", "left", "right"} <= set(atoms), "a drive that calls for one decision proves little"
+    assert {"forward", "left", "right"} <= set(atoms), (
+        "a drive that calls for one decision proves little"
+    )
 
 
-def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, robot: Node, tmp_path: Path) -> None:
+def test_a_replay_tells_what_the_robot_told_and_never_a_command(
+    client: Bus, robot: Node, tmp_path: Path
+) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=4)))
     keys: set[str] = set()
     client.listen("**", lambda key, _payload, _encoding: keys.add(key))
@@ -174,7 +186,9 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     (track,) = tracks_of(path)
     Player(robot, track, "replay-1", dict(REPLAYABLE)).run(lambda _tick: True)
     heard.wait(topics.EPISODE, 3)
-    eventually(lambda: any(isinstance(one, Episode) and one.event == "ended" for one in heard.order))
+    eventually(
+        lambda: any(isinstance(one, Episode) and one.event == "ended" for one in heard.order)
+    )
     assert keys <= {topic.key(ROBOT) for topic in SERVICES["robot"].gives}
     assert not keys & {topic.key(ROBOT) for topic in (*topics.COMMANDS.values(), topics.HEARTBEAT)}
     assert {(one.robot, one.episode) for one in heard.order} == {(ROBOT, "replay-1")}
@@ -190,12 +204,19 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     assert image.data == sent["camera/jpeg", 2].data
     stamps = [heard.said["odometry"][tick].stamp_ns for tick in range(4)]
     assert np.diff(stamps).tolist() == [100_000_000] * 3
-    assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, "no second demonstration"
+    assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, (
+        "no second demonstration"
+    )
 
 
 @pytest.mark.zenoh
 def test_the_command_replays_and_is_refused_where_a_robot_is(
-    client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path, smal: Smal
+    client: Bus,
+    router_endpoint: str,
+    settings: ServiceSettings,
+    run_node: RunNode,
+    tmp_path: Path,
+    smal: Smal,
 ) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=5)))
     heard = Heard(client, topics.JPEG, topics.EPISODE)
@@ -216,12 +237,21 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
 
 
 @pytest.mark.system
-def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path, smal: Smal) -> None:
+def test_a_stack_without_a_robot_answers_a_replay(
+    free_endpoint: str, tmp_path: Path, smal: Smal
+) -> None:
     path = driven_corridor.record(tmp_path)
     model = corridor.save_model(tmp_path / "corridor.smal")
     up = subprocess.Popen(
         [
-            *(sys.executable, "-c", "from services.cli.main import main; main()", "up", "--robot-body", "none"),
+            *(
+                sys.executable,
+                "-c",
+                "from services.cli.main import main; main()",
+                "up",
+                "--robot-body",
+                "none",
+            ),
             "--no-console",
             *("--model", model, "--router", free_endpoint),
         ],

@@ -27,7 +27,11 @@ from tests.services.recordings.recorded_messages import MODEL, episode
 from tests.services.recordings.test_recorder_files import record
 
 LAYOUT = Path(__file__).parents[3] / "deploy" / "foxglove.json"
-WORLD = (5.0, -2.0, math.pi / 2)  # The true pose is that of the wheels, turned by a quarter and 5 m further.
+WORLD = (
+    5.0,
+    -2.0,
+    math.pi / 2,
+)  # The true pose is that of the wheels, turned by a quarter and 5 m further.
 KEYFRAMES = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 5, 0]], np.float32)
 
 
@@ -38,9 +42,15 @@ def drive() -> list[Message]:
         here = driven_corridor.header(tick)
         x_m, y_m, heading_rad = driven_corridor.pose(tick)
         told += driven_corridor.told(tick)
-        told.append(Pose.after(here, x_m=5.0 - y_m, y_m=-2.0 + x_m, heading_rad=heading_rad + math.pi / 2))
+        told.append(
+            Pose.after(here, x_m=5.0 - y_m, y_m=-2.0 + x_m, heading_rad=heading_rad + math.pi / 2)
+        )
         if tick == 0:
-            told.append(TaughtMap.after(here, model=MODEL, keyframes=Float32Array.from_numpy(KEYFRAMES), begins=(0, 3)))
+            told.append(
+                TaughtMap.after(
+                    here, model=MODEL, keyframes=Float32Array.from_numpy(KEYFRAMES), begins=(0, 3)
+                )
+            )
         places = (
             Place(keyframe=1, ahead_m=0.0, left_m=0.5, turned_rad=0.0, weight=0.75),
             Place(keyframe=3, ahead_m=0.25, left_m=0.0, turned_rad=1.0, weight=0.25),
@@ -58,7 +68,9 @@ def views_of(path: Path) -> dict[str, list[Any]]:
         for schema, channel, stored in make_reader(file).iter_messages(log_time_order=False):
             if topic_of(channel.topic) is None:
                 assert schema is not None
-                message = GetMessageClass(described(schema.data, schema.name)).FromString(stored.data)
+                message = GetMessageClass(described(schema.data, schema.name)).FromString(
+                    stored.data
+                )
                 found[channel.topic.removeprefix(view_key("teacher", ""))].append(message)
     return found
 
@@ -76,7 +88,11 @@ def planar(position: Any, rotation: Any) -> tuple[float, float, float]:
 
 
 def transform(message: Any) -> tuple[str, str, tuple[float, float, float]]:
-    return message.parent_frame_id, message.child_frame_id, planar(message.translation, message.rotation)
+    return (
+        message.parent_frame_id,
+        message.child_frame_id,
+        planar(message.translation, message.rotation),
+    )
 
 
 @pytest.fixture
@@ -103,7 +119,9 @@ def test_frames_hang_together_and_lie_where_the_robot_was(path: Path) -> None:
     (camera,) = views["camera"]
     assert (camera.parent_frame_id, camera.child_frame_id) == ("base_link", "camera")
     assert turned(camera.rotation, (0, 0, 1)) == pytest.approx((1, 0, 0)), "its z looks ahead"
-    assert turned(camera.rotation, (1, 0, 0)) == pytest.approx((0, -1, 0)), "its x is to the robot's right"
+    assert turned(camera.rotation, (1, 0, 0)) == pytest.approx((0, -1, 0)), (
+        "its x is to the robot's right"
+    )
     (calibration,) = views["calibration"]
     assert (calibration.frame_id, calibration.width, calibration.height) == ("camera", 64, 48)
     assert list(calibration.K) == pytest.approx([44.8, 0, 32, 0, 44.8, 24, 0, 0, 1])
@@ -145,7 +163,9 @@ def test_the_belief_lies_on_the_taught_ways_and_the_ways_about_the_robot(path: P
     (driven,) = views["driven"]
     points = [(point.x, point.y) for point in driven.entities[0].lines[0].points]
     assert points == [pytest.approx(driven_corridor.pose(tick)[:2]) for tick in range(4)]
-    assert isinstance(PointCloud.FromString(views["driven_points"][0].SerializeToString()), PointCloud)
+    assert isinstance(
+        PointCloud.FromString(views["driven_points"][0].SerializeToString()), PointCloud
+    )
 
 
 def test_the_log_tells_what_changes_once(path: Path) -> None:
@@ -165,17 +185,27 @@ def test_the_layout_shows_what_recordings_have(path: Path, tmp_path: Path) -> No
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    written = {channel.topic.replace("/teacher/", "/rescuebot/") for channel in summary.channels.values()}
+    written = {
+        channel.topic.replace("/teacher/", "/rescuebot/") for channel in summary.channels.values()
+    }
     panels = layout["configById"]
     assert set(_leaves(layout["layout"])) == panels.keys()
     images = [panel["imageMode"] for name, panel in panels.items() if name.startswith("Image!")]
     named = [*(one["imageTopic"] for one in images), *(one["calibrationTopic"] for one in images)]
     named += [panel["topicToRender"] for name, panel in panels.items() if name.startswith("Log!")]
-    named += [topic for name, panel in panels.items() if name.startswith("3D!") for topic in panel["topics"]]
+    named += [
+        topic
+        for name, panel in panels.items()
+        if name.startswith("3D!")
+        for topic in panel["topics"]
+    ]
     assert set(named) <= written | {"smal/rescuebot/view/tracked"}
     examples = {key_of(one): one for one in episode("e")}
     for value in [
-        plot["value"] for name, panel in panels.items() if name.startswith("Plot!") for plot in panel["paths"]
+        plot["value"]
+        for name, panel in panels.items()
+        if name.startswith("Plot!")
+        for plot in panel["paths"]
     ]:
         topic, _, fields = value.removeprefix('"').partition('".')
         message: Any = examples[topic].model_json_schema()

@@ -36,7 +36,9 @@ def armed(*, attended: bool = False) -> CommandGate:
     return gate
 
 
-def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Callable[[], int] = lambda: 5) -> Runner:
+def runner_of(
+    body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Callable[[], int] = lambda: 5
+) -> Runner:
     """Return a runner that knows lockstep, and real time by the body's clock."""
     gate = gate or armed()
     simulated = cast("SimulatedBody", body)
@@ -60,7 +62,9 @@ def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Ca
 def simulated(simulation: Simulation) -> EpisodeRunner[SimulatedView]:
     """Return a runner of a simulated robot, as the simulator's process makes it."""
     body = SimulatedBody(simulation)
-    return EpisodeRunner(body, FindVictim(), armed(), "rescuebot", "test", paces={"lockstep": lambda: Lockstep(body)})
+    return EpisodeRunner(
+        body, FindVictim(), armed(), "rescuebot", "test", paces={"lockstep": lambda: Lockstep(body)}
+    )
 
 
 def begin(body: LineBody, **request: object) -> tuple[Runner, list[Message]]:
@@ -88,7 +92,9 @@ def command(
     run = runner.running
     assert run is not None
     header = Message(robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0)
-    return Command.after(header, source=source, session=session, sequence=sequence, atom=atom, speed=speed)
+    return Command.after(
+        header, source=source, session=session, sequence=sequence, atom=atom, speed=speed
+    )
 
 
 def answer(runner: Runner, atom: Atom = "forward", **how: Any) -> list[Message]:

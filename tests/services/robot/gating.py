@@ -23,4 +23,6 @@ def command(
 
 def beat(session: str, sequence: int, answers: int | None, *, present: bool = True) -> Heartbeat:
     header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
-    return Heartbeat(**header, session=session, name="desk", sequence=sequence, answers=answers, present=present)
+    return Heartbeat(
+        **header, session=session, name="desk", sequence=sequence, answers=answers, present=present
+    )

@@ -45,14 +45,18 @@ def test_no_forged_command_reaches_the_gate(
     with stranger(router_endpoint) as session:
         for source in SOURCES:
             key = COMMANDS[source].key("rescuebot")
-            command = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source=source, atom="forward")
+            command = Command(
+                robot="rescuebot", episode="e", tick=1, stamp_ns=0, source=source, atom="forward"
+            )
             session.put("**", encode(command), encoding=encoding)
             session.delete(key)
             session.put(key, encode(command), encoding="application/json")
             session.put(key, bytes(2_000), encoding=encoding)
         each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES}
         each |= {topic.name: len(SOURCES) for topic in (HEARTBEAT, PULSE)}
-        eventually(lambda: (status := status_of(client, "robot")) is not None and status.bad == each)
+        eventually(
+            lambda: (status := status_of(client, "robot")) is not None and status.bad == each
+        )
     status = status_of(client, "robot")
     assert status is not None
     assert set(status.received) <= {PULSE.name}  # its own

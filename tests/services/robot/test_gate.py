@@ -15,7 +15,9 @@ STAND = Applied(STANDING, None, "silence")
 THEIRS = "only the operator (at desk) may do that"
 
 
-def hear(gate: CommandGate, session: str, sequence: int, now_s: float, *, present: bool = True) -> None:
+def hear(
+    gate: CommandGate, session: str, sequence: int, now_s: float, *, present: bool = True
+) -> None:
     """Have an operator answer a pulse at once."""
     gate.hear(beat(session, sequence, gate.pulse(now_s), present=present), now_s)
 
@@ -39,8 +41,12 @@ def gate() -> CommandGate:
     return begun(armed())
 
 
-@pytest.mark.parametrize(("max_age_s", "until_s"), [(MAX_AGE_S, 10.0 + MAX_AGE_S), (0.5, 10.125 + SILENCE_S)])
-def test_fresh_command_moves_the_robot_and_silence_stops_it(max_age_s: float, until_s: float) -> None:
+@pytest.mark.parametrize(
+    ("max_age_s", "until_s"), [(MAX_AGE_S, 10.0 + MAX_AGE_S), (0.5, 10.125 + SILENCE_S)]
+)
+def test_fresh_command_moves_the_robot_and_silence_stops_it(
+    max_age_s: float, until_s: float
+) -> None:
     gate = begun(armed(max_age_s))
     assert gate.offer(command(0), 10.125) is None
     assert gate.applied(10.2) == Applied(KEYS["forward"], "policy", "command", answered_tick=0)
@@ -84,7 +90,9 @@ def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
 
 def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
     def size() -> int:
-        return len(pickle.dumps({name: value for name, value in vars(gate).items() if name != "_lock"}))
+        return len(
+            pickle.dumps({name: value for name, value in vars(gate).items() if name != "_lock"})
+        )
 
     for tick in range(10):
         gate.captured(tick, 10.0 + 0.1 * tick)
@@ -109,7 +117,9 @@ def test_nothing_moves_before_the_first_episode(episode: str) -> None:
 
 
 @pytest.mark.parametrize("driver", ["policy", "expert"])
-def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(driver: Source) -> None:
+def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(
+    driver: Source,
+) -> None:
     gate = armed()
     gate.begin("e", driver)
     gate.captured(0, 10.0)
@@ -118,7 +128,9 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
     assert gate.offer(command(0, source="teleop", atom="left"), 10.0) is None
     assert gate.taken_over
     gate.captured(3, 10.1)
-    assert gate.offer(command(3, source=driver), 10.1) is None, "what it would do is heard, for lockstep"
+    assert gate.offer(command(3, source=driver), 10.1) is None, (
+        "what it would do is heard, for lockstep"
+    )
     assert gate.answered(3)
     assert gate.applied(10.2) == Applied(KEYS["left"], "teleop", "command", answered_tick=0)
     # The link is lost, or the key let go: the driver does not go on by itself, however long that lasts.
@@ -158,9 +170,14 @@ def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate
 
 @pytest.mark.parametrize("tick", [0, 99])
 @pytest.mark.parametrize("episode", ["e", "other"])
-def test_an_emergency_stop_holds_until_it_is_released(gate: CommandGate, tick: int, episode: str) -> None:
+def test_an_emergency_stop_holds_until_it_is_released(
+    gate: CommandGate, tick: int, episode: str
+) -> None:
     gate.offer(command(0), 10.0)
-    assert gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0) is None
+    assert (
+        gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0)
+        is None
+    )
     gate.captured(1, 10.1)
     gate.offer(command(1), 10.1)
     assert gate.applied(10.1) == Applied(STANDING, "emergency_stop", "emergency_stop")
@@ -205,7 +222,9 @@ def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: i
 
 
 @pytest.mark.parametrize("cause", ["emergency_stop", "operator_lost", "fault"])
-def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandGate, cause: StopCause) -> None:
+def test_who_drove_before_a_stop_does_not_go_on_by_being_released(
+    gate: CommandGate, cause: StopCause
+) -> None:
     gate.offer(command(0), 10.0)
     gate.stop(cause)
     assert gate.stop_cause == cause
@@ -221,7 +240,11 @@ def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandG
 
 def test_of_two_stops_the_graver_cause_is_told_in_whatever_order_they_come() -> None:
     """Who only misses the operator would arm a robot whose body has failed, without a look at it."""
-    for graver, other in (("fault", "operator_lost"), ("operator_lost", "not_armed"), ("emergency_stop", "fault")):
+    for graver, other in (
+        ("fault", "operator_lost"),
+        ("operator_lost", "not_armed"),
+        ("emergency_stop", "fault"),
+    ):
         for causes in ((graver, other), (other, graver)):
             gate = armed()
             for cause in causes:
@@ -273,7 +296,9 @@ def test_an_operator_who_says_good_bye_is_not_missed(gate: CommandGate) -> None:
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(gate: CommandGate, late: int) -> None:
+def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(
+    gate: CommandGate, late: int
+) -> None:
     hear(gate, "o", 0, 10.0)
     hear(gate, "o", 1, 10.1, present=False)
     hear(gate, "o", late, 10.2)
@@ -294,7 +319,9 @@ def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate)
 
 
 @pytest.mark.parametrize(("heard_s", "there"), [(10.25, True), (10.2501, False), (13.0, False)])
-def test_an_answer_that_took_too_long_is_no_sign_of_life(gate: CommandGate, heard_s: float, there: bool) -> None:
+def test_an_answer_that_took_too_long_is_no_sign_of_life(
+    gate: CommandGate, heard_s: float, there: bool
+) -> None:
     pulse = gate.pulse(10.0)
     gate.pulse(heard_s)
     gate.hear(beat("o", 0, pulse), heard_s)
@@ -356,7 +383,9 @@ def test_one_process_of_a_kind_commands_until_it_falls_silent(gate: CommandGate)
     for other in ("0", "b"):
         assert gate.offer(command(2, session=other, atom="left"), 10.0) == "another session"
     assert gate.applied(10.0).velocity == KEYS["forward"]
-    assert gate.offer(command(2, session="a"), 10.0) is None, "no number locks the rightful sender out"
+    assert gate.offer(command(2, session="a"), 10.0) is None, (
+        "no number locks the rightful sender out"
+    )
     late_s = 11.0
     gate.captured(12, late_s)
     assert gate.offer(command(12, session="b"), late_s) == "another session"
@@ -367,7 +396,9 @@ def test_one_process_of_a_kind_commands_until_it_falls_silent(gate: CommandGate)
 
 
 @pytest.mark.parametrize(("first", "second"), ["ab", "ba"])
-def test_the_order_of_another_process_is_its_own(gate: CommandGate, first: str, second: str) -> None:
+def test_the_order_of_another_process_is_its_own(
+    gate: CommandGate, first: str, second: str
+) -> None:
     gate.captured(1, 10.0)
     assert gate.offer(command(1, session=first, sequence=5), 10.0) is None
     gate.expect_anybody()
@@ -384,14 +415,20 @@ def test_how_old_the_command_is_that_moves_the_robot_is_told(gate: CommandGate) 
 
 @pytest.mark.parametrize(
     ("asked", "goes", "reason"),
-    [((0.0, 1.0), (0.0, 0.0), "radius"), ((0.5, -1.0), (0.5, -0.5), "radius"), ((-1.0, 1.0), (-1.0, 1.0), "command")],
+    [
+        ((0.0, 1.0), (0.0, 0.0), "radius"),
+        ((0.5, -1.0), (0.5, -0.5), "radius"),
+        ((-1.0, 1.0), (-1.0, 1.0), "command"),
+    ],
 )
 def test_a_car_turns_no_more_sharply_than_it_can_whoever_asks(
     gate: CommandGate, asked: tuple[float, float], goes: tuple[float, float], reason: str
 ) -> None:
     gate.kinematics = Kinematics(2.0, 2.0 / 1.5, 1.5)
     for source in ("policy", "teleop"):
-        wanted = command(0, source=source).model_copy(update={"linear": asked[0], "angular": asked[1]})  # type: ignore[arg-type]
+        wanted = command(0, source=source).model_copy(
+            update={"linear": asked[0], "angular": asked[1]}
+        )  # type: ignore[arg-type]
         assert gate.offer(wanted, 10.1) is None
         applied = gate.applied(10.2)
         assert (applied.velocity, applied.reason, applied.source) == (goes, reason, source)

@@ -19,7 +19,11 @@ SESSIONS = st.sampled_from(["", "o", "p"])
 class GateMachine(RuleBasedStateMachine):
     """Against a model that keeps everything that was said for ever, and picks by definition."""
 
-    @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans(), max_age_s=st.sampled_from([0.25, 0.5]))
+    @initialize(
+        driver=st.sampled_from(SOURCES[1:]),
+        attended=st.booleans(),
+        max_age_s=st.sampled_from([0.25, 0.5]),
+    )
     def start(self, driver: Source, attended: bool, max_age_s: float) -> None:
         self.attended = attended
         self.max_age_s = max_age_s
@@ -117,7 +121,9 @@ class GateMachine(RuleBasedStateMachine):
         mine = [c.tick for c, _ in self.accepted if c.source == "teleop"][-1:]
         resumed = self.gate.resume(episode, tick, session) is None
         assert resumed == (
-            episode == self.episode and max(mine, default=0) <= tick and self.operator in (None, session)
+            episode == self.episode
+            and max(mine, default=0) <= tick
+            and self.operator in (None, session)
         )
         if resumed:
             self.taken_over = False
@@ -138,9 +144,16 @@ class GateMachine(RuleBasedStateMachine):
         atom=st.sampled_from(["forward", "left", "stop"]),
         episode=st.sampled_from(["e", "e", "e", "old"]),
     )
-    def offer(self, source: Source, session: str, back: int, sequence: int, atom: Atom, episode: str) -> None:
+    def offer(
+        self, source: Source, session: str, back: int, sequence: int, atom: Atom, episode: str
+    ) -> None:
         offered = command(
-            max(0, self.tick - back), sequence=sequence, source=source, atom=atom, episode=episode, session=session
+            max(0, self.tick - back),
+            sequence=sequence,
+            source=source,
+            atom=atom,
+            episode=episode,
+            session=session,
         )
         refusal = self.gate.offer(offered, self.now)
         if source == "emergency_stop":
@@ -148,7 +161,9 @@ class GateMachine(RuleBasedStateMachine):
             self.latched("emergency_stop")
             return
         holder, held_s = self.leased.get(source, (session, 0.0))
-        last = [c for c, _ in self.accepted if c.source == source and c.session == session == holder][-1:]
+        last = [
+            c for c, _ in self.accepted if c.source == source and c.session == session == holder
+        ][-1:]
         may = (
             offered.episode == self.episode
             and source in ("teleop", self.driver)
@@ -170,13 +185,19 @@ class GateMachine(RuleBasedStateMachine):
         applied = self.gate.applied(self.now)
         who = "teleop" if self.taken_over else self.driver
         theirs = [(c, at) for c, at in self.accepted[self.expired :] if c.source == who][-1:]
-        fresh = [c for c, at in theirs if self.now <= min(self.captured[c.tick] + self.max_age_s, at + SILENCE_S)]
+        fresh = [
+            c
+            for c, at in theirs
+            if self.now <= min(self.captured[c.tick] + self.max_age_s, at + SILENCE_S)
+        ]
         assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
         assert self.gate.emergency_stop == self.stop
         if self.stop:
             assert (applied.velocity, applied.reason) == (STANDING, "emergency_stop")
         elif not fresh:
-            assert applied == Applied(STANDING, None, "taken_over" if self.taken_over else "silence")
+            assert applied == Applied(
+                STANDING, None, "taken_over" if self.taken_over else "silence"
+            )
         else:
             assert applied == Applied(fresh[0].velocity, who, "command", fresh[0].tick)
         if applied.velocity != STANDING:
@@ -186,8 +207,13 @@ class GateMachine(RuleBasedStateMachine):
     def commands_of_one_process_are_in_order(self) -> None:
         if not hasattr(self, "gate"):
             return
-        for (one, _), (other, _) in pairwise([pair for pair in self.accepted if pair[0].source == self.driver]):
-            assert one.session != other.session or (one.tick, one.sequence) < (other.tick, other.sequence)
+        for (one, _), (other, _) in pairwise(
+            [pair for pair in self.accepted if pair[0].source == self.driver]
+        ):
+            assert one.session != other.session or (one.tick, one.sequence) < (
+                other.tick,
+                other.sequence,
+            )
 
     @invariant()
     def a_frame_is_answered_when_the_newest_command_of_the_driver_is_for_it(self) -> None:

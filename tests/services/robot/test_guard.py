@@ -52,11 +52,15 @@ def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, hig
         assert not touches([wall], pose)
     assert reasons == {"command", "obstacle"}
     assert applied.velocity == STANDING
-    assert touches([wall], (pose[0] + 0.6, pose[1], 0.0))  # it stands at the wall, and not far before it
+    assert touches(
+        [wall], (pose[0] + 0.6, pose[1], 0.0)
+    )  # it stands at the wall, and not far before it
 
 
 @pytest.mark.parametrize("shown", [None, np.zeros((60, 80), dtype=np.float32)])
-def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.ndarray | None) -> None:
+def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(
+    shown: np.ndarray | None,
+) -> None:
     here = (0.0, 0.0, 0.0)
     ways = ("forward", "backward")
     made = guard()
@@ -75,11 +79,15 @@ def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(shown: np.n
 LIES: dict[str, Callable[[list[np.ndarray]], np.ndarray]] = {
     "saturated": lambda honest: np.full_like(honest[-1], 65.0),
     "far plane": lambda honest: np.full_like(honest[-1], 10.0),
-    "far plane beyond 2.5 m": lambda honest: np.where(honest[-1] < 2.5, honest[-1], np.float32(10.0)),
+    "far plane beyond 2.5 m": lambda honest: np.where(
+        honest[-1] < 2.5, honest[-1], np.float32(10.0)
+    ),
     "frozen": lambda honest: honest[0],
     "0.5 s late": lambda honest: honest[max(len(honest) - 6, 0)],
     "ten times": lambda honest: 10.0 * honest[-1],
-    "half NaN": lambda honest: np.where(np.indices(honest[-1].shape).sum(axis=0) % 2, np.float32(np.nan), honest[-1]),
+    "half NaN": lambda honest: np.where(
+        np.indices(honest[-1].shape).sum(axis=0) % 2, np.float32(np.nan), honest[-1]
+    ),
     "upside down": lambda honest: honest[-1][::-1],
 }
 
@@ -156,7 +164,9 @@ def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
 
 
 @pytest.mark.parametrize(("source", "goes"), [("teleop", INSISTED), ("policy", 0.0)])
-def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_does(source: str, goes: float) -> None:
+def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_does(
+    source: str, goes: float
+) -> None:
     here = (0.0, 0.0, 0.0)
     wall = (0.55, -6.0, 1.6, 6.0, 2.0)
     gate = CommandGate(first_stop=1)
@@ -178,7 +188,9 @@ def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_d
 def test_who_drives_in_a_bend_stands_before_what_stands_in_it(side: float, angular: float) -> None:
     made = guard()
     pose = (0.0, 0.0, 0.0)
-    bend = side * angular * (math.pi / 4) / SPEED_M_S  # straight on is free: the box stands on the circle, 2.5 m along
+    bend = (
+        side * angular * (math.pi / 4) / SPEED_M_S
+    )  # straight on is free: the box stands on the circle, 2.5 m along
     x = math.sin(2.5 * abs(bend)) / abs(bend)
     y = (1.0 - math.cos(2.5 * abs(bend))) / bend
     box: Box = (x - 0.2, y - 0.2, x + 0.2, y + 0.2, 0.5)

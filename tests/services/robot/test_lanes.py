@@ -22,7 +22,12 @@ from tests.services.robot.wheels import Robot, run_robot
 from tests.services.waiting import Lost, eventually
 
 pytestmark = pytest.mark.zenoh
-HARMS: list[tuple[Harm, Lane]] = [("cut", "stop"), ("cut", "urgent"), ("deafen", "stop"), ("deafen", "urgent")]
+HARMS: list[tuple[Harm, Lane]] = [
+    ("cut", "stop"),
+    ("cut", "urgent"),
+    ("deafen", "stop"),
+    ("deafen", "urgent"),
+]
 
 
 @pytest.fixture
@@ -77,7 +82,9 @@ def test_robot_stands_when_its_lane_carries_nothing(
     if lane == "stop":  # The policy drives on, and stops sent meanwhile do not arrive.
         heard = len(policy.applied)
         for number in range(30):
-            stop = Command.after(policy.applied[-1], source="emergency_stop", sequence=number, atom="stop")
+            stop = Command.after(
+                policy.applied[-1], source="emergency_stop", sequence=number, atom="stop"
+            )
             client.publish(stop)
         eventually(lambda: len(policy.applied) > heard + 10)
         assert policy.applied[-1].reason == "deaf"
@@ -86,7 +93,12 @@ def test_robot_stands_when_its_lane_carries_nothing(
 
 
 def test_robot_drives_on_when_its_lane_is_mended(
-    far: ServiceSettings, settings: ServiceSettings, way: Link, run_node: RunNode, client: Bus, lost_s: Lost
+    far: ServiceSettings,
+    settings: ServiceSettings,
+    way: Link,
+    run_node: RunNode,
+    client: Bus,
+    lost_s: Lost,
 ) -> None:
     robot = run_robot(far, run_node, attended=False)
     Policy(settings, run_node)
@@ -109,7 +121,11 @@ def test_attended_robot_is_stopped_when_a_lane_is_harmed(
         node.every(POLL_S, operator.poll)
 
         def drives() -> bool:
-            if operator.mine is None and not operator.asking and operator.commands.to_release is not None:
+            if (
+                operator.mine is None
+                and not operator.asking
+                and operator.commands.to_release is not None
+            ):
                 operator.begin(DRIVE)
             elif operator.commands.applied is not None:
                 operator.hold(KEYS["forward"], math.inf)

@@ -56,7 +56,9 @@ def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCapt
     assert body.orders[-1] == ("stop", 0.0), "it does not try by itself"
 
 
-def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     body = Failing(Clock())
     body.fails = frozenset({"stop"})
     told: list[Applied] = []
@@ -65,7 +67,9 @@ def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(caplog: pyt
         ActuatorLoop(gate, body, told.append, body.clock).step()
     assert gate.stop_cause == "fault"
     assert "the body has failed" in caplog.text
-    assert "the body does not take the order to stand; its own watchdog has to stop it" in caplog.text
+    assert (
+        "the body does not take the order to stand; its own watchdog has to stop it" in caplog.text
+    )
     assert not told
 
 
@@ -156,7 +160,9 @@ def test_a_closed_loop_leaves_the_robot_standing() -> None:
 
 @pytest.mark.parametrize("kind", [KinematicBase, PhysicalBase])
 @pytest.mark.parametrize("world", ["campus", "indoor", "yard"])
-def test_the_simulated_robots_stand_in_time(kind: type[KinematicBase | PhysicalBase], world: str) -> None:
+def test_the_simulated_robots_stand_in_time(
+    kind: type[KinematicBase | PhysicalBase], world: str
+) -> None:
     there = load_world(world)
     body = SimulatedBody(Simulation(there, StubCamera(), kind(there.place)))
     check_stopping(body)
@@ -165,16 +171,24 @@ def test_the_simulated_robots_stand_in_time(kind: type[KinematicBase | PhysicalB
 
 def test_all_delays_together_are_checked() -> None:
     body = LineBody(Clock())
-    assert stopping_times_s(body) == {"the driver": 0.27, "the operator": 0.27, "a link": 0.27, "this process": 0.2}
+    assert stopping_times_s(body) == {
+        "the driver": 0.27,
+        "the operator": 0.27,
+        "a link": 0.27,
+        "this process": 0.2,
+    }
     check_stopping(body)
     body.braking_s = 0.24
     with pytest.raises(
-        ServiceError, match=r"line: after the silence of the driver it would move for 0\.51 s, more than"
+        ServiceError,
+        match=r"line: after the silence of the driver it would move for 0\.51 s, more than",
     ):
         check_stopping(body)
     body.braking_s = 0.0
     body.watchdog_s = 0.6
-    with pytest.raises(ServiceError, match=r"of this process it would move for 0.60 s.*its watchdog 0.60 s"):
+    with pytest.raises(
+        ServiceError, match=r"of this process it would move for 0.60 s.*its watchdog 0.60 s"
+    ):
         check_stopping(body)
     body.watchdog_s = float("nan")
     with pytest.raises(ServiceError, match="of this process"):

@@ -38,7 +38,9 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
     """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
     robot = run_robot(settings, run_node, attended=True)
     policy = Node("policy", settings)
-    policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
+    policy.subscribe(
+        APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward")
+    )
     run_node(policy)
     with link(router_endpoint) as way:
         far = settings.model_copy(update={"router": way.address})
@@ -48,7 +50,11 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
 
             def drives() -> bool:
                 """Ask again where a busy machine missed the operator for a moment."""
-                if operator.mine is None and not operator.asking and operator.commands.to_release is not None:
+                if (
+                    operator.mine is None
+                    and not operator.asking
+                    and operator.commands.to_release is not None
+                ):
                     operator.begin(RUN)
                 return robot.wheels.driven
 
@@ -64,25 +70,37 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
     assert status_of(client, "robot") is not None
 
 
-def robot_of(settings: ServiceSettings, run_node: RunNode, session: str, *, armed: bool = False) -> RobotService:
+def robot_of(
+    settings: ServiceSettings, run_node: RunNode, session: str, *, armed: bool = False
+) -> RobotService:
     """Start a robot that has not asked whether there is another one."""
     wheels = Wheels()
     gate = CommandGate(first_stop=1)
     if armed:
         gate.arm(1, "")
     node = Node("robot", settings)
-    found = RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, session), node)
+    found = RobotService(
+        EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, session), node
+    )
     run_node(node)
     return found
 
 
 @pytest.mark.parametrize(
     ("one", "other", "stays"),
-    [(("a", False), ("b", False), 0), (("b", False), ("a", False), 1), (("b", True), ("a", False), 0)],
+    [
+        (("a", False), ("b", False), 0),
+        (("b", False), ("a", False), 1),
+        (("b", True), ("a", False), 0),
+    ],
     ids=["the first", "the second", "who is armed"],
 )
 def test_of_two_robots_of_one_id_one_stays(
-    settings: ServiceSettings, run_node: RunNode, one: tuple[str, bool], other: tuple[str, bool], stays: int
+    settings: ServiceSettings,
+    run_node: RunNode,
+    one: tuple[str, bool],
+    other: tuple[str, bool],
+    stays: int,
 ) -> None:
     robots = [robot_of(settings, run_node, session, armed=armed) for session, armed in (one, other)]
     eventually(lambda: robots[1 - stays].left)
@@ -173,7 +191,10 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
         def ask() -> None:
             with pytest.raises(RpcError) as refused:
                 client.call(
-                    "robot", "reset", ResetRequest(seed=1, mode="realtime", world="town", session=session), ResetReply
+                    "robot",
+                    "reset",
+                    ResetRequest(seed=1, mode="realtime", world="town", session=session),
+                    ResetReply,
                 )
             told.append(str(refused.value))
 
@@ -185,10 +206,15 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
 
     assert cancel("a") == "robot cancel: there is nothing to cancel: no episode is being begun"
     opening = open_for("a")
-    assert cancel("b") == "robot cancel: only who asked for this episode, or the operator, may cancel it"
+    assert (
+        cancel("b")
+        == "robot cancel: only who asked for this episode, or the operator, may cancel it"
+    )
     assert cancel("a") == "cancelled"
     opening.join(100.0)
-    assert told == ["robot reset: cancelled by who asked for it; the robot is in line, without an episode"]
+    assert told == [
+        "robot reset: cancelled by who asked for it; the robot is in line, without an episode"
+    ]
     assert runner.running is None
     operates = threading.Event()
     with Node("teleop", settings) as desk:
@@ -200,7 +226,9 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
         opening = open_for("a")
         operator.withdraw()
         opening.join(100.0)
-        assert told[1:] == ["robot reset: cancelled by the operator; the robot is in line, without an episode"], said
+        assert told[1:] == [
+            "robot reset: cancelled by the operator; the robot is in line, without an episode"
+        ], said
         operates.set()
         thread.join(100.0)
     reply = client.call("robot", "reset", ResetRequest(seed=1, mode="realtime"), ResetReply)

@@ -61,7 +61,9 @@ def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers()
     assert first[-1].data == encode_jpeg(decode_jpeg(whole[-1].data), 1)
 
     def pictures(seconds: float) -> int:
-        return sum(isinstance(message, CompressedImage) for message in advance(runner, clock, seconds))
+        return sum(
+            isinstance(message, CompressedImage) for message in advance(runner, clock, seconds)
+        )
 
     assert pictures(2.0) in {4, 5, 6}, "three at once; what was lost is not waited for"
     answered = 0
@@ -120,12 +122,19 @@ def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock
     captured_s = {}
     for _ in range(3):
         clock.now_s += 0.35  # slower than real time: the stamps are true all the same
-        captured_s |= {(m.tick, clock.now_s): m.stamp_ns for m in runner.poll() if isinstance(m, CompressedImage)}
+        captured_s |= {
+            (m.tick, clock.now_s): m.stamp_ns
+            for m in runner.poll()
+            if isinstance(m, CompressedImage)
+        }
     assert len(captured_s) == 3, "one each time, and none is made up for"
     assert runner.running is not None
     assert isinstance(runner.running.pace, SteppedRealTime)
     assert runner.running.pace.late == 3
-    assert all(stamp_ns == 7_000_000_000 + round(1e9 * (now_s - 100.0)) for (_, now_s), stamp_ns in captured_s.items())
+    assert all(
+        stamp_ns == 7_000_000_000 + round(1e9 * (now_s - 100.0))
+        for (_, now_s), stamp_ns in captured_s.items()
+    )
 
 
 def test_latency_belongs_to_the_frame_that_was_answered() -> None:
@@ -167,7 +176,11 @@ def test_slow_pictures_do_not_prolong_a_command() -> None:
         captured_s = runner.running.episode.view.captured_s
         runner.offer(command(runner))
         advance(runner, clock, 2.0)
-        stood_s = max(at for at, atom in zip(order_times(body), body.orders, strict=True) if atom[0] == "forward")
+        stood_s = max(
+            at
+            for at, atom in zip(order_times(body), body.orders, strict=True)
+            if atom[0] == "forward"
+        )
         assert captured_s < stood_s <= captured_s + MAX_AGE_S + 1e-9
 
 
@@ -229,9 +242,14 @@ def test_what_the_robot_says_ends_its_run_and_is_judged(
 
 
 @pytest.mark.parametrize(("goal", "outcome"), [(0.3, "missed"), (1e9, "timeout")])
-def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(goal: float, outcome: str) -> None:
+def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(
+    goal: float, outcome: str
+) -> None:
     runner, _ = begin(LineBody(Clock(), goal=goal, sight=0.2), until_said=True, max_ticks=8)
-    assert [e for _ in range(8) for e in events(answer(runner))][-2:] == [("timed_out", None), ("ended", outcome)]
+    assert [e for _ in range(8) for e in events(answer(runner))][-2:] == [
+        ("timed_out", None),
+        ("ended", outcome),
+    ]
 
 
 def test_where_a_person_says_that_the_goal_is_it_is() -> None:
@@ -253,7 +271,9 @@ def test_where_a_person_says_that_the_goal_is_it_is() -> None:
 def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
     body = LineBody(Clock())
     gate = armed()
-    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
+    runner: Runner = EpisodeRunner(
+        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces
+    )
     reset(runner, until_said=True)
     run = runner.running
     assert run is not None
@@ -263,9 +283,14 @@ def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
 def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
     body = LineBody(Clock(), goal=0.3)
     gate = armed()
-    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
+    runner: Runner = EpisodeRunner(
+        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces
+    )
     reset(runner, max_ticks=5)
-    assert [e for _ in range(5) for e in events(answer(runner))] == [("timed_out", None), ("ended", "timeout")]
+    assert [e for _ in range(5) for e in events(answer(runner))] == [
+        ("timed_out", None),
+        ("ended", "timeout"),
+    ]
 
 
 def test_a_drive_of_a_person_has_no_time_limit() -> None:
@@ -293,7 +318,9 @@ def test_a_run_that_a_person_corrects_does_not_time_out_in_their_hands() -> None
 
 
 def test_a_mode_that_the_robot_does_not_know_is_refused_in_one_line() -> None:
-    runner: EpisodeRunner[LineView] = EpisodeRunner(LineBody(Clock()), OperatorsTask(), armed(), "r", "s")
+    runner: EpisodeRunner[LineView] = EpisodeRunner(
+        LineBody(Clock()), OperatorsTask(), armed(), "r", "s"
+    )
     with pytest.raises(ServiceError, match="line cannot wait for commands; ask for real time"):
         runner.reset(ResetRequest(seed=1))
     assert runner.running is None

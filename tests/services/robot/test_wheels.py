@@ -23,7 +23,9 @@ LEFT = Velocity(0.0, 1.0)
 Orders = list[Velocity]
 
 
-def compare(orders: Orders, report: float, *, delay_s: float = 0.1, starts_s: float = 0.5) -> tuple[float, str] | None:
+def compare(
+    orders: Orders, report: float, *, delay_s: float = 0.1, starts_s: float = 0.5
+) -> tuple[float, str] | None:
     """Drive a base by an order a tick; return when its odometry contradicts the commands, and how.
 
     The base begins to obey after a delay, and has its full speed after ``starts_s``. Its odometry reports so many times
@@ -53,9 +55,13 @@ def compare(orders: Orders, report: float, *, delay_s: float = 0.1, starts_s: fl
     return None
 
 
-@pytest.mark.parametrize("order", [AHEAD, LEFT, Velocity(-1.0, 0.0), Velocity(0.3, 0.0), Velocity(1.0, -0.5)])
+@pytest.mark.parametrize(
+    "order", [AHEAD, LEFT, Velocity(-1.0, 0.0), Velocity(0.3, 0.0), Velocity(1.0, -0.5)]
+)
 @pytest.mark.parametrize(("report", "most_s"), [(0.0, 1.1), (-1.0, 1.1)])
-def test_wheels_contradict_when_odometry_lies(order: Velocity, report: float, most_s: float) -> None:
+def test_wheels_contradict_when_odometry_lies(
+    order: Velocity, report: float, most_s: float
+) -> None:
     found = compare([order] * 40, report)
     assert found is not None
     share = max(map(abs, order))
@@ -110,7 +116,9 @@ def test_wheels_agree_when_odometry_was_silent() -> None:
     wheels = WheelCheck(FULL)
     wheels.told(AHEAD, 0.0)
     found = [wheels.read((2.0 * 0.1 * tick, 0.0, 0.0), 0.1 * tick) for tick in range(20)]
-    found += [wheels.read((3.8 + 2.0 * 0.1 * tick, 0.0, 0.0), 3.0 + 0.1 * tick) for tick in range(20)]
+    found += [
+        wheels.read((3.8 + 2.0 * 0.1 * tick, 0.0, 0.0), 3.0 + 0.1 * tick) for tick in range(20)
+    ]
     assert found == [None] * 40
 
 

@@ -16,15 +16,26 @@ from tests.services.robot.driving import Runner, advance, answer, begin, reset, 
 from tests.services.robot.line import Clock, LineBody
 
 
-def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True) -> None:
-    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0, "session": session, "name": "desk"}
+def beat(
+    runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True
+) -> None:
+    header = {
+        "robot": "r",
+        "episode": "e",
+        "tick": 0,
+        "stamp_ns": 0,
+        "session": session,
+        "name": "desk",
+    }
     answers = runner.pulse().number if operator else None
     runner.hear(Heartbeat(**header, sequence=sequence, answers=answers, present=present))
 
 
 @pytest.mark.parametrize("cause", get_args(StopCause))
 @pytest.mark.parametrize("driver", ["policy", "expert", "teleop"])
-def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(cause: StopCause, driver: str) -> None:
+def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(
+    cause: StopCause, driver: str
+) -> None:
     runner, _ = begin(LineBody(Clock()))
     runner.gate.stop(cause)
     episode = runner.running
@@ -54,7 +65,9 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
         reset(runner, driver="policy")
     run = runner.running
     assert run is not None
-    with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
+    with pytest.raises(
+        ServiceError, match="another episode has begun, or the person has commanded since"
+    ):
         runner.resume(ResumeRequest(episode="other", tick=9))
     runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
     answer(runner)
@@ -190,7 +203,9 @@ def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
 def test_what_the_operator_says_was_found_was_found() -> None:
     body = LineBody(Clock())
     gate = CommandGate(first_stop=1)
-    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces)
+    runner: Runner = EpisodeRunner(
+        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces
+    )
     runner.arm(ArmRequest(stop=1))
     reset(runner, purpose="drive", driver="teleop")
     run = runner.running

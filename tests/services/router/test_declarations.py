@@ -20,7 +20,9 @@ from tests.services.secured import open_session
 from tests.services.waiting import eventually
 
 MOST = BURST + BURST_A_ROBOT
-_BEGIN = b"2026-11-27T16:00:36.226199Z DEBUG  rx-1 ThreadId(08) demux{zid=38904369 src=south:0:%s/%s}: "
+_BEGIN = (
+    b"2026-11-27T16:00:36.226199Z DEBUG  rx-1 ThreadId(08) demux{zid=38904369 src=south:0:%s/%s}: "
+)
 _FACE = b"zenoh::net::routing::dispatcher::face: expr=WireExpr { scope: 1 } expr.mapped=%s\n"
 PATIENT: dict[str, object] = {"connect/timeout_ms": 10_000}
 
@@ -51,7 +53,10 @@ def test_sessions_are_counted_apart() -> None:
 
 def test_declarations_are_bounded_when_they_are_taken_back() -> None:
     pair = entry(), entry(key=b"None")
-    assert counted(*[(line, n / RATE_HZ) for n in range(2 * MOST) for line in pair[n % 2 : n % 2 + 1]]) == []
+    assert (
+        counted(*[(line, n / RATE_HZ) for n in range(2 * MOST) for line in pair[n % 2 : n % 2 + 1]])
+        == []
+    )
     assert counted(*[(line, 0.0) for line in pair * MOST]) == ["6715b33e"]
 
 
@@ -61,7 +66,11 @@ def test_declarations_that_stand_are_bounded_however_slow() -> None:
 
 def register(key: bytes) -> bytes:
     """Return an entry of Zenoh's log about a key that was not known."""
-    return _BEGIN % (b"client", b"6715b33e:1") + b"zenoh::net::routing::dispatcher::resource: Register resource " + key
+    return (
+        _BEGIN % (b"client", b"6715b33e:1")
+        + b"zenoh::net::routing::dispatcher::resource: Register resource "
+        + key
+    )
 
 
 def test_keys_of_groups_are_bounded_more_strictly() -> None:
@@ -80,7 +89,9 @@ def test_a_key_with_line_breaks_is_counted() -> None:
 
 @pytest.mark.parametrize("linked", [False, True])
 def test_a_linked_router_is_trusted(linked: bool) -> None:
-    assert counted(*[(entry(b"router"), 0.0)] * (MOST + 1), linked=linked) == ([] if linked else ["6715b33e"])
+    assert counted(*[(entry(b"router"), 0.0)] * (MOST + 1), linked=linked) == (
+        [] if linked else ["6715b33e"]
+    )
 
 
 def test_a_key_cannot_pass_for_an_entry_of_another_session() -> None:

@@ -47,12 +47,18 @@ class MapText:
 
     def relation(self, members: Sequence[tuple[str, int, str]], **tags: str) -> int:
         number = self._new()
-        parts = "".join(f'<member type="{kind}" ref="{ref}" role="{role}"/>' for kind, ref, role in members)
-        self._relations.append(f'<relation id="{number}" version="1">{parts}{_tags(tags)}</relation>')
+        parts = "".join(
+            f'<member type="{kind}" ref="{ref}" role="{role}"/>' for kind, ref, role in members
+        )
+        self._relations.append(
+            f'<relation id="{number}" version="1">{parts}{_tags(tags)}</relation>'
+        )
         return number
 
     def multipolygon(self, outer: Sequence[int], inner: Sequence[int] = (), **tags: str) -> int:
-        members = [("way", ref, "outer") for ref in outer] + [("way", ref, "inner") for ref in inner]
+        members = [("way", ref, "outer") for ref in outer] + [
+            ("way", ref, "inner") for ref in inner
+        ]
         return self.relation(members, type="multipolygon", **tags)
 
     def text(self) -> str:
@@ -62,7 +68,9 @@ class MapText:
             f'<bounds minlat="{LATITUDE - north:.7f}" minlon="{LONGITUDE - east:.7f}" '
             f'maxlat="{LATITUDE + north:.7f}" maxlon="{LONGITUDE + east:.7f}"/>'
         )
-        return "\n".join(['<osm version="0.6">', bounds, *self._nodes, *self._ways, *self._relations, "</osm>"])
+        return "\n".join(
+            ['<osm version="0.6">', bounds, *self._nodes, *self._ways, *self._relations, "</osm>"]
+        )
 
     def write(self, path: Path) -> Path:
         path.write_text(self.text())

@@ -57,7 +57,9 @@ def key_to(pose: Pose, x: float, y: float) -> Atom:
     return "forward" if abs(bearing) < 0.06 else "left" if bearing > 0 else "right"
 
 
-def drive_to(simulation: Simulation, x: float, y: float, until: Callable[[], bool] = lambda: False) -> None:
+def drive_to(
+    simulation: Simulation, x: float, y: float, until: Callable[[], bool] = lambda: False
+) -> None:
     """Turn to a place and drive there; stop there, at a collision, or when `until` says so."""
     for _ in range(600):
         pose = simulation.pose

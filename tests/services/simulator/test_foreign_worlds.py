@@ -27,11 +27,15 @@ def endless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the loading of any world take for ever."""
     bounded = loading.bounded
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
-    monkeypatch.setattr(loading, "bounded", lambda _function, *more: bounded("tests.confined_work:loop", *more))
+    monkeypatch.setattr(
+        loading, "bounded", lambda _function, *more: bounded("tests.confined_work:loop", *more)
+    )
 
 
 @pytest.mark.usefixtures("endless")
-def test_world_is_refused_when_it_takes_too_much_time(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_world_is_refused_when_it_takes_too_much_time(
+    town: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(confined, "LEAST_S", 0.1)
     monkeypatch.setattr(confined, "S_A_MEGABYTE", 0.0)
     monkeypatch.setattr(confined, "_WAITING", 1e4)  # On a loaded machine the clock runs far ahead.
@@ -44,7 +48,9 @@ def test_world_is_refused_when_it_takes_too_much_time(town: Path, monkeypatch: p
 
 def test_world_is_refused_in_one_line_when_it_is_of_no_use(town: Path) -> None:
     town.write_text("<osm>")
-    with pytest.raises(WorldError, match=r"\A[^\n]*town.osm: not a readable OpenStreetMap XML file[^\n]*\Z"):
+    with pytest.raises(
+        WorldError, match=r"\A[^\n]*town.osm: not a readable OpenStreetMap XML file[^\n]*\Z"
+    ):
         load_foreign_world(town)
 
 

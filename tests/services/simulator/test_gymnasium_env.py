@@ -38,4 +38,9 @@ def test_a_wall_ends_the_episode_with_a_penalty() -> None:
         _, reward, terminated, truncated, info = env.step(np.int64(FORWARD))
         if terminated:
             break
-    assert (reward, terminated, truncated, info["outcome"]) == (COLLISION_REWARD, True, False, "collision")
+    assert (reward, terminated, truncated, info["outcome"]) == (
+        COLLISION_REWARD,
+        True,
+        False,
+        "collision",
+    )

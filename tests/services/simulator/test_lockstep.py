@@ -22,7 +22,14 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     clock = Clock()
     body = LineBody(clock)
     runner, messages = begin(body)
-    assert [type(m) for m in messages] == [Episode, CameraInfo, Odometry, Imu, Pose, CompressedImage]
+    assert [type(m) for m in messages] == [
+        Episode,
+        CameraInfo,
+        Odometry,
+        Imu,
+        Pose,
+        CompressedImage,
+    ]
     (info,) = (m for m in messages if isinstance(m, CameraInfo))
     assert (info.width, info.height, info.centre_x_px, info.centre_y_px) == (32, 24, 16.0, 12.0)
     assert camera_of(info) == LineBody.camera
@@ -84,7 +91,9 @@ ENDED = {name: ("ended", name) for name in ("found", "aborted", "collision", "ti
         ({}, {"max_ticks": 1}, 1, [("timed_out", None), ENDED["timeout"]]),
     ],
 )  # fmt: skip
-def test_how_an_episode_ends(line: dict[str, float], asked: dict[str, object], atoms: int, told: list[Event]) -> None:
+def test_how_an_episode_ends(
+    line: dict[str, float], asked: dict[str, object], atoms: int, told: list[Event]
+) -> None:
     """After so many steps forward, or three and one back; then a demonstration is ended."""
     runner, _ = begin(LineBody(Clock(), **line), **asked)
     said: list[Event] = []
@@ -102,15 +111,23 @@ def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commandi
     runner.gate.stop()
     (applied,) = runner.poll()
     assert isinstance(applied, CommandApplied)
-    assert (applied.reason, applied.answered_tick, applied.latency_ns) == ("emergency_stop", None, None)
+    assert (applied.reason, applied.answered_tick, applied.latency_ns) == (
+        "emergency_stop",
+        None,
+        None,
+    )
     for _ in range(20):
         assert answer(runner) == []
     assert not list(runner.poll())
     assert body.moves == []
     runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
-    assert {atom for _ in range(3) for m in answer(runner) if isinstance(m, CommandApplied) for atom in [m.atom]} == {
-        "stop"
-    }, "released is not told to go on"
+    assert {
+        atom
+        for _ in range(3)
+        for m in answer(runner)
+        if isinstance(m, CommandApplied)
+        for atom in [m.atom]
+    } == {"stop"}, "released is not told to go on"
 
 
 def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:

@@ -41,14 +41,18 @@ def passes(simulation: Simulation, room: float) -> bool:
     corridor = way.buffer(5 * radius_m)
     solids = [solid for thing in simulation.obstacles for solid in thing.solids]
     there = Obstacles(simulation.world.place, solids)
-    x, y = (np.arange(low, high, radius_m / 3) for low, high in np.reshape(corridor.bounds, (2, 2)).T)
+    x, y = (
+        np.arange(low, high, radius_m / 3) for low, high in np.reshape(corridor.bounds, (2, 2)).T
+    )
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     inside = shapely.contains_xy(corridor, grid[..., 0], grid[..., 1])
     free = np.zeros(inside.shape, dtype=bool)
     free[inside] = [there.is_free(*place, room * radius_m) for place in grid[inside].tolist()]
     parts, _ = label(free, np.ones((3, 3)))
     along = shapely.line_locate_point(way, shapely.points(grid))
-    first, last = (set(parts[free & near]) for near in (along < 0.1 * way.length, along > 0.9 * way.length))
+    first, last = (
+        set(parts[free & near]) for near in (along < 0.1 * way.length, along > 0.9 * way.length)
+    )
     return bool(first & last)
 
 
@@ -59,7 +63,9 @@ def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(
         simulation.reset(seed, "run", obstacles=3)
         assert simulation._seen[1].things == simulation.obstacles  # type: ignore[attr-defined]
         assert len(simulation.obstacles) == 3
-        assert passes(simulation, 1.8 if world == "campus" else 1.3)  # indoors the way itself is narrower than that
+        assert passes(
+            simulation, 1.8 if world == "campus" else 1.3
+        )  # indoors the way itself is narrower than that
         same = simulation.obstacles
         simulation.reset(seed, "run", obstacles=3)
         assert simulation.obstacles == same
@@ -84,7 +90,9 @@ def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(world: str) -> None:
+def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(
+    world: str,
+) -> None:
     simulation = simulated(world)
     simulation.reset(1, "run", people=3)
     first = simulation.people[0]

@@ -37,7 +37,8 @@ def pile(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> Obstacles:
     place = load_world(chart.write(tmp_path / "one.osm")).place
     sizes = np.linspace(10.0, 12.0, HOUSES)
     houses = [
-        Solid(shapely.box(-40 - size, -40 - size, -40 + size, -40 + size), 0.0, 6.0, opaque=True) for size in sizes
+        Solid(shapely.box(-40 - size, -40 - size, -40 + size, -40 + size), 0.0, 6.0, opaque=True)
+        for size in sizes
     ]
     CountingTree.found = 0
     return Obstacles(place, houses)
@@ -58,5 +59,7 @@ def test_query_finds_what_is_near_when_houses_overlap(pile: Obstacles) -> None:
     assert pile.is_free(-27.0, -40.0, 0.9)
     assert not pile.is_free(-27.0, -40.0, 1.1)
     assert pile.clearance(-27.0, -40.0) == pytest.approx(1.0)
-    clear = pile.are_clear(np.array([[(-27.0, -40.0), (-20.0, -40.0)], [(-29.0, -40.0), (-20.0, -40.0)]]), 0.5)
+    clear = pile.are_clear(
+        np.array([[(-27.0, -40.0), (-20.0, -40.0)], [(-29.0, -40.0), (-20.0, -40.0)]]), 0.5
+    )
     assert clear.tolist() == [True, False]

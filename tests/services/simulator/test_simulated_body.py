@@ -80,7 +80,8 @@ def test_in_lockstep_no_clock_moves_it() -> None:
 
 def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> None:
     plain, anywhere, carried = (
-        body_of(Clock(), "lockstep", **request) for request in ({}, {"start": "anywhere"}, {"kidnap_tick": 2})
+        body_of(Clock(), "lockstep", **request)
+        for request in ({}, {"start": "anywhere"}, {"kidnap_tick": 2})
     )
     assert start_of(plain) == start_of(carried) != start_of(anywhere)
     assert way_m(carried, start_of(plain)) == 0.0

@@ -41,7 +41,8 @@ def standing(base: Base, pose: Pose = Pose(0.0, 0.0, 0.0), seed: int = 0) -> Bas
 
 def drive(base: Base, atom: Atom, duration_s: float, speed: float = 1.0) -> list[Motion]:
     return [
-        base.step(Velocity(*(speed * share for share in KEYS[atom])), 0.02) for _ in range(round(duration_s / 0.02))
+        base.step(Velocity(*(speed * share for share in KEYS[atom])), 0.02)
+        for _ in range(round(duration_s / 0.02))
     ]
 
 
@@ -56,7 +57,9 @@ def turned(begin: Pose, end: Pose) -> float:
 @robots
 @pytest.mark.parametrize("speed", [1.0, 0.1])
 @pytest.mark.parametrize("atom", ["backward", "left"])
-def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: float, atom: Atom) -> None:
+def test_at_speed_it_moves_as_the_kinematic_base_does(
+    robot: RobotModel, speed: float, atom: Atom
+) -> None:
     place = Hall(model=robot)
     moved = {}
     for base in (PhysicalBase(place, perfect(robot)), KinematicBase(place, perfect(robot))):
@@ -74,7 +77,9 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: 
 
 @robots
 @pytest.mark.parametrize("atom", ["forward", "left"])
-def test_silence_means_that_the_robot_stands_within_half_a_second(robot: RobotModel, atom: Atom) -> None:
+def test_silence_means_that_the_robot_stands_within_half_a_second(
+    robot: RobotModel, atom: Atom
+) -> None:
     """The gate obeys a command for so long from its frame on, and none comes sooner than a cycle after its frame.
 
     A robot stands that moves by less than 5 % of what it usually does in a tick.
@@ -100,7 +105,9 @@ def test_a_wall_stops_the_robot_and_lets_it_back_off(robot: RobotModel) -> None:
         assert motion.pose.x < 2.0 - robot.radius_m + 5e-3
     assert motions[first].pose.x == pytest.approx(2.0 - robot.radius_m, abs=0.01)
     assert not any(motion.collided for motion in motions[:first])
-    assert sum(sum(motion.rolled_m) / 2 for motion in motions) > motions[-1].pose.x + 0.1, "the wheels spin at it"
+    assert sum(sum(motion.rolled_m) / 2 for motion in motions) > motions[-1].pose.x + 0.1, (
+        "the wheels spin at it"
+    )
     backing = drive(base, "backward", 1.5)
     assert not backing[-1].collided
     assert motions[-1].pose.x - backing[-1].pose.x > 0.5 * robot.drive.speed_m_s
@@ -120,7 +127,14 @@ def trace(base: PhysicalBase, seed: int, atoms: list[Atom]) -> list[Motion]:
 def test_an_episode_repeats_exactly_whatever_was_before(
     first: list[Atom], seeds: tuple[int, int], second: list[Atom]
 ) -> None:
-    corner = Solid(shapely.LineString([(-1.5, -2.0), (1.5, -2.0), (1.5, 2.0), (-1.5, 2.0)]), 0.0, 1.0, opaque=False)
+    corner = Solid(
+        shapely.LineString([(-1.5, -2.0), (1.5, -2.0), (1.5, 2.0), (-1.5, 2.0)]),
+        0.0,
+        1.0,
+        opaque=False,
+    )
     used = PhysicalBase(Hall(corner, WALL))
     trace(used, seeds[0], ["forward", *first])
-    assert trace(used, seeds[1], second) == trace(PhysicalBase(Hall(corner, WALL)), seeds[1], second)
+    assert trace(used, seeds[1], second) == trace(
+        PhysicalBase(Hall(corner, WALL)), seeds[1], second
+    )

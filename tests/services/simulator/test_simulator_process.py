@@ -24,7 +24,9 @@ def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_ever
     client: Bus, router_endpoint: str
 ) -> None:
     images: list[CompressedImage] = []
-    client.subscribe(topics.JPEG, lambda payload, form, _: images.append(decode(CompressedImage, payload, form)))
+    client.subscribe(
+        topics.JPEG, lambda payload, form, _: images.append(decode(CompressedImage, payload, form))
+    )
     reset = ResetRequest(seed=1)
 
     def told(what: str) -> object:
@@ -33,7 +35,9 @@ def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_ever
     def arm() -> None:
         client.call("robot", "arm", ArmRequest(stop=int(str(told("emergency_stop") or 0))), Nothing)
 
-    with process("robot", router_endpoint, "--world", "yard", "--camera-width", "64", "--camera-height", "48"):
+    with process(
+        "robot", router_endpoint, "--world", "yard", "--camera-width", "64", "--camera-height", "48"
+    ):
         ready(client, "robot")
         with pytest.raises(RpcError, match="the robot is not armed"):
             client.call("robot", "reset", reset, ResetReply, 30.0)
@@ -48,7 +52,9 @@ def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_ever
             assert stopped == ("emergency_stop" if source == "emergency_stop" else None)
             if stopped:
                 arm()
-                client.call("robot", "resume", ResumeRequest(episode=reply.episode, tick=0), Nothing)
+                client.call(
+                    "robot", "resume", ResumeRequest(episode=reply.episode, tick=0), Nothing
+                )
         assert [image.tick for image in images] in ([0], [0, 0])
         for tick in range(3):
             client.publish(command(reply.episode, tick))

@@ -21,14 +21,25 @@ YARD, INDOOR = (load_world(name) for name in ("yard", "indoor"))
 WIDTH = 160
 HEIGHT = 120
 EYE = YARD.robot.camera
-TILTS = [LEVEL, Tilt(0.1, 0, 0), Tilt(0, 0.1, 0), Tilt(0, -0.08, 0), Tilt(0.05, 0.1, -0.2), Tilt(-0.1, 0.03, 0.3)]
+TILTS = [
+    LEVEL,
+    Tilt(0.1, 0, 0),
+    Tilt(0, 0.1, 0),
+    Tilt(0, -0.08, 0),
+    Tilt(0.05, 0.1, -0.2),
+    Tilt(-0.1, 0.03, 0.3),
+]
 
 
 def facing_the_victim(name: str, away_m: float) -> Pose:
     """Return a pose that looks at the victim, on the last leg of the route or, indoors, before its face."""
     victim = load_world(name).victim
     corner = plan_route(YARD, (YARD.start.x, YARD.start.y))[-2]
-    looks = victim.heading + math.pi if name == "indoor" else math.atan2(victim.y - corner[1], victim.x - corner[0])
+    looks = (
+        victim.heading + math.pi
+        if name == "indoor"
+        else math.atan2(victim.y - corner[1], victim.x - corner[0])
+    )
     return Pose(victim.x - away_m * math.cos(looks), victim.y - away_m * math.sin(looks), looks)
 
 

@@ -41,7 +41,11 @@ def changed(field: str, value: object) -> dict[str, Any]:
 def away_from_things(distance_m: float) -> BaseGeometry:
     """Return the floor at least so far from furniture and walls, independently of `Room`."""
     things = shapely.union_all([piece.footprint for piece in ROOM.furniture])
-    return shapely.box(*ROOM.bounds).buffer(-distance_m).difference(things.buffer(distance_m, quad_segs=32))
+    return (
+        shapely.box(*ROOM.bounds)
+        .buffer(-distance_m)
+        .difference(things.buffer(distance_m, quad_segs=32))
+    )
 
 
 @given(seed=seeds, purpose=st.sampled_from(["drive", "run", "recovery"]))
@@ -54,7 +58,10 @@ def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: 
         route = shapely.LineString(plan_route(INDOOR, (INDOOR.start.x, INDOOR.start.y)))
         assert route.distance(shapely.Point(pose.x, pose.y)) <= ROOM.scale.aside_m + 1e-6
     else:
-        assert abs(math.remainder(pose.heading - INDOOR.start.heading, math.tau)) <= math.radians(15) + 1e-9
+        assert (
+            abs(math.remainder(pose.heading - INDOOR.start.heading, math.tau))
+            <= math.radians(15) + 1e-9
+        )
 
 
 @given(x=st.floats(0.3, 7.7), y=st.floats(0.3, 5.7))

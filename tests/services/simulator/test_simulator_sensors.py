@@ -19,7 +19,9 @@ from services.simulator.world.place import Pose
 STEP_S = 0.02
 START = Pose(3.0, -2.0, 2.5)
 Wheels = list[tuple[float, float]]
-wheel_speeds = st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=60)
+wheel_speeds = st.lists(
+    st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=60
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -54,7 +56,11 @@ def seen_from_start(pose: Pose) -> tuple[float, float, float]:
     dy = pose.y - START.y
     cos = math.cos(START.heading)
     sin = math.sin(START.heading)
-    return dx * cos + dy * sin, dy * cos - dx * sin, math.remainder(pose.heading - START.heading, math.tau)
+    return (
+        dx * cos + dy * sin,
+        dy * cos - dx * sin,
+        math.remainder(pose.heading - START.heading, math.tau),
+    )
 
 
 @given(wheel_speeds)
@@ -81,9 +87,13 @@ def test_the_integrals_are_the_true_heading_and_velocity(wheels: Wheels) -> None
     made = sensors()
     poses = [START, *go(made, wheels)]
     readings = made.imu()
-    assert [reading.after_s for reading in readings] == pytest.approx(STEP_S * np.arange(1, len(wheels) + 1))
+    assert [reading.after_s for reading in readings] == pytest.approx(
+        STEP_S * np.arange(1, len(wheels) + 1)
+    )
     turned = STEP_S * gyro(readings)[:, 2].sum()
-    assert math.remainder(turned - (poses[-1].heading - START.heading), math.tau) == pytest.approx(0, abs=1e-9)
+    assert math.remainder(turned - (poses[-1].heading - START.heading), math.tau) == pytest.approx(
+        0, abs=1e-9
+    )
     # Each acceleration is felt in the heading between the two steps that it is the difference of.
     velocity = np.zeros(2)
     for before, (ahead, left, up) in zip(poses[:-1], accelerometer(readings), strict=True):

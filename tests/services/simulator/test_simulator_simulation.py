@@ -34,7 +34,9 @@ PERFECT = DriveTrain(tick_sigma=0.0, radius_sigma=0.0)
     atoms=st.lists(st.sampled_from(ATOMS), max_size=30),
 )
 @settings(max_examples=20)
-def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, purpose: str, atoms: list[Atom]) -> None:
+def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(
+    seed: int, purpose: str, atoms: list[Atom]
+) -> None:
     whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
     assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
     for atom in atoms:
@@ -50,7 +52,8 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
 @pytest.mark.parametrize("physical", [False, True])
 def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: bool) -> None:
     simulation, again = (
-        Simulation(YARD, StubCamera(), None if physical else KinematicBase(YARD.place, PERFECT)) for _ in range(2)
+        Simulation(YARD, StubCamera(), None if physical else KinematicBase(YARD.place, PERFECT))
+        for _ in range(2)
     )
     for one in (simulation, again):
         one.reset(5, "run")
@@ -67,7 +70,9 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
     assert simulation.pose == again.pose
     by_wheels = simulation.look().odometry
     moved = math.hypot(by_wheels.x_m - wheels.x_m, by_wheels.y_m - wheels.y_m)
-    assert moved == pytest.approx(math.hypot(simulation.pose.x - carried.x, simulation.pose.y - carried.y), abs=0.1)
+    assert moved == pytest.approx(
+        math.hypot(simulation.pose.x - carried.x, simulation.pose.y - carried.y), abs=0.1
+    )
     assert moved > 0.1
     simulation.reset(5, "run")
     simulation.advance(KEYS["forward"], 0.5)
@@ -81,7 +86,10 @@ def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     simulation.reset(seed, "recovery")
     for atom in atoms:
         simulation.advance(KEYS[atom], 0.4)
-        assert obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y) > YARD.robot.radius_m - 1e-9
+        assert (
+            obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y)
+            > YARD.robot.radius_m - 1e-9
+        )
 
 
 def test_the_victim_is_found_only_when_near_and_seen() -> None:
@@ -121,7 +129,10 @@ def brute_force(x: float, y: float) -> float:
     distances = [here.distance(building.footprint) for building in CAMPUS.buildings]
     distances += [here.distance(barrier.line) for barrier in CAMPUS.barriers]
     distances += [here.distance(area.footprint) for area in CAMPUS.areas if area.kind == "water"]
-    distances += [max(0.0, here.distance(shapely.Point(tree.x, tree.y)) - tree.trunk_radius_m) for tree in CAMPUS.trees]
+    distances += [
+        max(0.0, here.distance(shapely.Point(tree.x, tree.y)) - tree.trunk_radius_m)
+        for tree in CAMPUS.trees
+    ]
     x_min, y_min, x_max, y_max = CAMPUS.bounds
     return min([*distances, x - x_min, x_max - x, y - y_min, y_max - y])
 
@@ -138,14 +149,18 @@ def test_clearance_is_the_distance_to_the_nearest_thing(x: float, y: float) -> N
 
 def solid(world: World) -> shapely.Geometry:
     """Return everything solid, independently of `collision`."""
-    trunks = [shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in world.place.trees]
+    trunks = [
+        shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in world.place.trees
+    ]
     walls = [building.footprint for building in world.place.buildings]
     return shapely.union_all([*trunks, *walls, *(barrier.line for barrier in world.place.barriers)])
 
 
 @given(name=st.sampled_from(sorted(WORLDS)), seed=st.integers(0, 2**32 - 1), recovery=st.booleans())
 @settings(max_examples=50)
-def test_a_route_touches_nothing_and_ends_at_the_victim(name: str, seed: int, recovery: bool) -> None:
+def test_a_route_touches_nothing_and_ends_at_the_victim(
+    name: str, seed: int, recovery: bool
+) -> None:
     world = WORLDS[name]
     start = sample_start(world, np.random.default_rng(seed), "recovery" if recovery else "run")
     route = plan_route(world, (start.x, start.y))
@@ -162,7 +177,11 @@ def test_moved_things_leave_the_way_free(name: str, seed: int) -> None:
     route = plan_route(world, (world.start.x, world.start.y))
     legs = np.stack([route[:-1], route[1:]], axis=1)
     assert obstacles_of(moved.place).are_clear(legs, world.robot.radius_m).all()
-    assert (moved.start, moved.victim, moved.place.roads) == (world.start, world.victim, world.place.roads)  # type: ignore[attr-defined]
+    assert (moved.start, moved.victim, moved.place.roads) == (
+        world.start,
+        world.victim,
+        world.place.roads,
+    )  # type: ignore[attr-defined]
     pairs = zip(world.place.trees, moved.place.trees, strict=True)  # type: ignore[attr-defined]
     assert any(one != other for one, other in pairs)
 

@@ -24,7 +24,9 @@ BILLION_LAUGHS = (
     + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
 )
 NODE = '<node id="1" version="1" lat="1" lon="1"/>'
-WAYS = "".join(f'<way id="{k}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>" for k in range(1, 7))
+WAYS = "".join(
+    f'<way id="{k}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>" for k in range(1, 7)
+)
 SCRIBBLE = [(x, y) for x, y in np.random.default_rng(0).uniform(-50, 50, (400, 2)).tolist()]
 SCRIBBLE.append(SCRIBBLE[0])
 NAN = float("nan")
@@ -55,7 +57,9 @@ def test_a_world_that_is_imported_is_the_same_in_its_file(name: str, tmp_path: P
     out.write_text(text)
     assert terrain_text(load_world(out)) == terrain_text(imported) == text
     world = load_world(name)
-    assert (imported.start.x, imported.victim.y) == pytest.approx((world.start.x, world.victim.y), abs=1e-3)
+    assert (imported.start.x, imported.victim.y) == pytest.approx(
+        (world.start.x, world.victim.y), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -134,7 +138,9 @@ def check_refused(path: Path, complaint: str) -> None:
         (lambda c: c.update(trees=[[]] * 1_600_000), "more than 1,500,000 of"),
     ],
 )  # fmt: skip
-def test_a_bad_world_file_is_refused(change: Change, complaint: str, block: str, tmp_path: Path) -> None:
+def test_a_bad_world_file_is_refused(
+    change: Change, complaint: str, block: str, tmp_path: Path
+) -> None:
     content = json.loads(block)
     change(content)
     (tmp_path / "bad.json").write_text(json.dumps(content))
@@ -144,7 +150,11 @@ def test_a_bad_world_file_is_refused(change: Change, complaint: str, block: str,
 @pytest.mark.parametrize(
     ("name", "content", "complaint"),
     [
-        ("bad.osm", BILLION_LAUGHS, "holds <!DOCTYPE; a map defines no document type and no entities"),
+        (
+            "bad.osm",
+            BILLION_LAUGHS,
+            "holds <!DOCTYPE; a map defines no document type and no entities",
+        ),
         ("bad.osm", "<osm>" + " " * 2_000_000 + "<!ENTITY a 'b'>", "holds <!ENTITY"),
         ("bad.osm", BILLION_LAUGHS.encode("utf-16"), "holds zero bytes"),
         ("bad.osm", CAMPUS[: len(CAMPUS) // 2], "not a readable OpenStreetMap XML file"),
@@ -156,8 +166,16 @@ def test_a_bad_world_file_is_refused(change: Change, complaint: str, block: str,
         ),
         ("bad.osm", CAMPUS.replace('"highway"', '"highroad"'), "the map has no roads"),
         ("bad.osm", CAMPUS.replace('"building"', '"bidding"'), "the map has no buildings"),
-        ("bad.osm", CAMPUS.replace('v="victim"', 'v="start"'), "2 nodes are tagged smal:role=start"),
-        ("bad.osm", CAMPUS.replace('k="direction" v="0"', 'k="direction" v="nan"'), "direction=nan"),
+        (
+            "bad.osm",
+            CAMPUS.replace('v="victim"', 'v="start"'),
+            "2 nodes are tagged smal:role=start",
+        ),
+        (
+            "bad.osm",
+            CAMPUS.replace('k="direction" v="0"', 'k="direction" v="nan"'),
+            "direction=nan",
+        ),
         ("bad.osm", b"", "1074 MB; a map has at most 67 MB"),
         ("bad.json", b"", "1074 MB; a world has at most 34 MB"),
         ("bad.json", b"{", "Invalid JSON"),

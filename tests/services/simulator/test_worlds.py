@@ -36,7 +36,11 @@ def made(tmp_path: Path) -> Path:
 
 
 def worlds_of(root: Path, **settings: Any) -> Worlds:
-    return Worlds(SimulatorSettings(root=root, camera_width=64, camera_height=48, base="kinematic", **settings))
+    return Worlds(
+        SimulatorSettings(
+            root=root, camera_width=64, camera_height=48, base="kinematic", **settings
+        )
+    )
 
 
 @pytest.fixture
@@ -59,10 +63,14 @@ def begin(body: SimulatedBody, **wishes: str) -> None:
 
 def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
     assert worlds_of(made, world="yard").names() == sorted([*OWN, "my town"])
-    assert worlds_of(made / "worlds", world=str(made / "my town.osm")).names() == sorted([*OWN, "my town"])
+    assert worlds_of(made / "worlds", world=str(made / "my town.osm")).names() == sorted(
+        [*OWN, "my town"]
+    )
 
 
-def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: list[tuple[str, str]]) -> None:
+def test_an_episode_begins_in_the_world_that_is_asked_for(
+    made: Path, opened: list[tuple[str, str]]
+) -> None:
     worlds = worlds_of(made, world="yard")
     body = SimulatedBody(worlds.open(), worlds=worlds)
     begin(body)

@@ -9,7 +9,10 @@ from services.teleop.keys import KeyParser
 
 def keys_of(data: bytes, parser: KeyParser | None = None) -> list[str]:
     """Return the keys that are pressed, and, with a minus, those that are let go."""
-    return [f"-{event.key}" if event.released else event.key for event in (parser or KeyParser()).feed(data)]
+    return [
+        f"-{event.key}" if event.released else event.key
+        for event in (parser or KeyParser()).feed(data)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -78,7 +81,9 @@ meaningful = st.one_of(
 
 
 @given(st.lists(st.sampled_from(SEQUENCES), max_size=10), st.data())
-def test_it_does_not_matter_how_the_bytes_come_in_pieces(parts: list[bytes], data: st.DataObject) -> None:
+def test_it_does_not_matter_how_the_bytes_come_in_pieces(
+    parts: list[bytes], data: st.DataObject
+) -> None:
     whole = b"".join(parts)
     parser = KeyParser()
     keys = []
@@ -92,7 +97,9 @@ def test_it_does_not_matter_how_the_bytes_come_in_pieces(parts: list[bytes], dat
 
 @pytest.mark.parametrize("stop", [b"e", b"E", b"\x1b[101u", b"\x1b[101;1:1u", b"\x1b[101;66:2u"])
 @given(pieces=st.lists(meaningful, max_size=20))
-def test_any_bytes_are_taken_and_an_emergency_stop_is_heard_after_them(stop: bytes, pieces: list[bytes]) -> None:
+def test_any_bytes_are_taken_and_an_emergency_stop_is_heard_after_them(
+    stop: bytes, pieces: list[bytes]
+) -> None:
     parser = KeyParser()
     for piece in pieces:
         list(parser.feed(piece))

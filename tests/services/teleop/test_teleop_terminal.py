@@ -48,7 +48,9 @@ class Robot(RobotService):
         self.arms: list[int] = []
         self.resets: list[ResetRequest] = []
         self.ends: list[EndRequest] = []
-        self.before_arm: Callable[[], object] = bool  # What happens when it is asked, before it does so.
+        self.before_arm: Callable[[], object] = (
+            bool  # What happens when it is asked, before it does so.
+        )
         self.before_reset: Callable[[], object] = bool
         runner = EpisodeRunner(LineBody(now_s), OperatorsTask(), self.gate, settings.robot, "s")
         hear = runner.hear
@@ -102,7 +104,9 @@ def console(router_endpoint: str) -> Iterator[Console]:
 @pytest.fixture
 def told(router_endpoint: str) -> Iterator[Console]:
     """Open a terminal that tells releases; without them a key would be held for as long as can be set."""
-    console = Console(router_endpoint, "--first-hold-s", f"{HOLD_S}", "--repeat-hold-s", f"{HOLD_S}")
+    console = Console(
+        router_endpoint, "--first-hold-s", f"{HOLD_S}", "--repeat-hold-s", f"{HOLD_S}"
+    )
     console.tell_releases()
     yield console
     console.close()
@@ -153,14 +157,24 @@ def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
     eventually(stops_at_once)
 
 
-def test_two_keys_together_drive_a_bend_where_the_terminal_tells_what_is_let_go(told: Console, robot: Robot) -> None:
+def test_two_keys_together_drive_a_bend_where_the_terminal_tells_what_is_let_go(
+    told: Console, robot: Robot
+) -> None:
     begin(told, robot)
-    for typed, velocity in ((W_PRESSED + A_PRESSED, (1.0, 1.0)), (A_RELEASED, (1.0, 0.0)), (W_RELEASED, (0.0, 0.0))):
+    for typed, velocity in (
+        (W_PRESSED + A_PRESSED, (1.0, 1.0)),
+        (A_RELEASED, (1.0, 0.0)),
+        (W_RELEASED, (0.0, 0.0)),
+    ):
         told.type(typed)
-        eventually(lambda wanted=velocity: robot.commands and robot.commands[-1][1].velocity == wanted)
+        eventually(
+            lambda wanted=velocity: robot.commands and robot.commands[-1][1].velocity == wanted
+        )
 
 
-def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console, robot: Robot) -> None:
+def test_emergency_stop_holds_until_a_new_episode_is_asked_for(
+    console: Console, robot: Robot
+) -> None:
     begin(console, robot)
     console.type(b"we")
     eventually(lambda: robot.atoms("emergency_stop"))
@@ -170,13 +184,17 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console,
 
     def asked() -> bool:
         console.type(b"n")
-        with suppress(pytest.fail.Exception):  # on a busy machine the operator is missed, and another stop latched
+        with suppress(
+            pytest.fail.Exception
+        ):  # on a busy machine the operator is missed, and another stop latched
             return bool(eventually(lambda: len(robot.resets) == 2, timeout_s=3.0))
         return False
 
     eventually(asked)
     # A stop overtakes the keys that were pressed before it.
-    assert all(one.tick <= stop.tick for _, one in robot.commands if one.source == "teleop"), "a key moves the robot"
+    assert all(one.tick <= stop.tick for _, one in robot.commands if one.source == "teleop"), (
+        "a key moves the robot"
+    )
     assert robot.resets[1].seed > robot.resets[0].seed
     assert (robot.arms[0], robot.arms[-1]) == (1, 1 + len(robot.atoms("emergency_stop")))
     console.wait_for(f"seed {robot.resets[1].seed}")
@@ -207,10 +225,16 @@ def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
     setattr(
         robot,
         when,
-        lambda: (console.type(b"e"), eventually(lambda: robot.atoms("emergency_stop")), setattr(robot, when, bool)),
+        lambda: (
+            console.type(b"e"),
+            eventually(lambda: robot.atoms("emergency_stop")),
+            setattr(robot, when, bool),
+        ),
     )
     console.type(b"n")
-    console.wait_for("robot arm: another stop was latched meanwhile|robot reset: an emergency stop is latched")
+    console.wait_for(
+        "robot arm: another stop was latched meanwhile|robot reset: an emergency stop is latched"
+    )
     console.wait_for(r"EMERGENCY STOP  \|  robot: emergency stop")
     assert (robot.arms, robot.resets) == ([1], [])
     # A stop is said again, with a new number, until the robot has it.
@@ -282,7 +306,9 @@ def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_
     eventually(lambda: not robot.beats[-1].present)
     assert all(beat.present for beat in robot.beats[:-1])
     assert all(beat.answers is not None for beat in robot.beats)
-    assert [beat.sequence for beat in robot.beats] == sorted({beat.sequence for beat in robot.beats})
+    assert [beat.sequence for beat in robot.beats] == sorted(
+        {beat.sequence for beat in robot.beats}
+    )
     assert robot.atoms()[-1] == "stop"
     eventually(lambda: robot.ended_what_it_began)
     assert not robot.ends[0].found

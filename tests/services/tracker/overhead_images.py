@@ -30,7 +30,13 @@ def homography(camera: Calibration, height_m: float) -> np.ndarray:
     cos = math.cos(camera.up_rad)
     sin = math.sin(camera.up_rad)
     rotation = np.array([[sin, -cos, 0.0], [-cos, -sin, 0.0], [0.0, 0.0, -1.0]])
-    k = np.array([[camera.focal_px, 0, camera.centre_x_px], [0, camera.focal_px, camera.centre_y_px], [0, 0, 1.0]])
+    k = np.array(
+        [
+            [camera.focal_px, 0, camera.centre_x_px],
+            [0, camera.focal_px, camera.centre_y_px],
+            [0, 0, 1.0],
+        ]
+    )
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, height_m]])
     plane[:, 2] -= (camera.x_m, camera.y_m, camera.height_m)
     return k @ rotation @ plane
@@ -65,7 +71,11 @@ def photograph(shot: Shot, *tags: Tag, cover: np.ndarray | None = None) -> np.nd
 
 
 def _put(
-    picture: np.ndarray, camera: Calibration, tag: Tag, pose: tuple[float, float, float], cover: np.ndarray | None
+    picture: np.ndarray,
+    camera: Calibration,
+    tag: Tag,
+    pose: tuple[float, float, float],
+    cover: np.ndarray | None,
 ) -> None:
     """Draw one robot: every pixel is the mean of what its supersamples see on the tag's plane."""
     middle = pixel(camera, pose[0], pose[1], tag.height_m)
@@ -95,7 +105,9 @@ def _put(
 
 def _robot(background: np.ndarray, ahead: np.ndarray, left: np.ndarray, tag: Tag) -> np.ndarray:
     """Return the brightness of a dark round robot with a white card on it, and the marker on the card."""
-    marker = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), tag.number, 6)
+    marker = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), tag.number, 6
+    )
     cell = tag.side_m / 6
     card = tag.side_m / 2 + MARGIN_CELLS * cell
     drawn = np.where(np.hypot(ahead, left) < 0.9 * tag.side_m, 45.0, background)

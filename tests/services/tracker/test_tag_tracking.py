@@ -16,7 +16,13 @@ from tests.services.tracker.overhead_images import Shot, photograph
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)
 SIZE = (1024, 768)  # 1024 x 768 pixels from 4.2 m: 29.7 pixels a side.
 CAMERA = Calibration(
-    focal_px=560.0, centre_x_px=512.0, centre_y_px=384.0, x_m=4.0, y_m=3.0, height_m=4.2, up_rad=math.pi / 2
+    focal_px=560.0,
+    centre_x_px=512.0,
+    centre_y_px=384.0,
+    x_m=4.0,
+    y_m=3.0,
+    height_m=4.2,
+    up_rad=math.pi / 2,
 )
 _angles = st.floats(-math.pi, math.pi)
 # Of the way from the middle to where the tag touches the edge: nearer, noise hides 3 or 4 of 100 (seen by trying 400).
@@ -37,10 +43,14 @@ def miss(found: TagPose, pose: tuple[float, float, float]) -> tuple[float, float
     return math.hypot(found.x_m - pose[0], found.y_m - pose[1]), angle(found.heading_rad - pose[2])
 
 
-def place(camera: Calibration, size: tuple[int, int], across: float, down: float) -> tuple[float, float]:
+def place(
+    camera: Calibration, size: tuple[int, int], across: float, down: float
+) -> tuple[float, float]:
     """Return a point on the tag's plane: -1 to 1 are the ends of where the whole white card is in the image."""
     scale = (camera.height_m - TAG.height_m) / camera.focal_px
-    right_m, down_m = (share * (n / 2 * scale - 0.2) for share, n in zip((across, down), size, strict=True))
+    right_m, down_m = (
+        share * (n / 2 * scale - 0.2) for share, n in zip((across, down), size, strict=True)
+    )
     up = np.array([math.cos(camera.up_rad), math.sin(camera.up_rad)])
     x, y = np.array([camera.x_m, camera.y_m]) + right_m * np.array([up[1], -up[0]]) - down_m * up
     return float(x), float(y)
@@ -84,7 +94,10 @@ def test_accuracy_holds_from_16_to_80_pixels_a_side(
 
 
 @settings(deadline=None)
-@given(st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=4, max_size=4), _angles)
+@given(
+    st.lists(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), min_size=4, max_size=4),
+    _angles,
+)
 def test_no_other_square_fits_better(shifts: list[tuple[float, float]], heading: float) -> None:
     square = np.array([[0.1, 0.1], [0.1, -0.1], [-0.1, -0.1], [-0.1, 0.1]])
     cos = math.cos(heading)
@@ -99,7 +112,10 @@ def test_no_other_square_fits_better(shifts: list[tuple[float, float]], heading:
 
     assert 4 * error**2 == pytest.approx(squares(np.array([x, y, found])), abs=1e-12)
     for start in (found, heading, heading + 2.0):
-        assert squares(np.array([x, y, found])) <= minimize(squares, np.array([2.0, -1.0, start])).fun + 1e-9
+        assert (
+            squares(np.array([x, y, found]))
+            <= minimize(squares, np.array([2.0, -1.0, start])).fun + 1e-9
+        )
 
 
 # -- when the tag is not seen
@@ -115,14 +131,34 @@ def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) ->
 @pytest.mark.parametrize(
     ("shown", "camera", "tag", "why"),
     [
-        *(([replace(TAG, number=number)], CAMERA, TAG, "no markers with number 7") for number in (0, 6, 8, 49)),
+        *(
+            ([replace(TAG, number=number)], CAMERA, TAG, "no markers with number 7")
+            for number in (0, 6, 8, 49)
+        ),
         ([TAG, TAG], CAMERA, TAG, "2 markers with number 7"),
-        ([TAG], CAMERA, replace(TAG, side_m=0.23), "another tag, another height, or a wrong calibration"),
-        ([TAG], CAMERA, replace(TAG, height_m=0.0), "another tag, another height, or a wrong calibration"),
-        ([TAG], changed(CAMERA, focal_px=640.0), TAG, "another tag, another height, or a wrong calibration"),
+        (
+            [TAG],
+            CAMERA,
+            replace(TAG, side_m=0.23),
+            "another tag, another height, or a wrong calibration",
+        ),
+        (
+            [TAG],
+            CAMERA,
+            replace(TAG, height_m=0.0),
+            "another tag, another height, or a wrong calibration",
+        ),
+        (
+            [TAG],
+            changed(CAMERA, focal_px=640.0),
+            TAG,
+            "another tag, another height, or a wrong calibration",
+        ),
     ],
 )
-def test_tag_is_not_seen_when_another_one_is_shown(shown: list[Tag], camera: Calibration, tag: Tag, why: str) -> None:
+def test_tag_is_not_seen_when_another_one_is_shown(
+    shown: list[Tag], camera: Calibration, tag: Tag, why: str
+) -> None:
     image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)), *shown)
     assert why in not_seen(image, camera, tag)
     if len(shown) == 1:
@@ -137,7 +173,9 @@ def test_stretched_image_is_refused() -> None:
     assert "is no square of 0.2 m" in not_seen(np.ascontiguousarray(stretched))
 
 
-def seen_right_or_not_at_all(image: np.ndarray, camera: Calibration, pose: tuple[float, float, float]) -> bool:
+def seen_right_or_not_at_all(
+    image: np.ndarray, camera: Calibration, pose: tuple[float, float, float]
+) -> bool:
     try:
         found = locate(TAG, image, camera)
     except TagNotSeen:
@@ -149,7 +187,9 @@ def seen_right_or_not_at_all(image: np.ndarray, camera: Calibration, pose: tuple
 
 
 @settings(max_examples=25, deadline=None)
-@given(_angles, st.floats(-0.25, 0.25), st.booleans(), st.floats(0.2, 0.8), st.integers(0, 2**32 - 1))
+@given(
+    _angles, st.floats(-0.25, 0.25), st.booleans(), st.floats(0.2, 0.8), st.integers(0, 2**32 - 1)
+)
 def test_tag_across_the_border_is_seen_right_or_not_at_all(
     heading: float, outside_m: float, side: bool, along: float, seed: int
 ) -> None:
@@ -169,11 +209,20 @@ def test_tag_across_the_border_is_seen_right_or_not_at_all(
 
 @settings(max_examples=30, deadline=None)
 @given(_angles, _angles, st.floats(0.0, 0.19), st.integers(0, 2**32 - 1))
-def test_covered_tag_is_seen_right_or_not_at_all(heading: float, towards: float, from_m: float, seed: int) -> None:
+def test_covered_tag_is_seen_right_or_not_at_all(
+    heading: float, towards: float, from_m: float, seed: int
+) -> None:
     # Something grey with a straight edge lies over everything further than `from_m` in one direction.
     direction = np.array([math.cos(towards), math.sin(towards)])
     beside = np.array([-direction[1], direction[0]])
-    cover = np.array([from_m * direction - beside, direction - beside, direction + beside, from_m * direction + beside])
+    cover = np.array(
+        [
+            from_m * direction - beside,
+            direction - beside,
+            direction + beside,
+            from_m * direction + beside,
+        ]
+    )
     camera = changed(CAMERA, centre_x_px=100.0, centre_y_px=100.0, x_m=0.0, y_m=0.0, height_m=4.2)
     pose = (0.05, -0.03, heading)
     image = photograph(Shot(camera, (200, 200), pose, seed=seed), TAG, cover=cover)
@@ -185,7 +234,9 @@ def test_covered_tag_is_seen_right_or_not_at_all(heading: float, towards: float,
 def test_camera_below_the_tag_is_an_error_that_names_both() -> None:
     image = np.zeros((48, 64, 3), dtype=np.uint8)
     below = changed(CAMERA, x_m=0.0, y_m=0.0, height_m=0.43)
-    with pytest.raises(ValueError, match=r"0\.43 m above the floor cannot look down on a tag at 0\.43 m"):
+    with pytest.raises(
+        ValueError, match=r"0\.43 m above the floor cannot look down on a tag at 0\.43 m"
+    ):
         locate(TAG, image, below)
 
 

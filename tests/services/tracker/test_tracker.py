@@ -30,10 +30,16 @@ CALIBRATION = Calibration(
 def pose_at(tick: int) -> tuple[float, float, float]:
     """Return where the robot is: on a circle about the camera."""
     phi = 0.3 * tick
-    return 4.0 + 0.5 * math.cos(phi), 3.0 + 0.5 * math.sin(phi), math.remainder(phi + math.pi / 2, math.tau)
+    return (
+        4.0 + 0.5 * math.cos(phi),
+        3.0 + 0.5 * math.sin(phi),
+        math.remainder(phi + math.pi / 2, math.tau),
+    )
 
 
-def frame(tick: int, *tags: Tag, calibration: Calibration = CALIBRATION, episode: str = "e") -> OverheadImage:
+def frame(
+    tick: int, *tags: Tag, calibration: Calibration = CALIBRATION, episode: str = "e"
+) -> OverheadImage:
     """Return the overhead image of a tick."""
     pixels = photograph(Shot(CALIBRATION, SIZE, pose_at(tick), seed=tick), *tags)
     return OverheadImage(

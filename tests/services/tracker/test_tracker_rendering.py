@@ -18,7 +18,9 @@ from services.tracker.service import TrackerService
 from services.tracker.tag_tracking import Tag
 
 FRAME_S = 0.1
-EVERY = 10  # Of so many frames one is checked: a frame takes a software renderer a tenth of a second.
+EVERY = (
+    10  # Of so many frames one is checked: a frame takes a software renderer a tenth of a second.
+)
 
 
 def drive(world: World) -> Iterator[Pose]:
@@ -45,12 +47,16 @@ def test_every_pose_of_a_drive_is_within_three_centimetres_and_two_degrees() -> 
     assert world.place.overhead is not None
     assert TURTLEBOT.tag is not None
     camera = SceneCamera(world, CameraSettings(width=64, height=48))
-    tracker = TrackerService(Tag(TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m))
+    tracker = TrackerService(
+        Tag(TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m)
+    )
     poses = list(drive(world))[::EVERY]
     assert len(poses) > 20
     for tick, pose in enumerate(poses):
         header = Message(robot="turtlebot", episode="drive", tick=tick, stamp_ns=tick)
-        found = tracker.handle(overhead_message(header, camera.overhead(pose), world.place.overhead))
+        found = tracker.handle(
+            overhead_message(header, camera.overhead(pose), world.place.overhead)
+        )
         assert found.visible, pose
         assert found.x_m is not None
         assert found.y_m is not None

@@ -16,14 +16,22 @@ from smal.place_recognition import Matches
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 3.0), st.floats(1.0, 179.0))
 @settings(max_examples=50, deadline=None)
-def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angle_deg: float) -> None:
+def test_poses_are_near_and_look_the_same_way(
+    seed: int, distance_m: float, angle_deg: float
+) -> None:
     """Against the angle between the two directions as vectors; headings come with any number of turns."""
     rng = np.random.default_rng(seed)
-    references, queries = (np.column_stack([rng.uniform(0, 4, (n, 2)), rng.uniform(-20, 20, n)]) for n in (30, 300))
+    references, queries = (
+        np.column_stack([rng.uniform(0, 4, (n, 2)), rng.uniform(-20, 20, n)]) for n in (30, 300)
+    )
     right = np.zeros((300, 30), dtype=bool)
     for j in range(30):
         judged = judge_by_poses(
-            Matches(np.full(300, j), np.ones(300), np.zeros(300)), references, queries, distance_m, angle_deg
+            Matches(np.full(300, j), np.ones(300), np.zeros(300)),
+            references,
+            queries,
+            distance_m,
+            angle_deg,
         )
         right[:, j] = judged.right
         assert judged.judged.all()
@@ -34,14 +42,18 @@ def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angl
             (u, v, b) = references[j]
             cos = math.cos(a) * math.cos(b) + math.sin(a) * math.sin(b)
             apart_deg = math.degrees(math.acos(max(-1.0, min(1.0, cos))))
-            assert right[i, j] == (math.dist((x, y), (u, v)) <= distance_m and apart_deg <= angle_deg)
+            assert right[i, j] == (
+                math.dist((x, y), (u, v)) <= distance_m and apart_deg <= angle_deg
+            )
 
 
 def test_judging_takes_what_is_right_and_nothing_else() -> None:
     """Right; wrong; not judged; nothing to find; no answer; right at the second of two intervals."""
     intervals = np.array([[0, 2, 4], [1, 2, 4], [4, 0, 9], [5, 1, 2], [5, 7, 8]]).T
     truth = IntervalTruth(*intervals, np.array([1, 1, 0, 1, 1, 1], bool))
-    matches = Matches(np.array([4, 5, 3, 3, -1, 7]), np.array([5.0, 4.0, 3.0, 2.0, 0.0, 1.0]), np.zeros(6))
+    matches = Matches(
+        np.array([4, 5, 3, 3, -1, 7]), np.array([5.0, 4.0, 3.0, 2.0, 0.0, 1.0]), np.zeros(6)
+    )
     judgement = truth.judge(matches)
     assert judgement.right.tolist() == [True, False, False, False, False, True]
     assert judgement.answered.tolist() == [True, True, True, True, False, True]
@@ -81,7 +93,13 @@ def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
 
 def taken(judgement: Judgement, queries: NDArray[np.int64]) -> Judgement:
     j = judgement
-    return Judgement(j.score[queries], j.answered[queries], j.right[queries], j.judged[queries], j.findable[queries])
+    return Judgement(
+        j.score[queries],
+        j.answered[queries],
+        j.right[queries],
+        j.judged[queries],
+        j.findable[queries],
+    )
 
 
 @given(judgements())
@@ -89,7 +107,9 @@ def taken(judgement: Judgement, queries: NDArray[np.int64]) -> Judgement:
 def test_equals_counting_by_hand(judgement: Judgement) -> None:
     curve = PrecisionRecall.of(judgement)
     points = by_hand(judgement)
-    assert np.column_stack([curve.recall, curve.precision, curve.threshold]).tolist() == [list(p) for p in points]
+    assert np.column_stack([curve.recall, curve.precision, curve.threshold]).tolist() == [
+        list(p) for p in points
+    ]
     area = 0.0
     before = 0.0
     for recall, precision, _ in points:
@@ -105,8 +125,12 @@ def test_perfect_useless_and_silent_methods() -> None:
     perfect = PrecisionRecall.of(all_answered(rng.random(50), np.ones(50, dtype=np.bool_)))
     assert (perfect.auc, perfect.recall_at_100_precision) == (1.0, 1.0)
     # Scores that say nothing: precision is 0.3 at every recall up to 0.3.
-    assert PrecisionRecall.of(all_answered(rng.random(20000), right)).auc == pytest.approx(0.09, abs=0.005)
-    assert PrecisionRecall.of(all_answered(right.astype(float), right)).auc == pytest.approx(right.mean())
+    assert PrecisionRecall.of(all_answered(rng.random(20000), right)).auc == pytest.approx(
+        0.09, abs=0.005
+    )
+    assert PrecisionRecall.of(all_answered(right.astype(float), right)).auc == pytest.approx(
+        right.mean()
+    )
     no = np.zeros(3, dtype=np.bool_)
     silent = PrecisionRecall.of(Judgement(np.zeros(3), no, no, ~no, ~no))
     assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
@@ -131,7 +155,9 @@ def test_the_bootstrap_draws_blocks_that_follow_each_other(judgement: Judgement,
     np.testing.assert_allclose(figures, [(curve.auc, curve.recall_at_100_precision)] * 5)
 
 
-def judgement_of(score: np.ndarray, right: np.ndarray, findable: np.ndarray | None = None) -> Judgement:
+def judgement_of(
+    score: np.ndarray, right: np.ndarray, findable: np.ndarray | None = None
+) -> Judgement:
     every = np.ones(len(score), dtype=bool)
     return Judgement(score, score > 0.0, right, every, every if findable is None else findable)
 
@@ -141,12 +167,16 @@ def test_scores_that_are_what_they_say_have_no_calibration_error() -> None:
     score = rng.random(100_000)
     right = rng.random(score.size) < score
     assert Reliability.of(judgement_of(score, right)).error < 0.01
-    assert Reliability.of(judgement_of(np.sqrt(score), right)).error == pytest.approx(1 / 6, abs=0.01)
+    assert Reliability.of(judgement_of(np.sqrt(score), right)).error == pytest.approx(
+        1 / 6, abs=0.01
+    )
     assert Reliability.of(judgement_of(np.zeros(3), np.zeros(3, dtype=bool))).error == 0.0
 
 
 def test_known_from_unknown_is_the_share_of_pairs() -> None:
     sure = np.array([0.9, 0.4, 0.4, 0.1])
     findable = np.array([True, True, False, False])
-    assert known_from_unknown(judgement_of(sure, findable, findable), sure) == pytest.approx(3.5 / 4)
+    assert known_from_unknown(judgement_of(sure, findable, findable), sure) == pytest.approx(
+        3.5 / 4
+    )
     assert known_from_unknown(judgement_of(sure, findable), sure) is None

@@ -30,7 +30,9 @@ class Wood:
         for atom in TAUGHT[:-1]:
             self.way = np.vstack([self.way, moved(self.way[-1], atom)])
         gap = np.hypot(*np.moveaxis(at[:, None] - self.way[None, :, :2], 2, 0)).min(axis=1)
-        self.pillars = np.column_stack([at, rng.uniform(0.1, 0.4, len(at)), rng.uniform(0, 255, len(at))])[gap > 1.5]
+        self.pillars = np.column_stack(
+            [at, rng.uniform(0.1, 0.4, len(at)), rng.uniform(0, 255, len(at))]
+        )[gap > 1.5]
 
     def seen(self, pose: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Paint the pillars, far ones first; columns are equal angles."""
@@ -51,7 +53,9 @@ class Wood:
     def drive(self) -> Demonstration:
         images = [self.seen(pose) for pose in self.way]
         atoms = np.array(TAUGHT, dtype=np.int8)
-        return Demonstration("d", np.zeros((len(atoms), 1), np.float32), atoms, images=images, odometry=self.way)
+        return Demonstration(
+            "d", np.zeros((len(atoms), 1), np.float32), atoms, images=images, odometry=self.way
+        )
 
     def repeat(
         self, robot: TeachAndRepeat, start: tuple[float, ...], ticks: int, slip: float = 0.0
@@ -60,7 +64,10 @@ class Wood:
         poses = [np.array(start)]
         wheels = np.zeros(3)
         robot.reset()
-        while len(poses) < ticks and (atom := robot.step(self.seen(poses[-1]), wheels.tolist())) != Atom.STOP:
+        while (
+            len(poses) < ticks
+            and (atom := robot.step(self.seen(poses[-1]), wheels.tolist())) != Atom.STOP
+        ):
             poses.append(moved(poses[-1], atom))
             step = moved(wheels, atom) - wheels
             wheels = wheels + step * [1.0 + slip, 1.0 + slip, 1.0]
@@ -70,17 +77,25 @@ class Wood:
 def moved(pose: NDArray[np.float64], atom: Atom) -> NDArray[np.float64]:
     ahead = STEP_M * (atom == Atom.FORWARD)
     turn = TURN_RAD * ((atom == Atom.LEFT) - float(atom == Atom.RIGHT))
-    there: NDArray[np.float64] = pose + np.array([ahead * math.cos(pose[2]), ahead * math.sin(pose[2]), turn])
+    there: NDArray[np.float64] = pose + np.array(
+        [ahead * math.cos(pose[2]), ahead * math.sin(pose[2]), turn]
+    )
     return there
 
 
 def aside_of(way: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    nearest: NDArray[np.float64] = np.hypot(*np.moveaxis(poses[:, None, :2] - way[None, :, :2], 2, 0)).min(axis=1)
+    nearest: NDArray[np.float64] = np.hypot(
+        *np.moveaxis(poses[:, None, :2] - way[None, :, :2], 2, 0)
+    ).min(axis=1)
     return nearest
 
 
-@pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (0.0, 0.6, 0.2), (0.0, -0.6, 0.25), (0.3, 0.6, -0.3)])
-def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(start: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "start", [(0.0, 0.0, 0.0), (0.0, 0.6, 0.2), (0.0, -0.6, 0.25), (0.3, 0.6, -0.3)]
+)
+def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(
+    start: tuple[float, float, float],
+) -> None:
     wood = Wood(1)
     poses = wood.repeat(TeachAndRepeat([wood.drive()], FIELD_RAD), start, 300)
     aside = aside_of(wood.way, poses)
@@ -101,7 +116,9 @@ def test_it_begins_anywhere_and_looks_round_first_where_it_sees_the_wrong_way() 
 
 def test_what_does_not_fit_is_named_in_one_line() -> None:
     drive = Wood(1).drive()
-    with pytest.raises(ValueError, match="demonstration d: teach and repeat needs images and odometry"):
+    with pytest.raises(
+        ValueError, match="demonstration d: teach and repeat needs images and odometry"
+    ):
         TeachAndRepeat([replace(drive, odometry=None)], FIELD_RAD)
     with pytest.raises(ValueError, match="at least one turn"):
         TeachAndRepeat([replace(drive, odometry=np.zeros((len(TAUGHT), 3)))], FIELD_RAD)

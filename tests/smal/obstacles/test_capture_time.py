@@ -27,7 +27,9 @@ def turning(tick: int) -> Pose:
     return 0.0, 0.0, math.radians(45.0) * max(tick - 5, 0) * TICK_S
 
 
-def delays(way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, seed: int = 0) -> list[float]:
+def delays(
+    way: Callable[[int], Pose], shown: Callable[[int], int], ticks: int, seed: int = 0
+) -> list[float]:
     """Deliver, tick after tick, the image of another tick; return how old each is said to be."""
     rng = np.random.default_rng(seed)
     made = CaptureTime(MOUNT)
@@ -76,7 +78,9 @@ def test_delay_stays_when_a_late_robot_stands_again() -> None:
 
 
 @pytest.mark.parametrize("way", [straight, turning])
-@pytest.mark.parametrize("to", [(0.0, 3.0, 1.0), (-2.0, -1.0, math.pi), (4.0, -1.0, -0.5), (-2.0, 0.5, 0.1)])
+@pytest.mark.parametrize(
+    "to", [(0.0, 3.0, 1.0), (-2.0, -1.0, math.pi), (4.0, -1.0, -0.5), (-2.0, 0.5, 0.1)]
+)
 def test_delay_is_zero_when_the_robot_was_carried(way: Callable[[int], Pose], to: Pose) -> None:
     """Its wheels do not turn meanwhile: no pose of theirs explains what it sees now."""
     rng = np.random.default_rng(0)
@@ -85,7 +89,9 @@ def test_delay_is_zero_when_the_robot_was_carried(way: Callable[[int], Pose], to
         x, y, heading = way(tick)
         there = (x, y, heading) if tick < 20 else (x + to[0], y + to[1], heading + to[2])
         made.note((x, y, heading), tick * TICK_S)
-        at_s, _ = made.estimate((depth(YARD, there) * rng.normal(1.0, 0.01, (60, 80))).astype(np.float32))
+        at_s, _ = made.estimate(
+            (depth(YARD, there) * rng.normal(1.0, 0.01, (60, 80))).astype(np.float32)
+        )
         assert tick * TICK_S - at_s < 0.25
 
 
@@ -96,7 +102,11 @@ def test_delay_ends_when_the_camera_sees_again() -> None:
 
 
 #: Smooth walls on both sides: an image says little of how far along the robot is.
-STREET: list[Box] = [(-5.0, 2.5, 60.0, 3.0, 3.0), (-5.0, -4.0, 60.0, -3.5, 3.0), (20.0, 1.5, 20.5, 2.5, 2.0)]
+STREET: list[Box] = [
+    (-5.0, 2.5, 60.0, 3.0, 3.0),
+    (-5.0, -4.0, 60.0, -3.5, 3.0),
+    (20.0, 1.5, 20.5, 2.5, 2.0),
+]
 
 
 @pytest.mark.parametrize("seed", range(3))

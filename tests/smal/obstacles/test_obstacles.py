@@ -37,10 +37,14 @@ def test_ground_is_free_and_a_wall_is_where_it_is_however_the_camera_nods(pitch_
 
 @pytest.mark.parametrize("high", [0.2, 0.5, 2.0])
 def test_the_way_is_free_up_to_what_stands_in_it(high: float) -> None:
-    assert around((3.0, -0.2, 3.5, 0.2, high)).free_m(ahead=True) == pytest.approx(3.0 - OFF_M, abs=0.15)
+    assert around((3.0, -0.2, 3.5, 0.2, high)).free_m(ahead=True) == pytest.approx(
+        3.0 - OFF_M, abs=0.15
+    )
     assert around((3.0, 0.6, 3.5, 1.0, high)).free_m(ahead=True) > 3.5  # beside the way
     # Only what is seen above 1.5 m of it hangs above the robot.
-    lifted = np.where(np.arange(60)[:, None] < 60 / 2 - 0.5 * MOUNT.focal * 80 / 2.65, depth([WALL], HERE), 0.0)
+    lifted = np.where(
+        np.arange(60)[:, None] < 60 / 2 - 0.5 * MOUNT.focal * 80 / 2.65, depth([WALL], HERE), 0.0
+    )
     made = Surroundings(MOUNT.radius_m)
     assert made.look(HERE, np.where(lifted > 0, lifted, depth([], HERE)).astype(np.float32), MOUNT)
     assert made.free_m(ahead=True) > 3.5
@@ -108,7 +112,11 @@ def test_nothing_that_stands_moves_because_the_robot_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     made = Surroundings(MOUNT.radius_m)
     pose = (0.0, 0.0, 0.3)
-    boxes: list[Box] = [(3.0, 0.7, 3.5, 1.2, 1.0), (4.5, -1.6, 5.0, -1.0, 0.6), (7.0, -6.0, 7.4, 6.0, 2.0)]
+    boxes: list[Box] = [
+        (3.0, 0.7, 3.5, 1.2, 1.0),
+        (4.5, -1.6, 5.0, -1.0, 0.6),
+        (7.0, -6.0, 7.4, 6.0, 2.0),
+    ]
     for tick in range(30):
         measured = depth(boxes, pose) * rng.normal(1.0, 0.01, (60, 80))
         made.look(pose, measured.astype(np.float32), MOUNT)
@@ -145,14 +153,18 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
         x = np.arange(pose[0] + 1.4, min(pose[0] + 7.8, END_M + 1.5), 0.35)
         c = math.cos(pose[2])
         s = math.sin(pose[2])
-        way = np.stack([x - pose[0], np.full(x.size, -pose[1])], axis=1) @ np.array([[c, -s], [s, c]])
+        way = np.stack([x - pose[0], np.full(x.size, -pose[1])], axis=1) @ np.array(
+            [[c, -s], [s, c]]
+        )
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
         if hit_m(around, way) < math.inf:
             turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
         if turn is None:
             blocked += 1
             continue
-        pose = moved(pose, Atom.FORWARD if abs(turn) < TURN_RAD else Atom.LEFT if turn > 0 else Atom.RIGHT)
+        pose = moved(
+            pose, Atom.FORWARD if abs(turn) < TURN_RAD else Atom.LEFT if turn > 0 else Atom.RIGHT
+        )
         assert not touches(boxes, pose)
         poses.append(pose)
         if pose[0] > END_M:

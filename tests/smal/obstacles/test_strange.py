@@ -20,7 +20,9 @@ def view(pose: corridor.Pose, box_m: float | None = None) -> Image:
     """Return what is seen in the corridor, with a box half a metre wide and high so far along."""
     picture = corridor.view(*pose)
     rows, columns = picture.shape[:2]
-    picture[rows // 2 :] = 100 + picture[rows // 2 :] // 16  # A floor that looks much the same everywhere.
+    picture[rows // 2 :] = (
+        100 + picture[rows // 2 :] // 16
+    )  # A floor that looks much the same everywhere.
     if box_m is not None and box_m - pose[0] > 0.3:
         cos = math.cos(pose[2])
         sin = math.sin(pose[2])
@@ -37,7 +39,12 @@ def view(pose: corridor.Pose, box_m: float | None = None) -> Image:
 @cache
 def model() -> Model:
     _, atoms, way = corridor.drive()
-    return fit([([view(pose) for pose in way], atoms, way)], corridor.FEATURES, camera=Camera(0.7), tick_s=0.5)
+    return fit(
+        [([view(pose) for pose in way], atoms, way)],
+        corridor.FEATURES,
+        camera=Camera(0.7),
+        tick_s=0.5,
+    )
 
 
 def driven(watches: bool, box_m: float | None) -> tuple[Robot, list[tuple[str, float]], float]:

@@ -37,7 +37,9 @@ def waits(planner: Planner, ticks: int) -> list[Decision]:
     for _ in range(ticks):
         pose = (0.0, 0.0, heading)
         made.look(pose, depth([WALL], pose), MOUNT)
-        decisions.append(planner.decide(belief((HERE, 0.0, 0.0, math.degrees(heading))), around=made))
+        decisions.append(
+            planner.decide(belief((HERE, 0.0, 0.0, math.degrees(heading))), around=made)
+        )
         if decisions[-1].motion[0] > 0.0:
             break
         heading += math.radians(4.5) * decisions[-1].motion[1]
@@ -48,7 +50,12 @@ def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
     decisions = waits(Planner(map_of(16.0)), ticks=400)
     assert len(decisions) == 400
     kinds = [(kind, len(list(same))) for kind, same in groupby(one.kind for one in decisions)]
-    assert [kind for kind, _ in kinds] == ["follow", "blocked", "look_around", "blocked"]  # it turns before it waits
+    assert [kind for kind, _ in kinds] == [
+        "follow",
+        "blocked",
+        "look_around",
+        "blocked",
+    ]  # it turns before it waits
     assert kinds[1][1] == pytest.approx(2.0 * PLANNER_CONFIG.waits_s / 0.1, abs=1)
 
 
@@ -70,7 +77,9 @@ def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() 
 def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None:
     walks = [sorted((side * y_m, side * (y_m + 0.4))) for y_m in np.arange(1.3, 0.45, -0.1)]
     walker: list[list[Box]] = [[WALL, (1.2, low, 1.5, high, 1.7)] for low, high in walks]
-    decision = Planner(map_of(16.0)).decide(belief((HERE, 0.0, 0.0, 0.0)), around=looks([WALL], *walker))
+    decision = Planner(map_of(16.0)).decide(
+        belief((HERE, 0.0, 0.0, 0.0)), around=looks([WALL], *walker)
+    )
     assert (decision.kind, decision.motion[0]) == ("blocked", 0.0)
     assert decision.motion[1] == (1.0 if atom is Atom.LEFT else -1.0)
 
@@ -87,7 +96,10 @@ def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
         made.look(pose, depth([WALL, somebody], pose), MOUNT)
         motions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion)
         x += 0.04 * motions[-1][0]
-    assert motions[: round(PLANNER_CONFIG.waits_s / 0.1)].count((0.0, 0.0)) == PLANNER_CONFIG.waits_s / 0.1
+    assert (
+        motions[: round(PLANNER_CONFIG.waits_s / 0.1)].count((0.0, 0.0))
+        == PLANNER_CONFIG.waits_s / 0.1
+    )
     assert -1.0 < x < -0.2
     assert motions[-1] == (0.0, 0.0)
     assert not [one for one in waits(Planner(map_of(16.0)), ticks=90) if one.motion[0] < 0.0]
@@ -99,7 +111,10 @@ def test_what_has_just_come_is_not_what_it_was_sent_to_find(robot: str) -> None:
     end = belief((160, 0.0, 0.0, 0.0))
     taught = map_of(16.0)
     if robot == "car":
-        taught = replace(taught, movements=taught.movements + np.array([0.05, 0.0]) * (taught.movements[:, 1:] != 0.0))
+        taught = replace(
+            taught,
+            movements=taught.movements + np.array([0.05, 0.0]) * (taught.movements[:, 1:] != 0.0),
+        )
     for before, said in (([], None), (thing, "found")):
         planner = Planner(taught)
         made = looks(*[before] * 4, *[thing] * 3)
@@ -113,5 +128,7 @@ def test_search_ends_when_a_thing_stands_before_the_target() -> None:
     made = looks([(0.5, -0.4, 0.8, 0.4, 1.7)])
     assert made.free_m(ahead=True) == 0.0
     end = belief((160, 0.0, 0.0, 0.0))
-    decisions = [planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)]
+    decisions = [
+        planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)
+    ]
     assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")

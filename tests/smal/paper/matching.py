@@ -60,7 +60,9 @@ def _near_duplicates(rng: np.random.Generator) -> Problem:
 def _exact_duplicates(rng: np.random.Generator) -> Problem:
     problem = _mixture(rng)
     first = problem.X[:, : problem.length]
-    return replace(problem, X=np.asfortranarray(np.concatenate([problem.X, first, problem.X], axis=1)))
+    return replace(
+        problem, X=np.asfortranarray(np.concatenate([problem.X, first, problem.X], axis=1))
+    )
 
 
 def _rank_deficient(rng: np.random.Generator) -> Problem:
@@ -81,7 +83,9 @@ def _noise_only(rng: np.random.Generator) -> Problem:
 
 def _shorter_last_sequence(rng: np.random.Generator) -> Problem:
     problem = _near_duplicates(rng)
-    return replace(problem, X=problem.X[:, : problem.X.shape[1] - int(rng.integers(1, problem.length))])
+    return replace(
+        problem, X=problem.X[:, : problem.X.shape[1] - int(rng.integers(1, problem.length))]
+    )
 
 
 def _other_query_length(rng: np.random.Generator) -> Problem:
@@ -95,7 +99,9 @@ def _lengths_of_all_sizes(rng: np.random.Generator) -> Problem:
     problem = _mixture(rng)
     X = problem.X * 10.0 ** rng.uniform(-1.0, 0.0, problem.X.shape[1])
     Y = problem.Y * 10.0 ** rng.uniform(-2.0, 2.0, problem.Y.shape[1])
-    return replace(problem, X=np.asfortranarray(X, dtype=np.float32), Y=np.asfortranarray(Y, dtype=np.float32))
+    return replace(
+        problem, X=np.asfortranarray(X, dtype=np.float32), Y=np.asfortranarray(Y, dtype=np.float32)
+    )
 
 
 STRUCTURES: dict[str, Callable[[np.random.Generator], Problem]] = {
@@ -131,10 +137,15 @@ def check(solution: Solution, problem: Problem, tolerance: float, what: str = ""
     assert -1e-7 <= solution.duality_gap <= tolerance, what
     # A residual below 3e-8 of a query frame is rounding, and counts as that.
     rounding = 4e-8 * float(lengths.sum())
-    assert abs(solution.objective - problem.value(solution.weights)) <= 1e-7 * solution.objective + rounding, what
+    assert (
+        abs(solution.objective - problem.value(solution.weights))
+        <= 1e-7 * solution.objective + rounding
+    ), what
     assert solution.objective <= lengths.sum() * (1 + tolerance), what
     residuals = np.linalg.norm(problem.Y - problem.X.astype(np.float64) @ solution.weights, axis=0)
-    np.testing.assert_allclose(solution.residual_norms, residuals, rtol=1e-6, atol=1e-6 * lengths.max())
+    np.testing.assert_allclose(
+        solution.residual_norms, residuals, rtol=1e-6, atol=1e-6 * lengths.max()
+    )
     assert solution.weights.shape == (problem.X.shape[1], problem.Y.shape[1])
     assert np.array_equal(solution.active, np.flatnonzero(solution.weights.any(axis=1)))
 
@@ -154,9 +165,16 @@ def optimum(problem: Problem) -> float:
     import cvxpy as cp  # noqa: PLC0415 - takes long to load, and all processes read this file
 
     W = cp.Variable((X.shape[1], Y.shape[1]))
-    s1 = sum(cp.sum(cp.norm(W[start : start + length], 2, axis=0)) for start in range(0, X.shape[1], length))
+    s1 = sum(
+        cp.sum(cp.norm(W[start : start + length], 2, axis=0))
+        for start in range(0, X.shape[1], length)
+    )
     penalty = problem.lambda1 * cp.sum(cp.norm(W, 2, axis=1)) + problem.lambda2 * s1
-    return float(cp.Problem(cp.Minimize(cp.sum(cp.norm(X @ W - Y, 2, axis=0)) + penalty)).solve(solver=cp.CLARABEL))
+    return float(
+        cp.Problem(cp.Minimize(cp.sum(cp.norm(X @ W - Y, 2, axis=0)) + penalty)).solve(
+            solver=cp.CLARABEL
+        )
+    )
 
 
 def polar(G: Array, lambda1: float, lambda2: float) -> float:

@@ -13,38 +13,54 @@ LAMBDAS = [(0.3, 0.5), (1.0, 0.1), (0.05, 2.0), (0.4, 0.0), (0.0, 0.4)]
 
 def penalty(W: np.ndarray, lambda1: float, lambda2: float) -> np.ndarray:
     """Of many W (k, l, q)."""
-    return lambda1 * np.linalg.norm(W, axis=2).sum(axis=1) + lambda2 * np.linalg.norm(W, axis=1).sum(axis=1)
+    return lambda1 * np.linalg.norm(W, axis=2).sum(axis=1) + lambda2 * np.linalg.norm(
+        W, axis=1
+    ).sum(axis=1)
 
 
 def largest_ratio(G: np.ndarray, lambda1: float, lambda2: float, rng: np.random.Generator) -> float:
     """Bound the polar of G from below: it is the maximum of <G, W> / penalty(W), climbed from many W."""
-    W = rng.standard_normal((300, *G.shape)) * rng.integers(0, 2, (300, *G.shape)) + G * rng.random((300, 1, 1))
+    W = rng.standard_normal((300, *G.shape)) * rng.integers(0, 2, (300, *G.shape)) + G * rng.random(
+        (300, 1, 1)
+    )
     best = 0.0
     for step in (0.0, 1.0, 0.3, 0.1, 0.03, 0.01):
         ratio = (W * G).sum(axis=(1, 2)) / np.maximum(penalty(W, lambda1, lambda2), 1e-300)
         best = max(best, float(ratio.max()))
         W = W[np.argsort(-ratio)[:30]]
-        W = np.concatenate([W, (W[:, None] + step * rng.standard_normal((30, 9, *G.shape))).reshape(-1, *G.shape)])
+        W = np.concatenate(
+            [W, (W[:, None] + step * rng.standard_normal((30, 9, *G.shape))).reshape(-1, *G.shape)]
+        )
     return best
 
 
-def bound_of(G: np.ndarray, lambda1: float, lambda2: float, rounds: int, enough: float = 0.0) -> float:
-    bounds, _ = polar_bounds(G[None], lambda1, lambda2, G[None] / (lambda1 + lambda2), rounds, enough)
+def bound_of(
+    G: np.ndarray, lambda1: float, lambda2: float, rounds: int, enough: float = 0.0
+) -> float:
+    bounds, _ = polar_bounds(
+        G[None], lambda1, lambda2, G[None] / (lambda1 + lambda2), rounds, enough
+    )
     return float(bounds[0])
 
 
 def sparse_block(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    return rng.standard_normal(shape) * np.exp(rng.standard_normal(shape)) * (rng.random(shape) < 0.7)
+    return (
+        rng.standard_normal(shape) * np.exp(rng.standard_normal(shape)) * (rng.random(shape) < 0.7)
+    )
 
 
 @pytest.mark.parametrize("lambdas", LAMBDAS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (5, 1), (3, 4), (6, 6)])
-def test_bounds_are_above_the_exact_polar(lambdas: tuple[float, float], shape: tuple[int, int]) -> None:
+def test_bounds_are_above_the_exact_polar(
+    lambdas: tuple[float, float], shape: tuple[int, int]
+) -> None:
     rng = np.random.default_rng(hash((lambdas, shape)) % 2**32)
     for _ in range(3):
         G = sparse_block(rng, shape)
         exact = polar(G, *lambdas)
-        assert largest_ratio(G, *lambdas, rng) <= exact * (1 + 1e-5) + 1e-6, "the test's own peer is wrong"
+        assert largest_ratio(G, *lambdas, rng) <= exact * (1 + 1e-5) + 1e-6, (
+            "the test's own peer is wrong"
+        )
         assert quick_bounds(G[None], *lambdas)[0] >= exact * (1 - 1e-6) - 1e-8
         for rounds in (0, 1, 8):
             assert bound_of(G, *lambdas, rounds) >= exact * (1 - 1e-6) - 1e-8
@@ -80,12 +96,16 @@ def test_products_are_as_exact_as_rounding_says(
 ) -> None:
     n, m, q = shape
     rng = np.random.default_rng(seed)
-    X, T = (rng.standard_normal((k, m)) * 10.0 ** rng.uniform(-decades, decades, (k, m)) for k in (n, q))
+    X, T = (
+        rng.standard_normal((k, m)) * 10.0 ** rng.uniform(-decades, decades, (k, m)) for k in (n, q)
+    )
     if positive:  # nothing cancels, so every rounding counts
         X = np.abs(X)
         T = np.abs(T)
     X = X.astype(np.float32)
     T = T.astype(np.float32)
     exact = X.astype(np.float64) @ T.T.astype(np.float64)
-    allowed = rounding(m, np.float32) * np.outer(np.linalg.norm(X, axis=1), np.linalg.norm(T, axis=1))
+    allowed = rounding(m, np.float32) * np.outer(
+        np.linalg.norm(X, axis=1), np.linalg.norm(T, axis=1)
+    )
     assert (np.abs(X @ T.T - exact) <= allowed * (1 + 1e-6)).all()

@@ -47,7 +47,9 @@ def test_every_state_leads_to_the_goal(model: PaperModel) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.5, 4.0])
-def test_the_state_is_that_of_eq_9_however_strange_the_view(model: PaperModel, noise: float) -> None:
+def test_the_state_is_that_of_eq_9_however_strange_the_view(
+    model: PaperModel, noise: float
+) -> None:
     query = drive(VIEWS, 3, seed=77, noise=noise).features[:40]
     centred = model.centering.apply(query)
     for tick, found in enumerate(seen(model, query)):
@@ -70,8 +72,14 @@ def test_the_state_is_that_of_eq_9_however_strange_the_view(model: PaperModel, n
 def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: PaperModel) -> None:
     recognizer = Recognizer(model)
     query = DRIVES[0].features
-    statuses = [recognizer.observe(tick, query[tick], due=True).status for tick in (*range(6), *range(7, 13))]
-    assert statuses == ["collecting"] * 4 + ["recognized"] * 2 + ["collecting"] * 4 + ["recognized"] * 2
+    statuses = [
+        recognizer.observe(tick, query[tick], due=True).status
+        for tick in (*range(6), *range(7, 13))
+    ]
+    assert (
+        statuses
+        == ["collecting"] * 4 + ["recognized"] * 2 + ["collecting"] * 4 + ["recognized"] * 2
+    )
     recognizer.reset()
     assert recognizer.observe(13, query[13], due=True).status == "collecting"
 
@@ -96,7 +104,9 @@ def test_the_whole_action_of_the_policy_is_made_and_then_the_robot_stops(model: 
     for state in np.flatnonzero(model.policy >= 0).tolist():
         decision = maker.decide(Recognition("recognized", 0, state))
         action = int(model.policy[state])
-        assert decision == PaperDecision("action", tuple(model.actions[action].tolist()), state, action)
+        assert decision == PaperDecision(
+            "action", tuple(model.actions[action].tolist()), state, action
+        )
         assert [maker.next_atom() for _ in range(LENGTH + 1)] == [*decision.atoms, Atom.STOP]
 
 

@@ -21,7 +21,9 @@ def int32(*values: int) -> np.ndarray:
 
 def random_transitions(seed: int, states: int = 12, demonstrations: int = 6) -> Transitions:
     rng = np.random.default_rng(seed)
-    streams = [rng.integers(0, states, rng.integers(2, 15)).astype(np.int32) for _ in range(demonstrations)]
+    streams = [
+        rng.integers(0, states, rng.integers(2, 15)).astype(np.int32) for _ in range(demonstrations)
+    ]
     actions = [rng.integers(0, 4, len(stream)).astype(np.int32) for stream in streams]
     successful = [True, *(rng.random(demonstrations - 1) < 0.5).tolist()]
     return learn_transitions(streams, actions, successful, states)
@@ -46,8 +48,18 @@ def test_frequencies_by_hand() -> None:
     streams = [int32(0, 1, 0, 2), int32(0, 2)]
     actions = [int32(5, 6, 5, 7), int32(5, 7)]
     T = learn_transitions(streams, actions, [True, True], 3)
-    pairs = dict(zip(zip(T.state.tolist(), T.action.tolist(), strict=True), T.matrix.toarray().tolist(), strict=True))
-    assert pairs == {(0, 5): pytest.approx([0, 1 / 3, 2 / 3]), (1, 6): [1, 0, 0], (2, NO_ACTION): [0, 0, 1]}
+    pairs = dict(
+        zip(
+            zip(T.state.tolist(), T.action.tolist(), strict=True),
+            T.matrix.toarray().tolist(),
+            strict=True,
+        )
+    )
+    assert pairs == {
+        (0, 5): pytest.approx([0, 1 / 3, 2 / 3]),
+        (1, 6): [1, 0, 0],
+        (2, NO_ACTION): [0, 0, 1],
+    }
     assert T.goals.tolist() == [2]
     assert T.pair_counts.tolist() == [3, 1, 0]
 
@@ -58,7 +70,9 @@ def test_nothing_leads_from_one_demonstration_to_another() -> None:
 
 
 def test_the_end_of_a_recovery_is_no_goal() -> None:
-    T = learn_transitions([int32(0, 1, 2), int32(3, 4)], [int32(0, 0, 0), int32(0, 0)], [True, False], 5)
+    T = learn_transitions(
+        [int32(0, 1, 2), int32(3, 4)], [int32(0, 0, 0), int32(0, 0)], [True, False], 5
+    )
     assert T.goals.tolist() == [2]
     assert 4 not in T.state
     assert T.expert_pairs()[4] == -1
@@ -96,10 +110,14 @@ def test_policy_iteration_agrees_with_the_linear_program(seed: int) -> None:
         bounds=(None, None),
     )
     np.testing.assert_allclose(by_policy.value, least.x, atol=1e-6)
-    taken = {(s, a): k for k, (s, a) in enumerate(zip(T.state.tolist(), T.action.tolist(), strict=True))}
+    taken = {
+        (s, a): k for k, (s, a) in enumerate(zip(T.state.tolist(), T.action.tolist(), strict=True))
+    }
     pairs = [taken[s, a] for s, a in enumerate(by_policy.action.tolist()) if a != NO_ACTION]
     np.testing.assert_allclose(
-        by_policy.value[T.state[pairs]], (reward[T.state] + GAMMA * (T.matrix @ least.x))[pairs], atol=1e-6
+        by_policy.value[T.state[pairs]],
+        (reward[T.state] + GAMMA * (T.matrix @ least.x))[pairs],
+        atol=1e-6,
     )
     assert (by_policy.action[T.goals] == NO_ACTION).all()
     seen = set(zip(T.state.tolist(), T.action.tolist(), strict=True))
@@ -118,7 +136,9 @@ def test_expert_is_optimal_under_the_learned_reward(seed: int, sparsity: float) 
     gain = T.matrix @ value
     assert (gain[expert[T.state]] >= gain - 1e-6).all()
     assert (gain[expert[expert >= 0]] >= -1e-6).all()
-    np.testing.assert_allclose(policy_iteration(T, learned.state_reward, GAMMA).value, value, atol=1e-5)
+    np.testing.assert_allclose(
+        policy_iteration(T, learned.state_reward, GAMMA).value, value, atol=1e-5
+    )
 
 
 def test_reward_is_at_the_goal() -> None:

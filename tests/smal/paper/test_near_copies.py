@@ -33,11 +33,16 @@ def extended(problem: Problem, active: np.ndarray, weights: np.ndarray) -> np.lo
     X, Y, W = (array.astype(np.longdouble) for array in (problem.X[:, active], problem.Y, weights))
     of_block = (active // problem.length)[:, None] == np.unique(active // problem.length)
     squares = of_block.T.astype(np.longdouble) @ W**2
-    value = np.sqrt(((Y - X @ W) ** 2).sum(axis=0)).sum() + problem.lambda1 * np.sqrt((W**2).sum(axis=1)).sum()
+    value = (
+        np.sqrt(((Y - X @ W) ** 2).sum(axis=0)).sum()
+        + problem.lambda1 * np.sqrt((W**2).sum(axis=1)).sum()
+    )
     return np.longdouble(value + problem.lambda2 * np.sqrt(squares).sum())
 
 
-@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="this machine has no extended precision")
+@pytest.mark.skipif(
+    np.finfo(np.longdouble).eps > 1e-18, reason="this machine has no extended precision"
+)
 @pytest.mark.parametrize("lambda_", [1e-6, 1e-4, 1e-3])
 def test_gap_is_true_and_small_when_rounding_is_large(lambda_: float) -> None:
     """A gap of 1 is always true, so the gap must also be as small as the accuracy of residuals permits."""
@@ -49,10 +54,14 @@ def test_gap_is_true_and_small_when_rounding_is_large(lambda_: float) -> None:
         value = extended(problem, solution.active, solution.active_weights)
         assert value <= solution.objective * (1.0 + 1e-15), noise
         assert 1.0 - min(best, value) / value <= solution.duality_gap, noise
-        assert solution.duality_gap <= TOLERANCE + problem.length * RESIDUAL_ERROR / float(value), noise
+        assert solution.duality_gap <= TOLERANCE + problem.length * RESIDUAL_ERROR / float(value), (
+            noise
+        )
 
 
-def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """No template has a weight here, so that nothing but the length of Theta holds the bound down."""
 
     def too_long(*arguments: object) -> tuple[object, ...]:

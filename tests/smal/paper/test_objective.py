@@ -27,5 +27,7 @@ def test_objective_term_by_term(seed: int) -> None:
     residuals = Y.astype(float) - X.astype(float) @ W
     expected = sum(np.sqrt(sum(residuals[k, i] ** 2 for k in range(6))) for i in range(q))
     expected += 0.3 * sum(np.sqrt((W[r] ** 2).sum()) for r in range(n))
-    expected += 0.7 * sum(np.sqrt((W[j : j + length, i] ** 2).sum()) for j in range(0, n, length) for i in range(q))
+    expected += 0.7 * sum(
+        np.sqrt((W[j : j + length, i] ** 2).sum()) for j in range(0, n, length) for i in range(q)
+    )
     assert objective(X, Y, W, length, 0.3, 0.7) == pytest.approx(expected, rel=1e-12)

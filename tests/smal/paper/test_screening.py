@@ -19,7 +19,9 @@ def screened(problem: Problem, tolerance: float) -> dict[str, Solution]:
     """Solve where products are rounded and most sequences are never looked at exactly."""
     return {
         "plain": solve(problem.X, problem.Y, *problem.parameters, tolerance=tolerance),
-        "float64": solve(problem.X.astype(np.float64), problem.Y, *problem.parameters, tolerance=tolerance),
+        "float64": solve(
+            problem.X.astype(np.float64), problem.Y, *problem.parameters, tolerance=tolerance
+        ),
     }
 
 
@@ -56,7 +58,9 @@ def test_large_problems(seed: int, kind: str) -> None:
     for name, solution in solutions.items():
         assert set(heavy) <= set(solution.active_blocks.tolist()), name
         if kind != "near duplicates":  # unique weights
-            np.testing.assert_allclose(solution.weights, solutions["plain"].weights, atol=5e-3, err_msg=name)
+            np.testing.assert_allclose(
+                solution.weights, solutions["plain"].weights, atol=5e-3, err_msg=name
+            )
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4])

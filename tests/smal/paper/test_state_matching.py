@@ -7,19 +7,33 @@ from hypothesis import strategies as st
 
 from smal import solve
 from tests.benchmarks.recognition.algorithm2 import algorithm2
-from tests.smal.paper.matching import STRUCTURES, Problem, answers, check, check_bounds, optimum, polar, structured
+from tests.smal.paper.matching import (
+    STRUCTURES,
+    Problem,
+    answers,
+    check,
+    check_bounds,
+    optimum,
+    polar,
+    structured,
+)
 from tests.smal.worlds import matching_problem
 
 # Templates that span the whole space leave no residuals: `solve` promises no more than about 1e-5 there, and is slow.
 CASES = [
-    (one, tolerance) for one in STRUCTURES for tolerance in (1e-3, 1e-6) if (one, tolerance) != ("rank deficient", 1e-6)
+    (one, tolerance)
+    for one in STRUCTURES
+    for tolerance in (1e-3, 1e-6)
+    if (one, tolerance) != ("rank deficient", 1e-6)
 ]
 # A problem is a seed: there is nothing to shrink.
 GENERATE = (Phase.explicit, Phase.generate)
 
 
 @pytest.mark.parametrize(("structure", "tolerance"), CASES)
-@settings(max_examples=4, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False)
+@settings(
+    max_examples=4, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False
+)
 @given(seed=st.integers(0, 2**31))
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
     """The gap is within the tolerance and true: no entry finds less than what another one calls a lower bound."""
@@ -27,9 +41,16 @@ def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -
     solutions = dict(answers(problem, tolerance))
     for name, solution in solutions.items():
         check(solution, problem, tolerance, name)
-    sharp = solve(problem.X, problem.Y, *problem.parameters, tolerance=1e-5 if structure == "rank deficient" else 1e-6)
+    sharp = solve(
+        problem.X,
+        problem.Y,
+        *problem.parameters,
+        tolerance=1e-5 if structure == "rank deficient" else 1e-6,
+    )
     best = min(problem.value(solution.weights) for solution in (*solutions.values(), sharp))
-    check_bounds(solutions | {"sharp": sharp}, best + 4e-8 * float(np.linalg.norm(problem.Y, axis=0).sum()))
+    check_bounds(
+        solutions | {"sharp": sharp}, best + 4e-8 * float(np.linalg.norm(problem.Y, axis=0).sum())
+    )
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -145,7 +166,12 @@ def test_templates_that_are_not_finite(bad: float, column: int, lambda1: float) 
     """Anywhere: where the solution looks, and where it does not."""
     X, Y = matching_problem(0, blocks=100, length=4)
     X[-1, column] = bad
-    for templates in (X, np.ascontiguousarray(X), X.astype(np.float64), np.ascontiguousarray(X, dtype=np.float64)):
+    for templates in (
+        X,
+        np.ascontiguousarray(X),
+        X.astype(np.float64),
+        np.ascontiguousarray(X, dtype=np.float64),
+    ):
         with pytest.raises(ValueError, match="NaN or infinity"), np.errstate(all="ignore"):
             solve(templates, Y, 4, lambda1, 0.1)
 
@@ -156,5 +182,8 @@ def test_queries_that_are_not_finite(bad: float, frame: int) -> None:
     X, Y = matching_problem(0, blocks=100, length=4)
     Y[-1, frame] = bad
     for query in (Y, np.ascontiguousarray(Y), Y.astype(np.float64)):
-        with pytest.raises(ValueError, match="query contains NaN or infinity"), np.errstate(all="ignore"):
+        with (
+            pytest.raises(ValueError, match="query contains NaN or infinity"),
+            np.errstate(all="ignore"),
+        ):
             solve(X, query, 4, 0.1, 0.1)

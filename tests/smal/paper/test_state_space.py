@@ -36,13 +36,19 @@ def test_sequence_weights_and_eq_9_by_hand() -> None:
     assert solution.block_weights.tolist() == [2.5, 4.0]
     match = describe_match(solution, np.full((4, 9), 0.25), np.full((2, 4), 0.5))
     assert match.state == 3
-    assert (match.score, match.total_weight, match.residual, match.agreement) == pytest.approx((2.0, 3.25, 0.4, 0.5))
+    assert (match.score, match.total_weight, match.residual, match.agreement) == pytest.approx(
+        (2.0, 3.25, 0.4, 0.5)
+    )
 
 
 def test_without_weights_there_is_no_state() -> None:
-    solution = Solution(np.zeros(0, np.intp), np.zeros((0, 2)), (9, 2), 2, 1.0, 0.0, 1, True, np.ones(2))
+    solution = Solution(
+        np.zeros(0, np.intp), np.zeros((0, 2)), (9, 2), 2, 1.0, 0.0, 1, True, np.ones(2)
+    )
     assert solution.block_weights.size == 0
-    assert describe_match(solution, np.zeros((1, 9)), np.ones((2, 1))) == Match(None, 0.0, 0.0, 1.0, 0.0)
+    assert describe_match(solution, np.zeros((1, 9)), np.ones((2, 1))) == Match(
+        None, 0.0, 0.0, 1.0, 0.0
+    )
 
 
 @pytest.mark.parametrize("shift", [-2, 0, 1, 3])
@@ -59,7 +65,9 @@ def test_phase_follows_a_moving_query() -> None:
     X = np.asfortranarray(VIEWS.T.astype(np.float32))
     for shift in (0, 1, 2):
         Y = np.asfortranarray(noisy(VIEWS[20 + shift : 25 + shift], 1).T)
-        assert matched_phase(solve(X, Y, LENGTH, LAMBDA, LAMBDA), 4) == pytest.approx(4 + shift, abs=0.7)
+        assert matched_phase(solve(X, Y, LENGTH, LAMBDA, LAMBDA), 4) == pytest.approx(
+            4 + shift, abs=0.7
+        )
 
 
 def test_novelty_is_eq_8() -> None:
@@ -86,7 +94,12 @@ def test_sequences_end_with_the_demonstration() -> None:
     frames = noisy(VIEWS[:13], 0)
     seen: list[tuple[int, int]] = []
     space = learn_state_space(
-        [frames, frames[:4]], LENGTH, LAMBDA, LAMBDA, 1e9, progress=lambda done, every: seen.append((done, every))
+        [frames, frames[:4]],
+        LENGTH,
+        LAMBDA,
+        LAMBDA,
+        1e9,
+        progress=lambda done, every: seen.append((done, every)),
     )
     np.testing.assert_array_equal(space.templates.T, frames[3:])
     assert [len(stream) for stream in space.streams] == [2, 0]

@@ -83,7 +83,9 @@ def test_the_prior_counts_as_some_frames(count: int) -> None:
     queries = RNG.normal(size=(count, SETTINGS.size)).astype(np.float32)
     frames = np.concatenate([queries, np.tile(REFERENCES.mean(axis=0), (PRIOR_FRAMES, 1))])
     expected = Centering.fit(frames, SETTINGS).apply(queries)
-    np.testing.assert_allclose(centre_traverses(REFERENCES, queries, SETTINGS)[1], expected, atol=1e-4)
+    np.testing.assert_allclose(
+        centre_traverses(REFERENCES, queries, SETTINGS)[1], expected, atol=1e-4
+    )
 
 
 def test_if_causal_no_query_knows_of_later_ones() -> None:
@@ -94,7 +96,9 @@ def test_if_causal_no_query_knows_of_later_ones() -> None:
         np.testing.assert_allclose(causal[seen - 1], known[-1], atol=1e-4)
 
 
-def by_hand(references: NDArray[np.float32], queries: NDArray[np.float32], length: int, end: int) -> list[float]:
+def by_hand(
+    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, end: int
+) -> list[float]:
     """Return the mean product of the window that ends at a query with each reference sequence, first end first."""
     window = queries[end - length + 1 : end + 1].astype(np.float64)
     return [
@@ -128,18 +132,24 @@ def test_a_copy_is_found_exactly() -> None:
 
 def dense(chain: Chain) -> np.ndarray:
     """Return how likely each state (a column) becomes each other one."""
-    return np.array([chain.ahead(one) for one in np.eye(chain.first().size, dtype=np.float32)]).T.astype(np.float64)
+    return np.array(
+        [chain.ahead(one) for one in np.eye(chain.first().size, dtype=np.float32)]
+    ).T.astype(np.float64)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 20))
 @settings(max_examples=40, deadline=None)
-def test_probabilities_are_those_of_dense_matrices(seed: int, references: int, queries: int) -> None:
+def test_probabilities_are_those_of_dense_matrices(
+    seed: int, references: int, queries: int
+) -> None:
     chain = Chain(references)
     rng = np.random.default_rng(seed)
     moves = dense(chain)
     np.testing.assert_allclose(moves.sum(axis=0), 1.0, atol=1e-5)
     ratios = np.exp(rng.normal(scale=2.0, size=(queries, references))).astype(np.float32)
-    answers = {query: (there, none) for query, there, none in smoothed(chain, ratios, lambda row: row)}
+    answers = {
+        query: (there, none) for query, there, none in smoothed(chain, ratios, lambda row: row)
+    }
     seen = np.column_stack([np.tile(ratios, 2 * len(SPEEDS)), np.ones(queries)]).astype(np.float64)
     before = [chain.first() * seen[0]]
     for query in range(1, queries):

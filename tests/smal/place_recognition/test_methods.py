@@ -19,7 +19,9 @@ FIRST = 20
 LAST = 80
 
 
-def raw_traverses(features: FeatureSettings, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def raw_traverses(
+    features: FeatureSettings, seed: int = 0
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Make raw features of a road, and of its frames 20..79 seen again with noise and in other light."""
     rng = np.random.default_rng(seed)
     road = Road(rng, features.size).at(np.arange(N))
@@ -75,7 +77,9 @@ def test_one_photo_is_found(name: str) -> None:
 @pytest.mark.parametrize("length", [1, 4])
 def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     rng = np.random.default_rng(length)
-    references = Walk(rng, 42, 32).at(np.arange(42.0), 0.0)  # two frames are in no whole sequence at l = 4
+    references = Walk(rng, 42, 32).at(
+        np.arange(42.0), 0.0
+    )  # two frames are in no whole sequence at l = 4
     queries = unit(references[5:25] + 0.1 * rng.normal(size=(20, 32))).astype(np.float32)
     matches = match_as_in_the_paper(references, queries, length, ignore)
     penalty = LAMBDA_SCALE * math.sqrt(length)

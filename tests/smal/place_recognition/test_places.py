@@ -17,7 +17,11 @@ from smal.place_recognition.places import match_places
 from tests.smal.place_recognition.traverses import Walk, unit
 
 N = 240
-LAGGED = ("2.5", "waves", "stops")  # Drives that are followed with a lag as well, which takes longer.
+LAGGED = (
+    "2.5",
+    "waves",
+    "stops",
+)  # Drives that are followed with a lag as well, which takes longer.
 Array = NDArray[np.float64]
 
 
@@ -36,13 +40,16 @@ def drives() -> dict[str, Array]:
     }
 
 
-def traverses(places: Array, noise: float, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def traverses(
+    places: Array, noise: float, seed: int = 0
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     walk = Walk(np.random.default_rng(seed), N)
     return walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, noise)
 
 
 @pytest.mark.parametrize(
-    ("name", "lag"), [*((name, None) for name in sorted(drives())), *((name, 10) for name in LAGGED)]
+    ("name", "lag"),
+    [*((name, None) for name in sorted(drives())), *((name, 10) for name in LAGGED)],
 )
 def test_the_place_is_found(name: str, lag: int | None) -> None:
     places = drives()[name]
@@ -92,14 +99,20 @@ def test_either_of_two_visits_is_a_match() -> None:
     assert (np.abs(ways[matches.reference] - places) <= 2).mean() > 0.97
 
 
-def test_parts_answer_as_the_whole_does_whoever_works_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_answer_as_the_whole_does_whoever_works_on_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ways = np.tile(np.append(np.arange(20.0, 220.0), np.arange(220.0, 20.0, -1.0)), 6)
     references, queries = traverses(ways, 7.0)
-    monkeypatch.setattr(module, "_learned", lambda *_: module.Evidence())  # Learned, it would be of other queries.
+    monkeypatch.setattr(
+        module, "_learned", lambda *_: module.Evidence()
+    )  # Learned, it would be of other queries.
     by_parts = match_places(references, queries, 3, parallel=map)
     monkeypatch.setattr(module, "_PART", len(queries))
     whole = match_places(references, queries, 3)
-    assert 0.5 < whole.score.mean() < 0.98  # Not so clear that nothing before and after would count.
+    assert (
+        0.5 < whole.score.mean() < 0.98
+    )  # Not so clear that nothing before and after would count.
     np.testing.assert_array_equal(by_parts.reference, whole.reference)
     np.testing.assert_allclose(by_parts.score, whole.score, atol=1e-4)
 
@@ -121,7 +134,9 @@ def test_what_nobody_waits_for_any_more_ends() -> None:
     next(answers)
     begun.wait()
     answers.close()  # type: ignore[attr-defined]  # it is a generator
-    assert next(looks) < 100, "looks at each of a hundred blocks, of which it would look at each twice"
+    assert next(looks) < 100, (
+        "looks at each of a hundred blocks, of which it would look at each twice"
+    )
 
 
 def test_answers_do_not_know_what_comes_later_than_the_lag() -> None:
@@ -132,11 +147,15 @@ def test_answers_do_not_know_what_comes_later_than_the_lag() -> None:
         np.testing.assert_array_equal(whole.score[: 60 - lag], part.score[: 60 - lag])
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 30), st.sampled_from([None, 0, 3]))
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 30), st.sampled_from([None, 0, 3])
+)
 @settings(max_examples=20, deadline=None)
 def test_sizes(seed: int, n: int, q: int, lag: int | None) -> None:
     rng = np.random.default_rng(seed)
-    references, queries = (unit(rng.normal(size=(count, 20))).astype(np.float32) for count in (n, q))
+    references, queries = (
+        unit(rng.normal(size=(count, 20))).astype(np.float32) for count in (n, q)
+    )
     queries[rng.random(q) < 0.2] = 0.0
     done: list[int] = []
     matches = match_places(references, queries, lag=lag, progress=done.append)

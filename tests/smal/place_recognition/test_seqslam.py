@@ -26,11 +26,16 @@ class ByHand:
         self.enhanced = [self._enhanced_row(t) for t in range(len(self.queries))]
 
     def _enhanced_row(self, t: int) -> list[float]:
-        row = [float(np.mean(np.abs(self.queries[t].astype(float) - x.astype(float)))) for x in self.references]
+        row = [
+            float(np.mean(np.abs(self.queries[t].astype(float) - x.astype(float))))
+            for x in self.references
+        ]
         result = []
         for i, value in enumerate(row):
             around = [row[j] for j in range(len(row)) if abs(j - i) <= HALF_WINDOW]
-            result.append(float((value - np.mean(around)) / np.std(around)) if np.std(around) > 1e-9 else 0.0)
+            result.append(
+                float((value - np.mean(around)) / np.std(around)) if np.std(around) > 1e-9 else 0.0
+            )
         return result
 
     def cost(self, t: int, end: int) -> float:
@@ -39,7 +44,10 @@ class ByHand:
         for velocity in VELOCITIES:
             steps = [math.floor(velocity * k + 0.5) for k in range(self.length)]
             if end - steps[-1] >= 0:
-                least = min(least, float(np.mean([self.enhanced[t - k][end - s] for k, s in enumerate(steps)])))
+                least = min(
+                    least,
+                    float(np.mean([self.enhanced[t - k][end - s] for k, s in enumerate(steps)])),
+                )
         return least
 
     def uniqueness(self, costs: list[float], best: int) -> float:
@@ -65,7 +73,9 @@ def test_equals_the_equations(seed: int, n: int, q: int, length: int) -> None:
             continue
         # Which of two ends it is may differ by rounding where they are as good.
         assert costs[matches.reference[t]] == pytest.approx(min(costs), abs=1e-4)
-        assert matches.score[t] == pytest.approx(hand.uniqueness(costs, int(matches.reference[t])), abs=1e-3)
+        assert matches.score[t] == pytest.approx(
+            hand.uniqueness(costs, int(matches.reference[t])), abs=1e-3
+        )
 
 
 def test_a_shifted_copy_is_found_exactly() -> None:
@@ -90,6 +100,8 @@ def test_other_speeds_are_recognized(velocity: float) -> None:
 def test_rounding_is_no_contrast() -> None:
     """References with the same numbers in another order are equally far from 0, but for the rounding of sums."""
     rng = np.random.default_rng(7)
-    references = np.array([rng.permutation(np.linspace(0.1, 0.7, 2048)) for _ in range(40)], dtype=np.float32)
+    references = np.array(
+        [rng.permutation(np.linspace(0.1, 0.7, 2048)) for _ in range(40)], dtype=np.float32
+    )
     matches = match_seqslam(references, np.zeros((15, 2048), dtype=np.float32), 10, ignore)
     assert matches.score.max() == 0.0

@@ -19,12 +19,16 @@ class Road:
 
     def at(self, positions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the features (n, size) at positions (n,), in reference frames from the start."""
-        return np.asarray(np.cos(np.outer(positions, self._frequency) + self._phase), dtype=np.float32)
+        return np.asarray(
+            np.cos(np.outer(positions, self._frequency) + self._phase), dtype=np.float32
+        )
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: NDArray[np.float64] = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    scaled: NDArray[np.float64] = np.divide(
+        vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0
+    )
     return scaled
 
 
@@ -33,7 +37,9 @@ class Walk:
 
     def __init__(self, rng: np.random.Generator, n: int, size: int = 96) -> None:
         steps = rng.normal(size=(n + 8, size))
-        self._features = unit(np.array([steps[place : place + 8].sum(axis=0) for place in range(n)]))
+        self._features = unit(
+            np.array([steps[place : place + 8].sum(axis=0) for place in range(n)])
+        )
         self._rng = rng
 
     def at(self, places: NDArray[np.floating], noise: float) -> NDArray[np.float32]:

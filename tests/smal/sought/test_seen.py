@@ -30,7 +30,9 @@ GREY = (120, 130, 110)
 def scenery() -> Image:
     """Return grey-green land that the way leads along, wide enough for all of it."""
     coarse = np.random.default_rng(3).integers(60, 180, (12, 60, 1)) + np.array([0, 10, -20])
-    return cv2.resize(np.clip(coarse, 0, 255).astype(np.uint8), (640, 60), interpolation=cv2.INTER_LINEAR)
+    return cv2.resize(
+        np.clip(coarse, 0, 255).astype(np.uint8), (640, 60), interpolation=cv2.INTER_LINEAR
+    )
 
 
 def view(step: float, *colours: tuple[int, int, int], aside: int = 0) -> Image:
@@ -56,7 +58,9 @@ def sight() -> Sight:
 
 
 @pytest.mark.parametrize(("step", "aside"), [(STEPS - 1.4, 0), (STEPS - 2.6, 6), (STEPS - 0.8, -9)])
-def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(step: float, aside: int) -> None:
+def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(
+    step: float, aside: int
+) -> None:
     assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)).probability > 0.99
     assert Witness(sight()).look(view(step)).probability < 0.1
     assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
@@ -69,7 +73,9 @@ def test_what_a_person_has_drawn_a_box_round_is_sought_and_not_what_stands_besid
     assert learned is not None
     for colours, seen in (((ORANGE, BLUE), True), ((GREY, BLUE), True), ((ORANGE, GREY), False)):
         assert (Witness(learned).look(view(STEPS - 1.4, *colours)).probability > 0.99) == seen
-    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, GREY)).probability > 0.99, "both are, without a box"
+    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, GREY)).probability > 0.99, (
+        "both are, without a box"
+    )
 
 
 def test_on_the_way_nothing_is_seen() -> None:
@@ -83,7 +89,10 @@ def test_it_is_seen_in_half_the_light() -> None:
 
 
 def test_it_is_near_where_it_looks_about_as_large_as_at_the_end_of_the_way() -> None:
-    near = [Witness(sight()).look(view(step, ORANGE, BLUE)).near for step in (STEPS - 13, STEPS - 5, STEPS - 1.4)]
+    near = [
+        Witness(sight()).look(view(step, ORANGE, BLUE)).near
+        for step in (STEPS - 13, STEPS - 5, STEPS - 1.4)
+    ]
     assert near == sorted(near)
     assert near[1] < 0.7
     assert near[2] > 0.9
@@ -106,7 +115,14 @@ def test_where_nothing_stands_out_nothing_is_sought() -> None:
 
 def test_parts_that_do_not_fit_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="do not fit together: windows"):
-        Sight(sight().sought, sight().others, np.array([[0, 99]], np.int32), sight().far, sight().log_ratio, 9.0)
+        Sight(
+            sight().sought,
+            sight().others,
+            np.array([[0, 99]], np.int32),
+            sight().far,
+            sight().log_ratio,
+            9.0,
+        )
 
 
 def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_path: Path) -> None:

@@ -42,17 +42,23 @@ def view(pose: corridor.Pose, *tags: tuple[int, float, float]) -> Image:
         top = rows // 2 - side // 2
         if side > 20 and at > white and at + side + white < columns:
             picture[top - white : top + side + white, at - white : at + side + white] = 255
-            picture[top : top + side, at : at + side] = TAGS.generateImageMarker(number, side)[..., None]
+            picture[top : top + side, at : at + side] = TAGS.generateImageMarker(number, side)[
+                ..., None
+            ]
     return picture
 
 
 @cache
 def model() -> Model:
     _, atoms, way = corridor.drive()
-    return fit([([view(pose, (AT_END, 5.5, 0.0), (BESIDE, 3.2, 0.7)) for pose in way], atoms, way)], READS)
+    return fit(
+        [([view(pose, (AT_END, 5.5, 0.0), (BESIDE, 3.2, 0.7)) for pose in way], atoms, way)], READS
+    )
 
 
-def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(tmp_path: Path) -> None:
+def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(
+    tmp_path: Path,
+) -> None:
     assert model().words["victim"].label == f"apriltag {AT_END}"
     model().save(tmp_path / "way.smal")
     for number, said in ((AT_END, "found"), (OTHER, "not_here")):
@@ -72,12 +78,17 @@ def test_a_tag_adds_to_how_its_place_looks() -> None:
     word = model().words["victim"]
     pictures = [view(at_end, (number, 5.5, 0.0)) for number in (AT_END, OTHER)]
     small = [cv2.resize(one, (80, 60), interpolation=cv2.INTER_AREA) for one in pictures]
-    right, wrong = (Witness(sight, word).look(one, 0.0, detect(two, READS)) for one, two in zip(small, pictures))  # noqa: B905
+    right, wrong = (
+        Witness(sight, word).look(one, 0.0, detect(two, READS))
+        for one, two in zip(small, pictures, strict=True)
+    )
     assert right.probability > 0.99
     assert right.near == pytest.approx(1.0, abs=0.1)
     assert wrong.probability < Witness(sight).look(small[1]).probability
     hidden = np.full_like(small[0], 30)
-    assert Witness(sight, word).look(hidden) == Witness(sight).look(hidden), "a hidden view is no evidence"
+    assert Witness(sight, word).look(hidden) == Witness(sight).look(hidden), (
+        "a hidden view is no evidence"
+    )
 
 
 def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
@@ -85,8 +96,16 @@ def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
 
     def learned(*ends: str, scores: float = 1.0, way: float = 0.0) -> str | None:
         """Return what is sought where drives end before things that score on the way, too."""
-        each = [[Detection(one, scores if near else way, box) for one in ends] for near in [False] * 20 + [True] * 4]
-        drive = Taught([np.zeros((60, 80, 3), np.uint8)] * 24, np.arange(24.0)[::-1] / 2.0, ends=True, detected=each)
+        each = [
+            [Detection(one, scores if near else way, box) for one in ends]
+            for near in [False] * 20 + [True] * 4
+        ]
+        drive = Taught(
+            [np.zeros((60, 80, 3), np.uint8)] * 24,
+            np.arange(24.0)[::-1] / 2.0,
+            ends=True,
+            detected=each,
+        )
         word = learn_word([drive])
         return None if word is None else word.label
 
@@ -97,7 +116,9 @@ def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
 
 
 def test_the_text_of_a_qr_code_is_what_is_found() -> None:
-    code = cv2.resize(cv2.QRCodeEncoder.create().encode("dock 4"), (120, 120), interpolation=cv2.INTER_NEAREST)
+    code = cv2.resize(
+        cv2.QRCodeEncoder.create().encode("dock 4"), (120, 120), interpolation=cv2.INTER_NEAREST
+    )
     picture = np.full((240, 320, 3), 255, np.uint8)
     picture[60:180, 100:220] = code[..., None]
     (found,) = qr_codes(picture)
@@ -125,18 +146,25 @@ def test_a_network_draws_boxes_and_one_that_does_not_is_refused_in_one_line(tmp_
             "boxes",
             [helper.make_tensor_value_info("x", floats, [1, 3, 64, 64])],
             [helper.make_tensor_value_info("boxes", floats, None)],
-            [onnx.numpy_helper.from_array(part, what) for part, what in zip(rows, ("box", "score"), strict=True)],
+            [
+                onnx.numpy_helper.from_array(part, what)
+                for part, what in zip(rows, ("box", "score"), strict=True)
+            ],
         )
         made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
         onnx.save_model(made, str(tmp_path / name))
         return tmp_path / name
 
     chosen = FeatureSettings.parse(f"thumbnail,boxes:{network('one.onnx', 1, 1, 6)}")
-    assert (chosen.size, chosen.text) == (FeatureSettings(("thumbnail",)).size, f"thumbnail,boxes:{tmp_path}/one.onnx")
+    assert (chosen.size, chosen.text) == (
+        FeatureSettings(("thumbnail",)).size,
+        f"thumbnail,boxes:{tmp_path}/one.onnx",
+    )
     (found,) = detect(np.full((120, 160, 3), 51, np.uint8), chosen)
     assert found == ("boxes 5", pytest.approx(0.2, abs=1e-6), pytest.approx((0.25, 0.0, 0.75, 1.0)))
     with pytest.raises(
-        ValueError, match=r"raw.onnx: a detector's first output must be boxes \(1, n, 6\).*\(1, 84, 8\)$"
+        ValueError,
+        match=r"raw.onnx: a detector's first output must be boxes \(1, n, 6\).*\(1, 84, 8\)$",
     ):
         FeatureSettings.parse(f"thumbnail,boxes:{network('raw.onnx', 1, 84, 8)}")
 

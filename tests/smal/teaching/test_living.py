@@ -88,7 +88,9 @@ def test_the_other_half_of_the_runs_decides() -> None:
         lived(model(), [run(7, 0.6)])
 
 
-def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("smal.teaching.living.SETTINGS", replace(SETTINGS, looks=2))
     taught = model().mapped
     once = taken_up(model(), [run(7, 0.6)]).mapped
@@ -98,7 +100,9 @@ def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(monkeypat
     np.testing.assert_array_equal(twice.views[: len(taught.keyframes)], taught.views)
     # What explains nothing of that day goes: at least one place looks like it now.
     rows = len(taught.keyframes)
-    assert not np.isin(twice.views[rows:].sum(axis=(1, 2, 3)), once.views[rows:].sum(axis=(1, 2, 3))).all()
+    assert not np.isin(
+        twice.views[rows:].sum(axis=(1, 2, 3)), once.views[rows:].sum(axis=(1, 2, 3))
+    ).all()
 
 
 def test_what_was_not_reached_or_has_no_images_teaches_nothing() -> None:
@@ -119,12 +123,16 @@ def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
         assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
 
 
-def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     taught = model().mapped
     middle = SETTINGS.views_a_length // 2
     keys = np.arange(middle, len(taught.keyframes), SETTINGS.views_a_length, dtype=np.int32)
     # The looks of each place are what was taught of the next one.
-    twice = replace(taught, views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]), looks=keys)
+    twice = replace(
+        taught, views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]), looks=keys
+    )
     monkeypatch.setattr("smal.map.SETTINGS", replace(SETTINGS, looked_at=SETTINGS.views_a_length))
     view = twice.sample[0] * 0.0 + np.asarray(twice.views[keys[1], 1, 8], dtype=np.float32)
     found = {int(one) for one in twice.likely(view / np.linalg.norm(view))[0]}

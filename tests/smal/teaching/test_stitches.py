@@ -34,7 +34,10 @@ def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
     found, _ = two()
     first = found.key_poses[found.stitched[:, 0]]
     second = found.key_poses[found.stitched[:, 1]]
-    assert set(map(tuple, found.drives[found.keyframes[found.stitched]].tolist())) == {(0, 1), (1, 0)}
+    assert set(map(tuple, found.drives[found.keyframes[found.stitched]].tolist())) == {
+        (0, 1),
+        (1, 0),
+    }
     # Odometry is the truth here: pairs are near each other, and stand as their views say.
     assert np.hypot(*(first - second)[:, :2].T).max() < 0.35
     apart = seen_from(first, second) - found.stitch_offsets
@@ -59,7 +62,9 @@ def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
     poses[second] = placed(seen_from(poses[second], np.array([1.0, -3.0, 2.0])), np.zeros(3))
     apart = in_common_axes(replace(found, poses=poses)) - found.key_poses
     assert np.hypot(*apart[:, :2].T).max() < 0.3
-    alone = replace(found, poses=poses, stitched=np.empty((0, 2), np.int32), stitch_offsets=np.empty((0, 3)))
+    alone = replace(
+        found, poses=poses, stitched=np.empty((0, 2), np.int32), stitch_offsets=np.empty((0, 3))
+    )
     np.testing.assert_array_equal(in_common_axes(alone), alone.key_poses)
 
 
@@ -86,7 +91,10 @@ def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() 
 @cache
 def of_two_people() -> tuple[VisualMap, Centering]:
     """Learn of two people: the second is half as fast, with wheels that count a twentieth more."""
-    slow = replace(drive((START[0], START[1] + 0.12, START[2]), ((2.0, -60.0), (1.5, 0.0)), speed=0.5), wheels=1.05)
+    slow = replace(
+        drive((START[0], START[1] + 0.12, START[2]), ((2.0, -60.0), (1.5, 0.0)), speed=0.5),
+        wheels=1.05,
+    )
     found, centering = taught(Room(), LEFT, slow, scene=SCENE)
     return stitched(replace(found, goals=("left", "right"))), centering
 

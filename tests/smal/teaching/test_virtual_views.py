@@ -43,9 +43,19 @@ def difference(one: Image, other: Image) -> float:
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize(
     ("ahead", "left", "turn_deg"),
-    [(0, 0, 20), (0, 0, -20), (0.2, 0, 0), (-0.1, 0, 0), (0, 0.15, 0), (0, -0.15, 0), (0.15, 0.1, 10)],
+    [
+        (0, 0, 20),
+        (0, 0, -20),
+        (0.2, 0, 0),
+        (-0.1, 0, 0),
+        (0, 0.15, 0),
+        (0, -0.15, 0),
+        (0.15, 0.1, 10),
+    ],
 )
-def test_a_warped_view_is_what_a_camera_there_sees(lens: str, ahead: float, left: float, turn_deg: float) -> None:
+def test_a_warped_view_is_what_a_camera_there_sees(
+    lens: str, ahead: float, left: float, turn_deg: float
+) -> None:
     camera = LENSES[lens]
     turn = math.radians(turn_deg)
     scene = Scene(camera, CAMERA_HEIGHT, 8.4)
@@ -112,6 +122,8 @@ def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
     images = [PAINTED.look(pose) for pose in one.poses]
     centering = Centering.fit(raw_of(images), COLOR)
     # The second drive's last frame does not turn into the first one's.
-    found = turn_of_views(images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views)))
+    found = turn_of_views(
+        images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views))
+    )
     assert found is not None
     assert found[1] == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)

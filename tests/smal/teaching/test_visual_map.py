@@ -44,12 +44,18 @@ def of_two_drives() -> VisualMap:
     return taught(ROOM, first, second, rate_hz=5.0, scene=SCENE)[0]
 
 
-def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
+def learn(
+    images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]
+) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
     with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         drives = [
             Demonstration(
-                f"drive-{k}", raw[k], np.asarray(atoms[k], dtype=np.int8), images=images[k], odometry=poses[k]
+                f"drive-{k}",
+                raw[k],
+                np.asarray(atoms[k], dtype=np.int8),
+                images=images[k],
+                odometry=poses[k],
             )
             for k in range(len(images))
         ]
@@ -75,7 +81,9 @@ def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
     assert usual.correlation_length < 0.7
     assert other.correlation_length == pytest.approx(usual.correlation_length, rel=0.15)
     assert other.correlation_rad == pytest.approx(usual.correlation_rad, rel=0.15)
-    assert other.likelihood.of(np.array([4.0])) == pytest.approx(usual.likelihood.of(np.array([4.0])), abs=1.5)
+    assert other.likelihood.of(np.array([4.0])) == pytest.approx(
+        usual.likelihood.of(np.array([4.0])), abs=1.5
+    )
     assert len(other.keyframes) == pytest.approx(len(usual.keyframes), rel=0.25)
     assert other.speed == pytest.approx(usual.speed, rel=1e-6)
 
@@ -86,9 +94,15 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
         x, y, heading = found.key_poses[key]
         for column, place in ((0, -found.aside), (1, 0.0), (2, found.aside)):
             for turn in (-20, 0, 20):
-                pose = (x - math.sin(heading) * place, y + math.cos(heading) * place, heading + math.radians(turn))
+                pose = (
+                    x - math.sin(heading) * place,
+                    y + math.cos(heading) * place,
+                    heading + math.radians(turn),
+                )
                 components = found.described(centering.apply(extract(ROOM.look(pose), COLOR)))
-                cosines = found.cosines(components, np.array(key), np.arange(3)[:, None], np.arange(TURNS_DEG.size))
+                cosines = found.cosines(
+                    components, np.array(key), np.arange(3)[:, None], np.arange(TURNS_DEG.size)
+                )
                 best = np.unravel_index(cosines.argmax(), cosines.shape)
                 assert best[0] == column
                 assert abs(TURNS_DEG[best[1]] - turn) <= 5.0
@@ -100,7 +114,9 @@ def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> No
     one = drive()
     with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
         for frame in range(0, len(one.poses), 7):
-            components = found.described(centering.apply(extract(ROOM.look(one.poses[frame]), COLOR)))
+            components = found.described(
+                centering.apply(extract(ROOM.look(one.poses[frame]), COLOR))
+            )
             keyframes, stand_for = found.likely(components)
             assert len(set(keyframes.tolist())) == len(keyframes)
             # The others are stood for by the sample of elsewhere: no place counts more or less than before.
@@ -136,7 +152,10 @@ def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_lengt
     views = [unit(rng.standard_normal(1024).astype(np.float32))]
     for step in np.diff(way):
         kept = 0.5 ** (step / 3.0)
-        views.append(kept * views[-1] + math.sqrt(1.0 - kept**2) * unit(rng.standard_normal(1024).astype(np.float32)))
+        views.append(
+            kept * views[-1]
+            + math.sqrt(1.0 - kept**2) * unit(rng.standard_normal(1024).astype(np.float32))
+        )
     views[41] = unit(rng.standard_normal(1024).astype(np.float32))
     assert length_of(way, np.stack(views)) == pytest.approx(3.0, rel=0.25)
 
@@ -178,14 +197,19 @@ class Reader(Sequence[Image]):
 
 
 def test_images_are_read_when_they_are_needed_and_let_go() -> None:
-    drives = [drive(way=((4.0, 60.0),), rate_hz=40.0), drive((2.5, 4.5, 0.0), ((1.0, 0.0),), rate_hz=40.0)]
+    drives = [
+        drive(way=((4.0, 60.0),), rate_hz=40.0),
+        drive((2.5, 4.5, 0.0), ((1.0, 0.0),), rate_hz=40.0),
+    ]
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[str, int, int]] = []
     with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         found = mapping.learn(
             [
-                Demonstration(f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses)
+                Demonstration(
+                    f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses
+                )
                 for k, one in enumerate(drives)
             ],
             COLOR,
@@ -201,18 +225,22 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     # Every keyframe is read from the drive that it is of.
     for number, reader in enumerate(readers):
         start = int(np.searchsorted(found.drives, number))
-        assert {int(key) - start for key in found.keyframes[found.drives[found.keyframes] == number]} <= set(
-            reader.reads
-        )
+        assert {
+            int(key) - start for key in found.keyframes[found.drives[found.keyframes] == number]
+        } <= set(reader.reads)
     stages = {"frames": frames, "views": len(found.keyframes)}
-    assert done == [(stage, number, total) for stage, total in stages.items() for number in range(1, total + 1)]
+    assert done == [
+        (stage, number, total) for stage, total in stages.items() for number in range(1, total + 1)
+    ]
 
 
 @pytest.mark.parametrize("odometry", [True, False])
 def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
     images = [ROOM.look(START)] * 12
     with pytest.raises(ValueError, match="does not move") as refused:
-        learn([images], [np.tile(START, (12, 1)) if odometry else None], [np.zeros(12, dtype=np.int8)])
+        learn(
+            [images], [np.tile(START, (12, 1)) if odometry else None], [np.zeros(12, dtype=np.int8)]
+        )
     assert "\n" not in str(refused.value)
 
 
@@ -221,13 +249,19 @@ def test_a_drive_that_stands_is_refused_beside_one_that_does_not() -> None:
     still = [ROOM.look(START)] * 5
     views = [ROOM.look(pose) for pose in one.poses]
     with pytest.raises(ValueError, match="the robot hardly moves in it"):
-        learn([views, still], [one.poses, np.tile(START, (5, 1))], [one.atoms, np.zeros(5, dtype=np.int8)])
+        learn(
+            [views, still],
+            [one.poses, np.tile(START, (5, 1))],
+            [one.atoms, np.zeros(5, dtype=np.int8)],
+        )
 
 
 def test_a_camera_that_sees_nothing_is_refused() -> None:
     one = drive(way=((1.0, 0.0),))
     with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
-        learn([[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms])
+        learn(
+            [[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms]
+        )
 
 
 def test_the_content_makes_the_map_again() -> None:
@@ -246,7 +280,11 @@ def test_the_content_makes_the_map_again() -> None:
         ("basis", lambda basis: 1e30 * basis, "components"),
         ("basis", lambda basis: basis[:, :0], "components"),
         ("keyframes", lambda keys: np.where(np.arange(keys.size) == 1, -1, keys), "keyframes"),
-        ("keyframes", lambda keys: np.where(np.arange(keys.size) == 1, np.iinfo(keys.dtype).max, keys), "keyframes"),
+        (
+            "keyframes",
+            lambda keys: np.where(np.arange(keys.size) == 1, np.iinfo(keys.dtype).max, keys),
+            "keyframes",
+        ),
         ("scene", lambda _: [1.0, 1.0, 1.0], "scene"),
         ("movements", lambda movements: 1e300 * movements, "movements"),
         ("basis", lambda basis: np.zeros((0, 10**6), basis.dtype), "components"),
@@ -254,7 +292,11 @@ def test_the_content_makes_the_map_again() -> None:
         ("blank", lambda blank: blank[1:], "blank"),
         ("log_ratio", lambda ratio: ratio[1:], "log_ratio"),
         ("log_ratio", lambda ratio: np.full_like(ratio, np.nan), "log_ratio"),
-        ("drives", lambda drives: np.where(np.arange(drives.size) == drives.size - 1, 2, drives), "drives"),
+        (
+            "drives",
+            lambda drives: np.where(np.arange(drives.size) == drives.size - 1, 2, drives),
+            "drives",
+        ),
         ("goals", lambda _: ("",), "goals"),
         ("goals", lambda _: ("a\x1b[2J",), "goals"),
         ("goals", lambda _: ("x" * 65,), "goals"),
@@ -273,6 +315,8 @@ def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: 
 
 def test_an_executor_of_ones_own_learns_the_same_map(tmp_path: Path) -> None:
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        mapping.fit([corridor.drive()], corridor.FEATURES, parallel=pool.map).save(tmp_path / "there")
+        mapping.fit([corridor.drive()], corridor.FEATURES, parallel=pool.map).save(
+            tmp_path / "there"
+        )
     corridor.save_model(tmp_path / "here")
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()

@@ -45,7 +45,10 @@ class Site:
         self.root = root
         self.poses: list[Pose] = []
         self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
-        bus.subscribe(topics.POSE, lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)))
+        bus.subscribe(
+            topics.POSE,
+            lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)),
+        )
         bus.subscribe(topics.APPLIED, self._note)
         self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
         bus.subscribe(topics.EPISODE, self._note_end)
@@ -67,7 +70,9 @@ class Site:
     def stood_s(self, since_s: float) -> float:
         """Wait until the actuator stands; return how long after a time it was last told to move."""
         eventually(lambda: not self.drives)
-        return max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+        return (
+            max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+        )
 
     def pid_of_console(self) -> int:
         """Wait until the console answers; return its process id."""
@@ -99,7 +104,9 @@ def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page
     finally:
         if not page.is_closed():
             # pytest shows it where the test has failed.
-            sys.stdout.write("\n".join(page.inner_text(part) for part in ("#status", "#job", "#news")) + "\n")
+            sys.stdout.write(
+                "\n".join(page.inner_text(part) for part in ("#status", "#job", "#news")) + "\n"
+            )
         context.close()
     assert errors == []
 
@@ -125,7 +132,9 @@ def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
         lambda: page.click("#drive-form button"),
         # Pressed twice, it has begun two, and the page follows.
         lambda: (
-            data(page, "episode") not in ("", before) and site.poses and site.poses[-1].episode == data(page, "episode")
+            data(page, "episode") not in ("", before)
+            and site.poses
+            and site.poses[-1].episode == data(page, "episode")
         ),
     )
 
@@ -210,7 +219,9 @@ def run_in(page: Page, script: str) -> Any:
 def drop(page: Page, file: Path, name: str) -> None:
     """Drop a file on the map, as from a folder's window."""
     run_in(page, "var dropped = new DataTransfer()")
-    run_in(page, f"dropped.items.add(new File([{json.dumps(file.read_text())}], {json.dumps(name)}))")
+    run_in(
+        page, f"dropped.items.add(new File([{json.dumps(file.read_text())}], {json.dumps(name)}))"
+    )
     event = "new DragEvent('drop', {dataTransfer: dropped, bubbles: true, cancelable: true})"
     run_in(page, f"document.querySelector('#map').dispatchEvent({event})")
 

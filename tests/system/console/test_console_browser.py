@@ -50,7 +50,12 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     page.click("#learn-form button:not([type])")
     eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=240.0)
     eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
-    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
+    insist(
+        page,
+        site,
+        lambda: page.click("#run-form button"),
+        lambda: data(page, "episode").startswith("run"),
+    )
     eventually(lambda: page.locator("#belief img").get_attribute("src"))
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
@@ -68,7 +73,10 @@ def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) ->
         page,
         site,
         lambda: page.click("#drive-form button"),
-        lambda: data(page, "episode").startswith("by-night-") and "in My town-" in page.inner_text("#episode"),
+        lambda: (
+            data(page, "episode").startswith("by-night-")
+            and "in My town-" in page.inner_text("#episode")
+        ),
     )
     assert site.robot("variation") == "dark"
     page.click("#end")
@@ -90,8 +98,14 @@ FATES: dict[str, Callable[[Page], None]] = {
 LETS_GO: dict[str, tuple[Callable[[Page], None], Callable[[Page], None]]] = {
     "without focus": (in_page("window.dispatchEvent(new Event('blur'))"), lambda _: None),
     # Then the page hears of no key that is let go; nor while something is dragged, nor with Meta.
-    "menu": (in_page("document.body.dispatchEvent(new Event('contextmenu', {bubbles: true}))"), lambda _: None),
-    "dragged": (in_page("document.body.dispatchEvent(new Event('dragstart', {bubbles: true}))"), lambda _: None),
+    "menu": (
+        in_page("document.body.dispatchEvent(new Event('contextmenu', {bubbles: true}))"),
+        lambda _: None,
+    ),
+    "dragged": (
+        in_page("document.body.dispatchEvent(new Event('dragstart', {bubbles: true}))"),
+        lambda _: None,
+    ),
     "with Meta": (lambda page: page.keyboard.down("Meta"), lambda page: page.keyboard.up("Meta")),
     "stopped by Escape": (lambda page: page.keyboard.press("Escape"), lambda _: None),
     "stopped by the red button": (lambda page: page.click("#stop"), lambda _: None),
@@ -99,7 +113,9 @@ LETS_GO: dict[str, tuple[Callable[[Page], None], Callable[[Page], None]]] = {
 }
 
 
-def stands_in_time(page: Page, site: Site, lost_s: Lost, befalls: Callable[[Page], None], name: str) -> None:
+def stands_in_time(
+    page: Page, site: Site, lost_s: Lost, befalls: Callable[[Page], None], name: str
+) -> None:
     """Have something befall a page by which the robot moves."""
     # Chromium takes its time for some of these: the robot is watched meanwhile, on a thread of the bus.
     began_s = time.monotonic()
@@ -109,7 +125,9 @@ def stands_in_time(page: Page, site: Site, lost_s: Lost, befalls: Callable[[Page
 
 
 @pytest.mark.parametrize("fate", FATES)
-def test_whatever_becomes_of_the_page_the_robot_stands(browser: Browser, site: Site, lost_s: Lost, fate: str) -> None:
+def test_whatever_becomes_of_the_page_the_robot_stands(
+    browser: Browser, site: Site, lost_s: Lost, fate: str
+) -> None:
     with opened(browser, site) as page:
         drive_ahead(page, site)
         stands_in_time(page, site, lost_s, FATES[fate], fate)
@@ -150,13 +168,18 @@ def killed(site: Site) -> Iterator[None]:
         site.pid_of_console()
 
 
-def test_without_its_console_the_robot_stands_until_somebody_asks(browser: Browser, site: Site, lost_s: Lost) -> None:
+def test_without_its_console_the_robot_stands_until_somebody_asks(
+    browser: Browser, site: Site, lost_s: Lost
+) -> None:
     faults: tuple[tuple[Callable[[int], AbstractContextManager[None]], str], ...] = (
         (lambda _: frozen(site.pid_of_console()), "The console has been silent for"),
         (frozen, "The console has been silent for"),  # the link
         (lambda _: killed(site), "No connection to the console for"),
     )
-    with link(f"tcp/{site.address}") as way, opened(browser, site, way.address.removeprefix("tcp/")) as page:
+    with (
+        link(f"tcp/{site.address}") as way,
+        opened(browser, site, way.address.removeprefix("tcp/")) as page,
+    ):
         drive_ahead(page, site)
         for fault, says in faults:
             began_s = time.monotonic()
@@ -178,6 +201,11 @@ def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
     with frozen(site.pid_of_console()):
         eventually(lambda: told(page).startswith("The console has been silent for"))
         page.keyboard.press("Escape")
-        eventually(lambda: "The console does not answer: the emergency stop may be late." in page.inner_text("#news"))
+        eventually(
+            lambda: (
+                "The console does not answer: the emergency stop may be late."
+                in page.inner_text("#news")
+            )
+        )
     eventually(lambda: "EMERGENCY STOP" in told(page))
     arm(page, site)

@@ -40,7 +40,12 @@ def begin_a_run(page: Page, site: Site) -> None:
     page.select_option("#world-form [name=world]", "near")
     eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
     page.select_option("#run-form select[name=model]", name)
-    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
+    insist(
+        page,
+        site,
+        lambda: page.click("#run-form button"),
+        lambda: data(page, "episode").startswith("run"),
+    )
     eventually(lambda: page.locator("#belief img").get_attribute("src"))
 
 
@@ -63,7 +68,9 @@ VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => vi
 
 @pytest.mark.usefixtures("taught_here")
 def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
-    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
+    axe = pytest.importorskip(
+        "axe_playwright_python.base", reason="axe-playwright-python is not installed"
+    )
     run_in(page, f"{axe.AXE_SCRIPT}; 0")
 
     def violations(sizes: dict[int, int] = SIZES) -> dict[tuple[str, int], list[str]]:
@@ -96,7 +103,9 @@ FOCUSED = """(() => {
 })()"""
 
 
-def test_keys_alone_reach_everything_and_drive(page: Page, site: Site, lost_s: Callable[[float], float]) -> None:
+def test_keys_alone_reach_everything_and_drive(
+    page: Page, site: Site, lost_s: Callable[[float], float]
+) -> None:
     def enter() -> None:
         page.focus("#drive-form [name=goal]")
         page.keyboard.press("Enter")
@@ -115,11 +124,20 @@ def test_keys_alone_reach_everything_and_drive(page: Page, site: Site, lost_s: C
             break
     reached.pop(-1, None)
     # What has gone meanwhile need not be reached.
-    still = "window.controls.map((one) => one.isConnected && one.checkVisibility() && !one.disabled)"
-    missing = [place for place, there in enumerate(run_in(page, still)) if there and place not in reached]
-    assert not missing, run_in(page, f"{missing}.map((k) => [controls[k].isConnected, controls[k].outerHTML]).join()")
+    still = (
+        "window.controls.map((one) => one.isConnected && one.checkVisibility() && !one.disabled)"
+    )
+    missing = [
+        place for place, there in enumerate(run_in(page, still)) if there and place not in reached
+    ]
+    assert not missing, run_in(
+        page, f"{missing}.map((k) => [controls[k].isConnected, controls[k].outerHTML]).join()"
+    )
     assert [one for one in reached.values() if one != ["solid", "3px"]] == []
-    for key, let_go in (("Space", page.keyboard.up), ("Enter", lambda _: page.keyboard.press("Tab"))):
+    for key, let_go in (
+        ("Space", page.keyboard.up),
+        ("Enter", lambda _: page.keyboard.press("Tab")),
+    ):
 
         def press(key: str = key) -> None:
             page.keyboard.up(key)

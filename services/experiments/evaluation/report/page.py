@@ -31,9 +31,22 @@ from services.experiments.evaluation.plan import (
     TEACHING_SEED,
     EvaluationPlan,
 )
-from services.experiments.evaluation.report.summary import SOON_S, Recognized, Success, WorldResults, results_of
+from services.experiments.evaluation.report.summary import (
+    SOON_S,
+    Recognized,
+    Success,
+    WorldResults,
+    results_of,
+)
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import LearnUnit, Query, Searches, Teach, code_fingerprint, units
+from services.experiments.evaluation.units import (
+    LearnUnit,
+    Query,
+    Searches,
+    Teach,
+    code_fingerprint,
+    units,
+)
 from services.experiments.words import counted
 from services.kit.jpeg import decode_jpeg
 from services.kit.model_service import LEAST_TICKS
@@ -85,8 +98,14 @@ def write_page(plan: EvaluationPlan, results: Results) -> Path:
         if each.recognized:
             body += _recognition(each, put)
         if each.successes:
-            here = [one for one in findings if one.site.world == each.world.world and findings[one].get("file")]
-            body += _finding(each, [one.file(results.work) for one in here if isinstance(one, Searches)], put)
+            here = [
+                one
+                for one in findings
+                if one.site.world == each.world.world and findings[one].get("file")
+            ]
+            body += _finding(
+                each, [one.file(results.work) for one in here if isinstance(one, Searches)], put
+            )
     body += _method(plan, results)
     return html.write_page(results.folder, f"SMAL: evaluation in simulation ({plan.name})", body)
 
@@ -96,7 +115,9 @@ def embed(folder: Path, name: str, figure: Figure, caption: str) -> str:
     data = html.png(figure, _DPI)
     folder.mkdir(exist_ok=True)
     write_whole(folder / f"{name}.png", data)
-    return f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
+    return (
+        f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
+    )
 
 
 def _seconds(results: Results) -> float:
@@ -117,7 +138,9 @@ def _introduction(plan: EvaluationPlan, results: Results) -> Iterator[str]:
     yield html.tiles(
         {
             "worlds": ", ".join(world.title for world in plan.worlds),
-            "searches": str(sum(len(found[one]["searches"]) for one in found if isinstance(one, Searches))),
+            "searches": str(
+                sum(len(found[one]["searches"]) for one in found if isinstance(one, Searches))
+            ),
             "held-out frames": f"{sum(found[one]['frames'] for one in found if isinstance(one, Query)):,}",
             "processor time": f"{_seconds(results) / 60:.0f} min",
             "version": program_version(),
@@ -129,7 +152,9 @@ def _recognition(found: WorldResults, put: Put) -> Iterator[str]:
     name = found.world.title
     scene = "the indoor search" if name == "indoor" else "the urban search"
     world = found.world
-    views = "; ".join(f"<b>{name}</b>: {escape(DEGRADATIONS[name].meaning)}" for name in world.recognized)
+    views = "; ".join(
+        f"<b>{name}</b>: {escape(DEGRADATIONS[name].meaning)}" for name in world.recognized
+    )
     yield (
         "<h3>Recognizing where the robot is</h3><p><b>One criterion for all methods:</b> an answer is right if the "
         "demonstrated frame that the method takes the robot to be at was taken "
@@ -157,7 +182,15 @@ def _recognition(found: WorldResults, put: Put) -> Iterator[str]:
         ]
         for one in found.recognized
     ]  # fmt: skip
-    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "frames with a right answer"]
+    head = [
+        "method",
+        "view",
+        "area",
+        "95 %",
+        "recall at 100 % precision",
+        "95 %",
+        "frames with a right answer",
+    ]
     yield html.table(head, rows, left=2)
 
 
@@ -191,7 +224,9 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
             ])  # fmt: skip
         yield "<h3>Errands</h3>"
         yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
-        yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
+        yield html.table(
+            ["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2
+        )
     yield "<h3>An example</h3>"
     if not examples:
         yield "<p>No search of SMAL found the victim: no example.</p>"
@@ -206,7 +241,10 @@ def _finding(found: WorldResults, examples: Sequence[Path], put: Put) -> Iterato
 
 def _searches(found: Sequence[Success]) -> Iterator[str]:
     usual = [one for one in found if one.trial.condition == "as taught"]
-    special = sorted((one for one in found if one not in usual), key=lambda one: (one.trial.condition, one.trial.title))
+    special = sorted(
+        (one for one in found if one not in usual),
+        key=lambda one: (one.trial.condition, one.trial.title),
+    )
     rows = [
         [
             one.trial.condition, str(one.trial.drives), one.trial.title, one.said, _interval(one.wilson_95, ".0%"),
@@ -257,7 +295,11 @@ def _method(plan: EvaluationPlan, results: Results) -> Iterator[str]:
     )
     rows = []
     for world in plan.worlds:
-        here = {unit: found for unit, found in results.findings.items() if unit.site.world == world.world}
+        here = {
+            unit: found
+            for unit, found in results.findings.items()
+            if unit.site.world == world.world
+        }
         frames = [found["frames"] for unit, found in here.items() if isinstance(unit, Teach)]
         states = ", ".join(f"{here[one]['states']} ({counted(len(one.needs), 'drive')}, l = {one.length})"
                            for one in here if isinstance(one, LearnUnit) and one.length)  # fmt: skip
@@ -269,7 +311,9 @@ def _method(plan: EvaluationPlan, results: Results) -> Iterator[str]:
     )
 
 
-def _panels(count: int, width: float, height: float, title: str, *, sharey: bool = False) -> tuple[Figure, list[Axes]]:
+def _panels(
+    count: int, width: float, height: float, title: str, *, sharey: bool = False
+) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels side by side, inches wide and high each."""
     drawn = Figure(figsize=(width * count, height))
     drawn.suptitle(title)
@@ -298,10 +342,27 @@ def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
             label = f"{one.recognizer.title}  (area {one.curve.auc:.3f})"
             length = one.recognizer.length
-            shade = mpl.colormaps["viridis_r"](0.12 + 0.83 * sorted(lengths).index(length) / len(lengths))
-            colour, dashes = (shade, "-") if one.recognizer.eq9 else (_PEERS[f"nearest-{length}"], "--")
-            axes.step(recall[: precision.size], precision, where="pre", label=label, color=colour, ls=dashes, lw=2.2)
-        axes.set(xlim=(0, 1.015), ylim=(floor, 1.0 + 0.03 * (1.0 - floor)), xlabel="recall", ylabel="precision")
+            shade = mpl.colormaps["viridis_r"](
+                0.12 + 0.83 * sorted(lengths).index(length) / len(lengths)
+            )
+            colour, dashes = (
+                (shade, "-") if one.recognizer.eq9 else (_PEERS[f"nearest-{length}"], "--")
+            )
+            axes.step(
+                recall[: precision.size],
+                precision,
+                where="pre",
+                label=label,
+                color=colour,
+                ls=dashes,
+                lw=2.2,
+            )
+        axes.set(
+            xlim=(0, 1.015),
+            ylim=(floor, 1.0 + 0.03 * (1.0 - floor)),
+            xlabel="recall",
+            ylabel="precision",
+        )
         axes.set_title(said)
         axes.legend(loc="lower left")
     return drawn
@@ -321,7 +382,13 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
                 continue
             place = counts.index(one.trial.drives)
             at = place + (number - (len(names) - 1) / 2) * width
-            axes.bar(at, one.rate, 0.9 * width, color=_PEERS[name], label=None if place else one.trial.title)
+            axes.bar(
+                at,
+                one.rate,
+                0.9 * width,
+                color=_PEERS[name],
+                label=None if place else one.trial.title,
+            )
             axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
             axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=6)
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
@@ -335,7 +402,9 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation."""
     every = [one for one in found if one.trial.controller == "paper"]
     most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
-    paper = sorted((one for one in every if one.trial.drives == most), key=lambda one: one.trial.length)
+    paper = sorted(
+        (one for one in every if one.trial.drives == most), key=lambda one: one.trial.length
+    )
     views = _views(one.trial.degradation for one in paper)
     ticks = sorted({one.trial.length for one in paper})
     drawn, panels = _panels(len(views), 5.6, 4.2, title, sharey=True)
@@ -345,9 +414,13 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
         (low, high) = np.array([one.wilson_95 for one in each]).T
         around = np.maximum([rates - low, high - rates], 0.0)
         at = [ticks.index(one.trial.length) for one in each]
-        axes.errorbar(at, rates, around, lw=2, capsize=4, elinewidth=1.2, color=_PEERS["paper"], marker="s")
+        axes.errorbar(
+            at, rates, around, lw=2, capsize=4, elinewidth=1.2, color=_PEERS["paper"], marker="s"
+        )
         axes.set_xticks(range(len(ticks)), [str(length) for length in ticks])
-        axes.set(ylim=(-0.03, 1.05), title=said, xlabel=f"sequence length l (frames), {most} drives")
+        axes.set(
+            ylim=(-0.03, 1.05), title=said, xlabel=f"sequence length l (frames), {most} drives"
+        )
     panels[0].set_ylabel("searches that found the victim")
     return drawn
 
@@ -357,7 +430,9 @@ def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> 
     """Draw the way of a search, its ``poses``, on the map, and what the camera saw along it, by ticks."""
     poses = route["poses"]
     ticks = sorted(int(name) for name in route if name.isdigit())
-    chosen = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)]
+    chosen = [
+        ticks[k] for k in np.linspace(0, len(ticks) - 1, min(VIEWS, len(ticks))).round().astype(int)
+    ]
     drawn = Figure(figsize=(15.0, 8.1))
     drawn.suptitle(title)
     grid = drawn.add_gridspec(2, len(chosen), height_ratios=[3.2, 1.0])

@@ -76,17 +76,25 @@ class Success:
         found = np.array(self.outcomes) == "found"
         shares = found * shortest / np.maximum(np.maximum(driven, shortest), 1e-9)
         self.spl = None if trial.kidnap_tick else float(shares.mean())
-        self.aside_rms_m = float(np.sqrt(np.average(self._of("aside_rms_m") ** 2, weights=ticks + 1)))
+        self.aside_rms_m = float(
+            np.sqrt(np.average(self._of("aside_rms_m") ** 2, weights=ticks + 1))
+        )
         self.aside_max_m = float(self._of("aside_max_m").max())
         self.clearance_p5_m = float(self._of("clearance_p5_m").mean())
-        self.turns_per_m = float(self._of("turns").sum() / driven.sum()) if driven.sum() > 1.0 else None
+        self.turns_per_m = (
+            float(self._of("turns").sum() / driven.sum()) if driven.sum() > 1.0 else None
+        )
         self.jerk_m_s3 = float(np.sqrt(np.average(self._of("jerk_m_s3") ** 2, weights=ticks + 1)))
         told = found.any() and not trial.kidnap_tick and trial.start == "start"
-        self.time_over_taught = float((ticks / self._of("taught_ticks"))[found].mean()) if told else None
+        self.time_over_taught = (
+            float((ticks / self._of("taught_ticks"))[found].mean()) if told else None
+        )
         failed = sum(one["outcome"] != "found" and one["right"] is not True for one in searches)
         self.interventions_per_km = 1e3 * failed / driven.sum() if driven.sum() > 1.0 else None
         tells = "wrong_share" in searches[0]
-        self.wrong_share = float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None
+        self.wrong_share = (
+            float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None
+        )
         times = [one["right_after_s"] for one in searches if "right_after_s" in one]
         soon = [time is not None and time <= SOON_S for time in times]
         self.right_soon = (sum(soon), len(soon)) if soon else None
@@ -101,8 +109,14 @@ class Success:
 
     def as_json(self) -> dict[str, Any]:
         """Return its numbers."""
-        own = {name: value for name, value in vars(self).items() if name not in ("trial", "searches")}
-        return asdict(self.trial) | {"condition": self.trial.condition, "success_rate": self.rate} | own
+        own = {
+            name: value for name, value in vars(self).items() if name not in ("trial", "searches")
+        }
+        return (
+            asdict(self.trial)
+            | {"condition": self.trial.condition, "success_rate": self.rate}
+            | own
+        )
 
 
 @dataclass(frozen=True)
@@ -123,9 +137,15 @@ class WorldResults:
         }
 
 
-def results_of(world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]) -> WorldResults:
+def results_of(
+    world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]
+) -> WorldResults:
     """Put together what was found out in a world."""
-    here = [(unit, findings[unit]) for unit in units if unit in findings and unit.site.world == world.world]
+    here = [
+        (unit, findings[unit])
+        for unit in units
+        if unit in findings and unit.site.world == world.world
+    ]
     searches: dict[Trial, list[Finding]] = {}
     for unit, one in here:
         if isinstance(unit, Searches):
@@ -142,7 +162,9 @@ def results_of(world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, 
     )
 
 
-def recognized(world: WorldPlan, recognizer: RecognizerName, degradation: str, parts: Sequence[Finding]) -> Recognized:
+def recognized(
+    world: WorldPlan, recognizer: RecognizerName, degradation: str, parts: Sequence[Finding]
+) -> Recognized:
     """Judge one method by what was found out of each held-out drive."""
     names = "tick", "score", "answered", "right", "findable"
     tick, score, *flags = (np.concatenate([part[name] for part in parts]) for name in names)

@@ -31,7 +31,13 @@ CAUSE = Message(robot="rescuebot", episode="e", tick=0, stamp_ns=0)
 class FakeSimulator:
     """Begins an episode in the world "campus", with decisions of some kinds, and ends it at tick 4 when asked to."""
 
-    decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
+    decisions = (
+        ("follow", 4),
+        ("look_around", None),
+        ("guess", 5),
+        ("stop", 5),
+        ("look_around", None),
+    )
     outcome: Outcome = "found"
     stop_cause: str | None = "not_armed"
     attended = False
@@ -63,7 +69,13 @@ class FakeSimulator:
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(
-                Action.after(cause, kind=kind, state=state, atoms=("left",), says="found" if kind == "goal" else None)
+                Action.after(
+                    cause,
+                    kind=kind,
+                    state=state,
+                    atoms=("left",),
+                    says="found" if kind == "goal" else None,
+                )
             )
         return ResetReply(episode="e", world="campus", route=self.route, speed_m_s=2.0, found_m=5.0)
 
@@ -72,7 +84,13 @@ class FakeSimulator:
         last = CAUSE.model_copy(update={"tick": 4})
         self._node.publish(
             Episode.after(
-                last, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome=self.outcome
+                last,
+                event="ended",
+                purpose="run",
+                driver="policy",
+                world="campus",
+                seed=3,
+                outcome=self.outcome,
             )
         )
 
@@ -103,7 +121,9 @@ def test_a_robot_that_says_that_it_has_arrived_is_judged(
     assert (record.outcome, record.said, simulator.ended) == (outcome, "found", ["e"])
 
 
-def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, client: EpisodeClient) -> None:
+def test_where_the_operator_judges_they_are_waited_for(
+    simulator: FakeSimulator, client: EpisodeClient
+) -> None:
     simulator.decisions = (("goal", 9),)
     simulator.judge = "operator"
     record = client.run(REQUEST)
@@ -112,23 +132,36 @@ def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator,
 
 @pytest.mark.parametrize(
     ("cause", "attended", "armed"),
-    [("not_armed", False, [7]), ("not_armed", True, []), ("emergency_stop", False, []), (None, False, [])],
+    [
+        ("not_armed", False, [7]),
+        ("not_armed", True, []),
+        ("emergency_stop", False, []),
+        (None, False, []),
+    ],
 )
 def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
-    cause: str | None, attended: bool, armed: list[int], simulator: FakeSimulator, client: EpisodeClient
+    cause: str | None,
+    attended: bool,
+    armed: list[int],
+    simulator: FakeSimulator,
+    client: EpisodeClient,
 ) -> None:
     simulator.stop_cause = cause
     simulator.attended = attended
     simulator.decisions = (("goal", 9),)
     for _ in range(2):
         client.run(REQUEST)
-    assert simulator.armed == armed, "once: one that was started again meanwhile is armed by a person"
+    assert simulator.armed == armed, (
+        "once: one that was started again meanwhile is armed by a person"
+    )
 
 
 def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
     simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
-    with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
+    with pytest.raises(
+        JobError, match="the stack runs campus, not yard; start it with --world yard"
+    ):
         client.run(REQUEST, world="yard")
     assert simulator.ended == ["e"]
 
@@ -139,7 +172,9 @@ def test_things_that_no_report_could_show_are_an_error(
     client: EpisodeClient,
 ) -> None:  # fmt: skip
     robot = Node("robot", settings)
-    said = ResetReply(episode="e", world="campus", speed_m_s=2.0).model_copy(update={"things": things})
+    said = ResetReply(episode="e", world="campus", speed_m_s=2.0).model_copy(
+        update={"things": things}
+    )
     robot.serve("reset", ResetRequest, lambda _request: said)
     run_node(robot)
     with pytest.raises(JobError, match="robot reset: malformed reply: things"):
@@ -149,7 +184,11 @@ def test_things_that_no_report_could_show_are_an_error(
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])
 @pytest.mark.parametrize("wrong", CHAIN)
 def test_results_of_another_model_are_an_error(
-    wrong: str, others: str | None, settings: ServiceSettings, run_node: RunNode, client: EpisodeClient
+    wrong: str,
+    others: str | None,
+    settings: ServiceSettings,
+    run_node: RunNode,
+    client: EpisodeClient,
 ) -> None:
     has: dict[str, str | None] = dict.fromkeys(CHAIN, "0123456789abcdef")
     for service in CHAIN:
@@ -158,23 +197,33 @@ def test_results_of_another_model_are_an_error(
         run_node(node)
     _check_models(client.node.bus, "0123456789abcdef", None)
     has[wrong] = others
-    with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
+    with pytest.raises(
+        JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"
+    ):
         _check_models(client.node.bus, "0123456789abcdef", None)
 
 
 class FakeStack:
     """A stack that `smal run` may use: it loads any model, and begins `begins` episodes."""
 
-    def __init__(self, settings: ServiceSettings, run_node: RunNode, root: Path, features: FeatureSettings) -> None:
+    def __init__(
+        self, settings: ServiceSettings, run_node: RunNode, root: Path, features: FeatureSettings
+    ) -> None:
         self.asked: list[ResetRequest] = []
         self.loaded: list[LoadRequest] = []
         self.begins = 0
         self._robot = Node("robot", settings)
         self._robot.serve("reset", ResetRequest, self.reset)
         nodes = {name: Node(name, settings) for name in ("features", *CHAIN)}
-        nodes["features"].detail = lambda: {"fingerprint": features.fingerprint, "modalities": "color hog"}
+        nodes["features"].detail = lambda: {
+            "fingerprint": features.fingerprint,
+            "modalities": "color hog",
+        }
         for name in CHAIN:
-            nodes[name].detail = lambda: {"checksum": identity_of(corridor.model()), "root": str(root)}
+            nodes[name].detail = lambda: {
+                "checksum": identity_of(corridor.model()),
+                "root": str(root),
+            }
             nodes[name].serve("load", LoadRequest, self.load)
         for node in (self._robot, *nodes.values()):
             run_node(node)
@@ -186,7 +235,13 @@ class FakeStack:
             raise ServiceError("enough seen")
         outcome: Outcome = "found" if len(self.asked) <= self.begins else "aborted"
         last = CAUSE.model_copy(update={"tick": 4, "episode": f"e{len(self.asked)}"})
-        told = {"purpose": "run", "driver": "policy", "world": "yard", "seed": request.seed, "outcome": outcome}
+        told = {
+            "purpose": "run",
+            "driver": "policy",
+            "world": "yard",
+            "seed": request.seed,
+            "outcome": outcome,
+        }
         Timer(0.2, lambda: self._robot.publish(Episode.after(last, event="ended", **told))).start()
         return ResetReply(episode=last.episode, world="yard", speed_m_s=2.0)
 
@@ -197,7 +252,8 @@ class FakeStack:
 
 
 @pytest.mark.parametrize(
-    ("flags", "start", "kidnap_tick"), [(("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)]
+    ("flags", "start", "kidnap_tick"),
+    [(("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)],
 )
 def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_though_a_later_one_fails(
     flags: tuple[str, ...], start: str, kidnap_tick: int | None, settings: ServiceSettings, run_node: RunNode,
@@ -215,7 +271,10 @@ def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_thou
     ]
     assert stack.loaded == [LoadRequest(model="mapped.smal")] * 2
     written = json.loads((tmp_path / "runs.json").read_text())
-    assert [(one["seed"], one["outcome"]) for one in written["episodes"]] == [(1, "found"), (2, "found")]
+    assert [(one["seed"], one["outcome"]) for one in written["episodes"]] == [
+        (1, "found"),
+        (2, "found"),
+    ]
     assert written["success_rate"] == 1.0
 
 
@@ -224,7 +283,12 @@ def test_a_model_of_other_features_is_an_error_before_the_first_run(
 ) -> None:
     stack = FakeStack(settings, run_node, tmp_path, FeatureSettings())
     path = corridor.save_model(tmp_path / "mapped.smal")
-    said = mistake(EXIT_FAILED, "run", "--model", path, "--world", "yard", "--connect", settings.router)
+    said = mistake(
+        EXIT_FAILED, "run", "--model", path, "--world", "yard", "--connect", settings.router
+    )
     names = ",".join(corridor.FEATURES.modalities)
-    assert f"learned on the features {names}, and the stack makes color,hog; start it with `smal up --mod" in said
+    assert (
+        f"learned on the features {names}, and the stack makes color,hog; start it with `smal up --mod"
+        in said
+    )
     assert stack.asked == []

@@ -16,7 +16,11 @@ from tests.services.waiting import eventually, introduce, ready
 
 
 def test_command_reports_why_when_nothing_is_recorded(
-    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    settings: ServiceSettings,
+    run_node: RunNode,
+    client: Bus,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     node = Node("recorder", settings)
     RecorderService(node, tmp_path, disk=Disk(lambda: 0.0, lambda _: 0))
@@ -28,6 +32,7 @@ def test_command_reports_why_when_nothing_is_recorded(
         client.publish(image("e", 0))
         eventually(lambda: ready(client, "recorder").detail["lost"])
     assert files == []
-    assert "messages (cannot record episode e: the disk is full (0 MB are free): no more is recorded)" in (
-        capsys.readouterr().out
+    assert (
+        "messages (cannot record episode e: the disk is full (0 MB are free): no more is recorded)"
+        in (capsys.readouterr().out)
     )

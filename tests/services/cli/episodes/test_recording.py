@@ -72,7 +72,10 @@ def test_a_recorder_that_refuses_the_folder_goes_on_with_its_own(
     recorder: FakeRecorder, client: Bus, tmp_path: Path
 ) -> None:
     recorder.refuses = "start"
-    with pytest.raises(RpcError, match="recorder start: no disk"), recording(client, tmp_path / "drives", "--out"):
+    with (
+        pytest.raises(RpcError, match="recorder start: no disk"),
+        recording(client, tmp_path / "drives", "--out"),
+    ):
         pytest.fail("nothing is recorded")
     assert recorder.told == ["start drives"]
 

@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 
 from services.experiments.evaluation.drives import save_arrays
-from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, EvaluationPlan, Trial, WorldPlan
+from services.experiments.evaluation.plan import (
+    CONTROLLERS,
+    JUDGED_TICKS,
+    Criterion,
+    EvaluationPlan,
+    Trial,
+    WorldPlan,
+)
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import (
     Errand,
@@ -55,7 +62,10 @@ def finding(unit: Unit) -> Finding:
             return {"frames": QUERIES}
         case Searches():
             seeds = range(1 + unit.which, 9, unit.trial.sets)
-            return {"searches": [search(unit.trial, seed) for seed in seeds], "file": unit.is_example}
+            return {
+                "searches": [search(unit.trial, seed) for seed in seeds],
+                "file": unit.is_example,
+            }
         case Errand():
             outcomes = ["found"] * 9 + ["timeout"]
             return {"outcomes": outcomes, "driven_m": [120.0] * 10, "taught_m": [190.0, 130.0]}

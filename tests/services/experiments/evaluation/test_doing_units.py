@@ -12,7 +12,13 @@ import pytest
 
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation import units as work
-from services.experiments.evaluation.plan import CONTROLLERS, Criterion, EvaluationPlan, Trial, WorldPlan
+from services.experiments.evaluation.plan import (
+    CONTROLLERS,
+    Criterion,
+    EvaluationPlan,
+    Trial,
+    WorldPlan,
+)
 from services.experiments.evaluation.results import timed
 from services.experiments.evaluation.search import finding, search
 from services.experiments.evaluation.units import Finding, Recognize, Searches, Unit, units
@@ -30,7 +36,14 @@ def plan(world: Path) -> EvaluationPlan:
     """Return a plan in which every unit does something."""
     special = Trial("smal", 1, 1, kidnap_tick=10), Trial("smal", 1, 1, degradation="occluded")
     trials = (*(Trial(name, 1, 1) for name in CONTROLLERS), *special)
-    small = WorldPlan(str(world), Criterion(1.0, 25.0), queries=1, lengths=(5,), recognized=("clean",), trials=trials)
+    small = WorldPlan(
+        str(world),
+        Criterion(1.0, 25.0),
+        queries=1,
+        lengths=(5,),
+        recognized=("clean",),
+        trials=trials,
+    )
     return EvaluationPlan("small", (small,), patience=0.2)
 
 
@@ -47,11 +60,15 @@ class PlaceCamera(StubCamera):
 @cache
 def panorama(number: int) -> np.ndarray:
     coarse = np.random.default_rng(number).integers(0, 255, (6, 32, 3), dtype=np.uint8)
-    return cv2.resize(np.concatenate([coarse, coarse[:, :1]], axis=1), (264, 48))[:, :256].astype(float)
+    return cv2.resize(np.concatenate([coarse, coarse[:, :1]], axis=1), (264, 48))[:, :256].astype(
+        float
+    )
 
 
 @pytest.fixture(scope="module")
-def found(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
+def found(
+    near: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Path, dict[Unit, Finding]]]:
     """Do all units of the plan, one after another."""
     folder = tmp_path_factory.mktemp("units")
     patch = pytest.MonkeyPatch()
@@ -63,7 +80,9 @@ def found(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tupl
     patch.undo()
 
 
-def test_whatever_is_found_is_numbers_and_files_are_where_it_says(found: tuple[Path, dict[Unit, Finding]]) -> None:
+def test_whatever_is_found_is_numbers_and_files_are_where_it_says(
+    found: tuple[Path, dict[Unit, Finding]],
+) -> None:
     folder, every = found
     for unit, one in every.items():
         assert json.loads(json.dumps(one)) == one
@@ -78,7 +97,10 @@ def test_whatever_is_found_is_numbers_and_files_are_where_it_says(found: tuple[P
             if unit.trial.kidnap_tick:
                 # Being carried away is no driving, and its recovery is timed.
                 assert said["driven_m"] < 0.2 * said["ticks"] + 0.5  # at most 2 m/s
-                assert said["right_after_s"] is None or 0.0 <= said["right_after_s"] <= said["ticks"] / 10
+                assert (
+                    said["right_after_s"] is None
+                    or 0.0 <= said["right_after_s"] <= said["ticks"] / 10
+                )
         if isinstance(unit, Recognize):
             (said,) = one["queries"]
             assert len(said["score"]) == len(said["right"]) == len(said["findable"]) > 5
@@ -125,7 +147,11 @@ def test_a_belief_is_held_against_the_truth() -> None:
     seconds = np.arange(21) / 10
     carried_m = 100.0 * (np.arange(21) >= 10)
     way = np.column_stack([0.5 * seconds**3 + carried_m, carried_m, np.zeros(21)])
-    atoms = np.array([Atom.LEFT, Atom.LEFT, Atom.RIGHT, Atom.FORWARD, Atom.RIGHT] * 4, dtype=np.int8)
-    moved = finding(replace(made, poses=way, atoms=atoms, kidnap_tick=10), taught, Criterion(1.0, 25.0))
+    atoms = np.array(
+        [Atom.LEFT, Atom.LEFT, Atom.RIGHT, Atom.FORWARD, Atom.RIGHT] * 4, dtype=np.int8
+    )
+    moved = finding(
+        replace(made, poses=way, atoms=atoms, kidnap_tick=10), taught, Criterion(1.0, 25.0)
+    )
     assert (moved["jerk_m_s3"], moved["turns"]) == (pytest.approx(3.0), 12)
     assert moved["driven_m"] == pytest.approx(4.0, abs=0.2)

@@ -45,7 +45,9 @@ def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> PaperModel:
     places = rng.random((40, features.size), dtype=np.float32)
     drives = []
     for number, count in enumerate(frames):
-        views = places[number * 2 : number * 2 + count] + 0.01 * rng.random((count, features.size), dtype=np.float32)
+        views = places[number * 2 : number * 2 + count] + 0.01 * rng.random(
+            (count, features.size), dtype=np.float32
+        )
         atoms = np.full(count, Atom.FORWARD, dtype=np.int8)
         drives.append(Demonstration(f"drive-{number}", views, atoms))
     settings = LearningSettings(sequence_length=LENGTH)
@@ -65,7 +67,9 @@ def test_a_template_is_where_it_was_demonstrated() -> None:
             if state not in made:
                 for phase in range(2 * LENGTH - 1):
                     expected = min(begin + number * LENGTH + phase, last)
-                    assert frame_of(state, phase + 0.3) == expected, "and not beyond the demonstration"
+                    assert frame_of(state, phase + 0.3) == expected, (
+                        "and not beyond the demonstration"
+                    )
             made.add(state)
         start += len(atoms)
     assert made == set(range(model.states))
@@ -76,8 +80,16 @@ def test_the_nearest_window_is_imitated() -> None:
     images = [picture(place) for place in (1, 20, 40, 20)]
     features = np.stack([extract(image, COLOR) for image in images])
     atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.STOP], dtype=np.int8)
-    drives = [Demonstration("d", features[:2], atoms[:2]), Demonstration("e", features[2:], atoms[2:])]
+    drives = [
+        Demonstration("d", features[:2], atoms[:2]),
+        Demonstration("e", features[2:], atoms[2:]),
+    ]
     one = NearestImitation(drives, COLOR)
     two = NearestImitation(drives, COLOR, 2)
-    assert [one.step(image) for image in images] == [Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.LEFT]
+    assert [one.step(image) for image in images] == [
+        Atom.FORWARD,
+        Atom.LEFT,
+        Atom.FORWARD,
+        Atom.LEFT,
+    ]
     assert [two.step(image) for image in images[2:]] == [Atom.FORWARD, Atom.STOP]

@@ -37,7 +37,9 @@ def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(
     sources = re.findall(r'(?:src|href)="([^"]{0,22})', text)
     assert sources == ["data:image/png;base64,"] * len(FIGURES)
     assert {path.stem for path in (page.parent / "figures").iterdir()} == FIGURES
-    assert "{" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL), "a text that was not filled in"
+    assert "{" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL), (
+        "a text that was not filled in"
+    )
     for said in (
         "within 1 m and 25°", "nearly everything", "35% of the frames occluded",
         "<td>9 of 10</td>", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
@@ -45,7 +47,9 @@ def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(
         assert said in text, said
     numbers = json.loads((page.parent / "results.json").read_text())
     searches = numbers["worlds"]["yard"]["searches"]
-    assert {one["found"] for one in searches if one["controller"] == "paper" and one["length"] == 20} == {0}
+    assert {
+        one["found"] for one in searches if one["controller"] == "paper" and one["length"] == 20
+    } == {0}
     assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL)), abs=0.1)
 
 
@@ -60,7 +64,9 @@ def test_areas(world: WorldResults) -> None:
     # 37 right answers are the surest ones.
     assert {one.judgement.score.size for one in found.values()} == {56}
     right = int(single.judgement.right.sum())
-    assert (single.curve.auc, single.curve.recall_at_100_precision) == pytest.approx((right / 56, right / 56))
+    assert (single.curve.auc, single.curve.recall_at_100_precision) == pytest.approx(
+        (right / 56, right / 56)
+    )
     assert single.intervals.auc[0] < single.curve.auc < single.intervals.auc[1]
 
 
@@ -76,9 +82,15 @@ def test_counts_of_searches(world: WorldResults) -> None:
     assert blind.interventions_per_km == pytest.approx(10.0)
     assert (blind.wrong_share, blind.right_soon) == (None, None)
     ours = of("smal")
-    assert (ours.found, ours.wilson_95, ours.interventions_per_km) == (8, wilson_interval(8, 8), 0.0)
+    assert (ours.found, ours.wilson_95, ours.interventions_per_km) == (
+        8,
+        wilson_interval(8, 8),
+        0.0,
+    )
     assert (ours.spl, ours.aside_rms_m, ours.aside_max_m) == pytest.approx((0.8, 0.5, 1.5))
-    assert (ours.clearance_p5_m, ours.turns_per_m, ours.jerk_m_s3) == pytest.approx((0.35, 0.2, 2.0))
+    assert (ours.clearance_p5_m, ours.turns_per_m, ours.jerk_m_s3) == pytest.approx(
+        (0.35, 0.2, 2.0)
+    )
     assert ours.time_over_taught == pytest.approx(154.5 / 120.0)
     assert ours.wrong_share == pytest.approx(0.02)
     carried = of("smal", kidnap_tick=50)

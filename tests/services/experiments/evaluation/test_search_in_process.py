@@ -43,7 +43,9 @@ def by_services(
 ) -> tuple[Episode, NDArray[np.float64], list[Message]]:
     """Run an episode with the simulator's own messages; return its end, its poses, and what was answered."""
     runner = simulated(simulation)
-    _, waiting = runner.reset(ResetRequest(seed=seed, purpose=purpose, driver="policy", max_ticks=max_ticks))
+    _, waiting = runner.reset(
+        ResetRequest(seed=seed, purpose=purpose, driver="policy", max_ticks=max_ticks)
+    )
     poses = []
     answers = []
     end = None

@@ -110,6 +110,8 @@ def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
         results.complete([killed, after, always], engine, lambda *one: done.append(one))
     assert done == [(0, 3), (1, 3), (2, 3)]
     kept = Results(tmp_path, [killed, after, always]).findings
-    found = [{name: value for name, value in one.items() if name != "cpu_s"} for one in kept.values()]
+    found = [
+        {name: value for name, value in one.items() if name != "cpu_s"} for one in kept.values()
+    ]
     assert found == [{"seed": 2}, {"needs": 1, "threads": "1"}]
     assert multiprocessing.active_children() == []

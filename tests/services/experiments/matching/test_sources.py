@@ -45,7 +45,12 @@ def write(path: Path, image: np.ndarray) -> Path:
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 10**40), st.integers(0, 3), st.sampled_from(["img", "IMG", "Img"])), max_size=20),
+    st.lists(
+        st.tuples(
+            st.integers(0, 10**40), st.integers(0, 3), st.sampled_from(["img", "IMG", "Img"])
+        ),
+        max_size=20,
+    ),
     st.randoms(use_true_random=False),
 )
 def test_numbers_in_names_sort_by_value_whatever_their_zeros_and_letters(
@@ -73,7 +78,9 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
         assert read.dtype == np.uint8
         np.testing.assert_allclose(read.astype(int), image, atol=1)  # codecs round or cut off
 
-    transparent = np.dstack([cv2.cvtColor(image, cv2.COLOR_RGB2BGR), np.full(image.shape[:2], 9, np.uint8)])
+    transparent = np.dstack(
+        [cv2.cvtColor(image, cv2.COLOR_RGB2BGR), np.full(image.shape[:2], 9, np.uint8)]
+    )
     (tmp_path / "alpha.png").write_bytes(cv2.imencode(".png", transparent)[1].tobytes())
     read = read_color(tmp_path / "alpha.png")
     assert read is not None
@@ -93,7 +100,9 @@ def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:
 def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number in (1, 2, 10):
         write(tmp_path / f"img{number}.png", picture(number))
-    write(tmp_path / "img0.png", picture()).rename(tmp_path / "IMG3")  # an image without an extension
+    write(tmp_path / "img0.png", picture()).rename(
+        tmp_path / "IMG3"
+    )  # an image without an extension
     (tmp_path / "img4.jpg").write_bytes(b"no image")
     (tmp_path / "img5.png").symlink_to(tmp_path / "nowhere.png")
     (tmp_path / "truth.csv").write_text("query,reference_first,reference_last\n")
@@ -116,12 +125,16 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "OPENCV_IO_MAX_IMAGE_PIXELS"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "OPENCV_IO_MAX_IMAGE_PIXELS"
+    }
     done = subprocess.run(
         [sys.executable, "-c", "import os, services.cli; print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'])"],
         cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert 10**7 <= int(done.stdout) <= 10**8  # the camera's images pass, and three bytes a pixel fit into memory
+    assert (
+        10**7 <= int(done.stdout) <= 10**8
+    )  # the camera's images pass, and three bytes a pixel fit into memory
 
 
 def test_folders_that_are_none(tmp_path: Path) -> None:
@@ -130,7 +143,10 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "notes" / "a.txt").touch()
     for name, problem in (
         ("missing", "No such file or directory"),
-        ("notes/a.txt", "neither a folder of images, nor a recording, nor a video that OpenCV reads"),
+        (
+            "notes/a.txt",
+            "neither a folder of images, nor a recording, nor a video that OpenCV reads",
+        ),
         ("empty", r"no image in this folder \(files: 0\)"),
         ("notes", r"no image in this folder \(files: 1\)"),
     ):
@@ -138,4 +154,6 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
             open_source(tmp_path / name, "REFERENCE_DIR")
     (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
     with pytest.raises(JobError, match=r"no image can be read: b\.jpg"):
-        describe_frames(open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading", Engine(None))
+        describe_frames(
+            open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading", Engine(None)
+        )

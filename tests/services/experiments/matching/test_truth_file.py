@@ -35,7 +35,9 @@ def test_a_file_says_what_was_written(
     truth = read_truth(path, queries, references)
     assert truth.judged.tolist() == [query in right for query in range(queries)]
     found: dict[int, set[int]] = {}
-    for query, first, last in zip(truth.query.tolist(), truth.first.tolist(), truth.last.tolist(), strict=True):
+    for query, first, last in zip(
+        truth.query.tolist(), truth.first.tolist(), truth.last.tolist(), strict=True
+    ):
         found.setdefault(query, set()).update(range(first, last + 1))
     assert found == {query: some for query, some in right.items() if some}
 
@@ -55,19 +57,34 @@ def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
     [
         (b"", "line 1: needs the column query once; the columns are ''"),
         (HEADER.encode() + b"0,,\n", "no query has a reference, so that there is nothing to find"),
-        (b"query,reference_first\n0,1\n", "line 1: needs the column reference_last once; the columns are 'query,ref"),
+        (
+            b"query,reference_first\n0,1\n",
+            "line 1: needs the column reference_last once; the columns are 'query,ref",
+        ),
         (b"0,1,2\n", "line 1: needs the column query once; the columns are '0,1,2'"),
         (b"query,query,reference_first,reference_last\n", "line 1: needs the column query once"),
-        (HEADER.encode() + b"0,1,2\n1,x,2\n", "line 3: reference_first must be a frame's number, .* got 'x'"),
-        (HEADER.encode() + b"-1,1,2\n", "line 2: query must be a frame's number, counted from 0, got '-1'"),
+        (
+            HEADER.encode() + b"0,1,2\n1,x,2\n",
+            "line 3: reference_first must be a frame's number, .* got 'x'",
+        ),
+        (
+            HEADER.encode() + b"-1,1,2\n",
+            "line 2: query must be a frame's number, counted from 0, got '-1'",
+        ),
         (HEADER.encode() + b"1_0,1,2\n", "line 2: query must be a frame's number"),
         (HEADER.encode() + "٣,1,2\n".encode(), "line 2: query must be a frame's number"),
         (HEADER.encode() + b"0,\x1b[2J,2\n", r"line 2: reference_first must be .* got '\?\[2J'"),
         (HEADER.encode() + b"0,3,2\n", "line 2: reference_first 3 is after reference_last 2"),
-        (HEADER.encode() + b"0,1,5\n", "line 2: reference_last 5 is beyond the traverse: it has 5 frames"),
+        (
+            HEADER.encode() + b"0,1,5\n",
+            "line 2: reference_last 5 is beyond the traverse: it has 5 frames",
+        ),
         (HEADER.encode() + b"\n4,1,2\n", "line 3: query 4 is beyond the traverse: it has 4 frames"),
         (HEADER.encode() + b"0,1,2\n1,1,2\n0,,\n", "line 4: query 0 has a row already"),
-        (HEADER.encode() + b"0,1\n", "line 2: reference_last must be a frame's number, counted from 0, got ''"),
+        (
+            HEADER.encode() + b"0,1\n",
+            "line 2: reference_last must be a frame's number, counted from 0, got ''",
+        ),
         (HEADER.encode() + b"0,1,2,3\n", "line 2: has more values than columns"),
         (HEADER.encode() + b'0,"1,2\n1,2,2\n', "line 3: unexpected end of data"),
         (HEADER.encode() + b"0,1,2\n1,\xff,2\n", "not UTF-8"),
