@@ -120,7 +120,8 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
         introduce(client, "features", image(0, episode="hello"), depth_image(1, episode="hello"))
         # This is how the simulator knows that it has to make depth images.
         eventually(lambda: client.has_listeners(topics.DEPTH))
-        malformed(client, "features", topics.DEPTH)
+        for topic in (topics.DEPTH, topics.JPEG):
+            malformed(client, "features", topic)
         # `introduce` may have sent several frames without depth, and none of them is to be heard.
         assert heard == {}
         for message in (depth_image(5), image(5)):

@@ -398,23 +398,6 @@ def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(
     Planner(three, "victim")
 
 
-def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_not_lead_in_circles() -> (
-    None
-):
-    """From the place the first soon meets the second far along it, and that the third; the third is long."""
-    lengths_m = (1.0, 4.0, 6.0)
-    one, two, three = (int(first) for first in np.cumsum([0, 11, 41]))
-    meet = [
-        *itertools.combinations((one, two, three), 2),
-        (one + 2, two + 20),
-        (two + 21, three + 40),
-    ]
-    both_ways = sorted([*meet, *((other, this) for this, other in meet)])
-    stitches = tuple((pair, (0.0, 0.0, 0.0)) for pair in both_ways)
-    planner = Planner(map_of(*lengths_m, goals=("a", "b", "c"), stitches=stitches), "c")
-    assert planner.decide(belief((one, 0.0, 0.0, 0.0))).kind == "follow"
-
-
 @pytest.mark.parametrize(("goal", "end", "other_end"), [("kitchen", 40, 101), ("office", 101, 40)])
 def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) -> None:
     planner = Planner(fork(), goal)

@@ -42,13 +42,6 @@ def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(
     costs_no_more(rig, lost_s, name)
 
 
-def test_the_robot_stands_and_goes_on_at_the_other_router(
-    near: Path, taught: Path, tmp_path: Path, lost_s: Lost
-) -> None:
-    with rig_for(RigPlan(taught / "model.smal", tmp_path, str(near), routers=2)) as rig:
-        costs_no_more(rig, lost_s, "freeze one router of two")
-
-
 def costs_no_more(rig: Rig, lost_s: Lost, name: str) -> None:
     """Do a harm to a stack that drives; it costs no more than a busy machine adds."""
     began_s = time.monotonic()

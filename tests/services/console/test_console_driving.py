@@ -108,14 +108,6 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     assert (status, picture[:2]) == (200, b"\xff\xd8")
 
 
-def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot, lost_s: Lost) -> None:
-    driving.held = None
-    let_go_s = time.monotonic()
-    eventually(lambda: not robot.wheels.driven)
-    assert robot.wheels.stands_s - let_go_s <= STAND_WITHIN_S + lost_s(let_go_s)
-    assert robot.gate.stop_cause is None, "whoever drives is still there"
-
-
 @pytest.mark.parametrize("how", ["vanished", "silent"])
 def test_a_page_that_is_gone_stands_the_robot(
     driving: Page, robot: Robot, lost_s: Lost, how: str

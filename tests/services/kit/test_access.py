@@ -231,15 +231,6 @@ def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
     assert done - permitted(roles()["watcher"]) == set()
 
 
-def test_only_the_operator_sees_who_is_connected(
-    endpoint: str, keys: Path, within: zenoh.Session
-) -> None:
-    for role in roles():
-        with closing(open_session(endpoint, credentials_in(keys, role))) as session:
-            told = [reply for reply in session.get("@/*/router", timeout=100.0) if reply.ok]
-            assert bool(told) == (role == "operator")
-
-
 def _router_configuration(endpoint: str, credentials: Credentials) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in router_settings(endpoint, [ROBOT], credentials).items():
@@ -358,16 +349,6 @@ def test_strangers_at_the_door_do_not_disturb_who_is_in(
             drive()
             assert len(within.info.transports()) == 2
         drive()
-
-
-def test_who_does_not_say_who_they_are_is_sent_away(
-    endpoint: str, keys: Path, within: zenoh.Session
-) -> None:
-    """More than may wait at the door, so that nobody else is let in meanwhile."""
-    with ExitStack() as at_door:
-        for _ in range(150):
-            at_door.enter_context(socket.create_connection(host_and_port(endpoint)))
-        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator")).close()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - refused

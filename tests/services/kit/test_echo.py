@@ -50,11 +50,6 @@ def is_proved(bus: Bus) -> bool:
     return bus.connected()
 
 
-def test_every_lane_echoes(client: Bus) -> None:
-    assert is_proved(client)
-    client.check()
-
-
 def test_every_lane_echoes_with_a_certificate(free_endpoint: str, tmp_path: Path) -> None:
     keys = make_keys(tmp_path)
     endpoint = free_endpoint.replace("tcp/127.0.0.1", "tls/localhost")

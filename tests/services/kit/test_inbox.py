@@ -60,20 +60,6 @@ def test_inbox_gives_the_oldest_and_counts_what_gave_way(
     assert {name: inbox.dropped[name] for name in NAMES} == dropped
 
 
-def test_who_fills_an_inbox_loses_their_own() -> None:
-    """A flood of images as large as they may be, as long as nothing is handled; commands and one small image wait."""
-    inbox = Inbox()
-    inbox.open("images", 10_000)
-    inbox.open("commands", 8)
-    for _ in range(8):
-        inbox.put("commands", "command", 1024)
-    for number in range(1000):
-        inbox.put("images", number, 16 << 20)
-    assert inbox.waiting() == {"images": 15, "commands": 8}, "256 MiB in all"
-    assert inbox.dropped == {"images": 985}
-    assert [taken(inbox) for _ in range(9)] == [("commands", "command")] * 8 + [("images", 985)]
-
-
 def test_inbox_wakes_a_reader_from_another_thread() -> None:
     inbox = Inbox()
     inbox.open("queue", 1)

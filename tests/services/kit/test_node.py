@@ -349,19 +349,6 @@ def test_a_signal_stops_a_process_cleanly(
     assert status_of(client, "sample") is None
 
 
-@pytest.mark.zenoh
-def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
-    process = start(SMAL_ROUTER=router_endpoint, SMAL_ROBOT="other")
-    assert process.stderr is not None
-    client = Bus("other", router_endpoint)
-    with process:
-        wait_for(process.stderr, "serving")
-        ready(client, "sample")
-        process.terminate()
-        assert process.wait(100.0) == 0
-    client.close()
-
-
 @pytest.mark.parametrize(
     ("flags", "status", "line"),
     [

@@ -9,7 +9,7 @@ import pytest
 from schemas.base import KEYS
 from schemas.command import Command, CommandApplied
 from schemas.rpc import ArmRequest, Nothing, ResetReply
-from schemas.topics import APPLIED, COMMANDS, Lane
+from schemas.topics import APPLIED, Lane
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -140,23 +140,3 @@ def test_attended_robot_is_stopped_when_a_lane_is_harmed(
         assert node.spin(lambda: not robot.wheels.driven, 10.0)
         assert robot.wheels.stands_s - harmed_s <= STAND_WITHIN_S + lost_s(harmed_s)
         assert node.spin(lambda: robot.gate.stop_cause is not None or harmed == "robot", 10.0)
-
-
-def test_robot_drives_on_when_no_lane_is_harmed(
-    far: ServiceSettings, settings: ServiceSettings, run_node: RunNode, client: Bus
-) -> None:
-    robot = run_robot(far, run_node, attended=False)
-    policy = Policy(settings, run_node)
-    drive(client, robot)
-    # Two seconds without a stop; a machine that holds up everything for a moment has another try.
-    eventually(lambda: [one.reason for one in policy.applied[-20:]] == ["command"] * 20)
-
-
-def test_stop_by_the_stop_lane_reaches_the_robot(
-    far: ServiceSettings, settings: ServiceSettings, run_node: RunNode, client: Bus
-) -> None:
-    robot = run_robot(far, run_node, attended=False)
-    policy = Policy(settings, run_node)
-    drive(client, robot)
-    client.publish(Command.after(policy.applied[-1], source="emergency_stop", atom="stop"))
-    eventually(lambda: robot.gate.stop_cause == COMMANDS["emergency_stop"].name.rpartition("/")[2])

@@ -74,11 +74,6 @@ def judgements(draw: st.DrawFn) -> Judgement:
     return Judgement(score, answered, right, judged, findable)
 
 
-def all_answered(score: NDArray[np.float64], right: NDArray[np.bool_]) -> Judgement:
-    yes = np.ones(score.shape, dtype=np.bool_)
-    return Judgement(score, yes, right, yes, yes)
-
-
 def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
     """Return (recall, precision, threshold) for each score, highest first, counting all queries each time."""
     j = judgement
@@ -117,23 +112,6 @@ def test_equals_counting_by_hand(judgement: Judgement) -> None:
         before = recall
     assert curve.auc == pytest.approx(area)
     assert curve.recall_at_100_precision == max((r for r, p, _ in points if p == 1.0), default=0.0)
-
-
-def test_perfect_useless_and_silent_methods() -> None:
-    rng = np.random.default_rng(0)
-    right = rng.random(20000) < 0.3
-    perfect = PrecisionRecall.of(all_answered(rng.random(50), np.ones(50, dtype=np.bool_)))
-    assert (perfect.auc, perfect.recall_at_100_precision) == (1.0, 1.0)
-    # Scores that say nothing: precision is 0.3 at every recall up to 0.3.
-    assert PrecisionRecall.of(all_answered(rng.random(20000), right)).auc == pytest.approx(
-        0.09, abs=0.005
-    )
-    assert PrecisionRecall.of(all_answered(right.astype(float), right)).auc == pytest.approx(
-        right.mean()
-    )
-    no = np.zeros(3, dtype=np.bool_)
-    silent = PrecisionRecall.of(Judgement(np.zeros(3), no, no, ~no, ~no))
-    assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
 
 
 @given(judgements(), st.integers(0, 1000))

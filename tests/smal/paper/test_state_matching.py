@@ -88,14 +88,6 @@ def test_exact_duplicate_of_a_template(length: int, tolerance: float) -> None:
         assert solution.active_blocks.tolist() == [1]
 
 
-def test_no_weight_at_high_lambda() -> None:
-    X, Y = matching_problem(0, blocks=5, length=5)
-    for name, solution in answers(Problem(X, Y, 5, 10.0, 10.0), 1e-6):
-        assert not solution.weights.any(), name
-        assert solution.duality_gap <= 1e-6
-        assert solution.objective == pytest.approx(np.linalg.norm(Y, axis=0).sum())
-
-
 @pytest.mark.parametrize("lambdas", [(1.0, 0.0), (0.0, 1.0), (0.5, 0.8)])
 def test_lambda_at_which_the_weights_vanish(lambdas: tuple[float, float]) -> None:
     """W = 0 is optimal where X_j^T Y / ||y_i|| of every sequence is in the dual set, and nowhere else."""

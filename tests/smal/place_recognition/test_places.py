@@ -164,8 +164,3 @@ def test_sizes(seed: int, n: int, q: int, lag: int | None) -> None:
     assert matches.reference.max(initial=0) < n
     assert done == sorted(done)
     assert done[-1] == q
-
-
-def test_a_traverse_is_found_in_itself() -> None:
-    references, _ = traverses(np.zeros(1), 0.0)
-    assert match_places(references, references.copy()).reference.tolist() == list(range(N))
