@@ -23,6 +23,7 @@ from services.robot.loop import STAND_WITHIN_S
 from tests.benchmarks.faults.proxy import link
 from tests.ros2.fake_turtlebot import now_s
 from tests.ros2.field import Field, Robot, robot_for, until
+from tests.services.waiting import collected
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
 #: How long a fault lasts: what is frozen for longer than Zenoh's links take to notice, which is 2 s.
@@ -170,11 +171,7 @@ def test_the_base_stands_in_time_and_drives_again(
 
 def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven: Driven) -> None:
     until(driven.moves)
-    heard: list[Odometry] = []
-    driven.bus.subscribe(
-        topics.ODOMETRY,
-        lambda payload, encoding, _: heard.append(decode(Odometry, payload, encoding)),
-    )
+    heard = collected(driven.bus, topics.ODOMETRY)
     until(lambda: heard)
     base = driven.place.children["base"]
     base.kill()

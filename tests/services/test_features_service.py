@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from schemas import topics
 from schemas.camera import CompressedImage, DepthImage
-from schemas.codec import decode
 from schemas.observation import Observation
 from services.features.service import FeaturesService
 from services.kit.bus import Bus
@@ -19,7 +18,7 @@ from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import Detail
 from smal.features import FeatureSettings, extract
 from tests.services.chain import image, process
-from tests.services.waiting import eventually, introduce, malformed, ready, status_of
+from tests.services.waiting import collected, eventually, introduce, malformed, ready, status_of
 
 WITH_DEPTH = FeatureSettings.of(("color", "depth"))
 
@@ -107,13 +106,7 @@ def test_a_frame_that_is_asked_for_again_is_answered_again() -> None:
 
 @pytest.mark.zenoh
 def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -> None:
-    heard: dict[int, Observation] = {}
-
-    def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
-        observation = decode(Observation, payload, encoding)
-        heard[observation.tick] = observation
-
-    client.subscribe(topics.OBSERVATION, take)
+    heard = collected(client, topics.OBSERVATION)
     assert not client.has_listeners(topics.DEPTH)
     with process("features", router_endpoint, "--modalities", "color,depth"):
         ready(client, "features")
@@ -123,13 +116,13 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
         for topic in (topics.DEPTH, topics.JPEG):
             malformed(client, "features", topic)
         # `introduce` may have sent several frames without depth, and none of them is to be heard.
-        assert heard == {}
+        assert heard == []
         for message in (depth_image(5), image(5)):
             client.publish(message)
-        eventually(lambda: 5 in heard)
+        eventually(lambda: len(heard) == 1)
         for message in (image(6), depth_image(6)):
             client.publish(message)
-        eventually(lambda: 6 in heard)
+        eventually(lambda: len(heard) == 2)
         before = detail(client)
 
         def counted() -> bool:
@@ -142,9 +135,9 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
             "color depth",
             WITH_DEPTH.fingerprint,
         )
-    for tick in (5, 6):
-        np.testing.assert_array_equal(heard[tick].features.to_numpy(), features(tick))
-    assert sorted(heard) == [5, 6]
+    assert [one.tick for one in heard] == [5, 6]
+    for one in heard:
+        np.testing.assert_array_equal(one.features.to_numpy(), features(one.tick))
 
 
 def test_the_service_needs_no_scipy() -> None:

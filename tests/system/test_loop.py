@@ -13,13 +13,11 @@ import cv2
 import pytest
 
 from schemas import topics
-from schemas.codec import decode
 from schemas.rpc import Nothing, Status
-from schemas.snapshot import Snapshot
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
 from smal.model import Model
 from tests.command import run_smal
-from tests.services.waiting import eventually
+from tests.services.waiting import collected, eventually
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
 
@@ -130,14 +128,7 @@ def test_two_robots_of_one_stack_find_their_victims_while_an_instance_is_killed(
         running = [pool.submit(run, robot) for robot in plan.fleet]
         with closing(bus.of_robot(plan.fleet[1])) as other:
             for service in ("recognition", "policy"):
-                told: list[Snapshot] = []
-
-                def take(
-                    payload: bytes, encoding: str, _transit_s: float | None, told: Any = told
-                ) -> None:
-                    told.append(decode(Snapshot, payload, encoding))
-
-                other.subscribe(topics.SNAPSHOTS[service], take)
+                told = collected(other, topics.SNAPSHOTS[service])
                 # What it recognizes with, and where the robot is: what has been heard here, the other one has as well.
                 heard = lambda told=told, of=service: told and (of == "policy" or told[-1].state)  # noqa: E731
                 eventually(lambda heard=heard: heard() or running[1].done())

@@ -68,9 +68,7 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
     for cls in chain:
         other.subscribe(
             topics.TOPICS[EXAMPLES[cls].topic_name],
-            lambda payload, encoding, _transit_s, cls=cls: ticks.append(
-                decode(cls, payload, encoding).tick
-            ),
+            lambda *sample, cls=cls: ticks.append(decode(cls, *sample[:2]).tick),
         )
     for cls in chain:
         publish_until(client, EXAMPLES[cls].model_copy(update={"tick": 0}), lambda: bool(ticks))
@@ -269,9 +267,7 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
     ticks: list[int] = []
     bus.subscribe(
         topic,
-        lambda payload, encoding, _transit_s: ticks.append(
-            decode(topic.message, payload, encoding).tick
-        ),
+        lambda *sample: ticks.append(decode(topic.message, *sample[:2]).tick),
         replay=True,
     )
     return lambda: ticks

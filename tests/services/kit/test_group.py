@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import numpy as np
@@ -34,7 +33,7 @@ from smal.features import extract
 from tests import corridor
 from tests.schemas.messages import EXAMPLES
 from tests.services.chain import image, process, seen, wheels
-from tests.services.waiting import eventually, stalls, status_of
+from tests.services.waiting import eventually, health, stalls, status_of
 
 NAMES = st.from_regex(r"[0-9a-f]{8}", fullmatch=True)
 INSTANCES = st.sets(NAMES, min_size=1, max_size=9)
@@ -378,17 +377,6 @@ def stronger_than(instance: str) -> str:
     """Return the name of an instance that the hashing prefers for the first robot."""
     names = (f"{number:08x}-1" for number in range(1_000_000))
     return next(name for name in names if owner("rescuebot", [name, instance]) == name)
-
-
-def health(address: str) -> str:
-    """Return what a service answers about its health; empty while it does not listen."""
-    try:
-        with urlopen(f"http://{address}/healthz") as answer:
-            return str(answer.read().decode())
-    except HTTPError as error:
-        return str(error.read().decode())
-    except OSError:
-        return ""
 
 
 def test_an_announcement_does_not_take_a_robot(

@@ -16,7 +16,7 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.codec import decode, encode, encoding_of
+from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.motion import Pose
 from schemas.rpc import EndRequest, Nothing, Status
@@ -26,7 +26,14 @@ from services.kit.bus import Bus, BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
-from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
+from tests.services.waiting import (
+    collected,
+    eventually,
+    introduce,
+    ready,
+    send_as_stranger,
+    status_of,
+)
 
 ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
@@ -72,11 +79,7 @@ def test_a_message_is_handled_and_its_answers_are_published(
         yield Pose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
         yield Command.after(received, source="policy", atom="right")
 
-    poses: list[Pose] = []
-    client.subscribe(
-        topics.POSE,
-        lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)),
-    )
+    poses = collected(client, topics.POSE)
     node.subscribe(TELEOP, answer)
     run_node(node)
     introduce(client, "sample", command(3))

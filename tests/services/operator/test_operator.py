@@ -19,7 +19,7 @@ from services.robot.body import Beginning
 from services.robot.gate import OPERATOR_S
 from tests.services.conftest import RunNode
 from tests.services.robot.wheels import Robot, run_robot
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import collected, eventually, status_of
 
 RUN = ResetRequest(seed=1, purpose="run", driver="policy", mode="realtime")
 DRIVE = RUN.model_copy(update={"purpose": "drive", "driver": "teleop"})
@@ -97,10 +97,7 @@ def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(
     settings: ServiceSettings, client: Bus
 ) -> None:
     """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
-    stops: list[bytes] = []
-    client.subscribe(
-        COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload)
-    )
+    stops = collected(client, COMMANDS["emergency_stop"])
     with Node("teleop", settings) as node:
         operator = Operator(node, lambda _: None)
         operator.stop_for_emergency()

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from schemas.base import KEYS, SOURCES, STANDING, Source
+from schemas.base import KEYS, STANDING, Source
 from schemas.command import Command, StopCause
 from services.robot.body import Kinematics
-from services.robot.gate import MAX_AGE_S, OPERATOR_S, SILENCE_S, Applied, CommandGate
+from services.robot.gate import MAX_AGE_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
@@ -39,19 +39,6 @@ def begun(gate: CommandGate) -> CommandGate:
 @pytest.fixture
 def gate() -> CommandGate:
     return begun(armed())
-
-
-@pytest.mark.parametrize(
-    ("max_age_s", "until_s"), [(MAX_AGE_S, 10.0 + MAX_AGE_S), (0.5, 10.125 + SILENCE_S)]
-)
-def test_fresh_command_moves_the_robot_and_silence_stops_it(
-    max_age_s: float, until_s: float
-) -> None:
-    gate = begun(armed(max_age_s))
-    assert gate.offer(command(0), 10.125) is None
-    assert gate.applied(10.2) == Applied(KEYS["forward"], "policy", "command", answered_tick=0)
-    assert gate.applied(until_s).velocity == KEYS["forward"]
-    assert gate.applied(until_s + 1e-6) == STAND
 
 
 @pytest.mark.parametrize(
@@ -106,16 +93,6 @@ def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
     assert size() < after_a_second + 100
 
 
-@pytest.mark.parametrize("episode", ["e", "x", "policy", "teleop"])
-def test_nothing_moves_before_the_first_episode(episode: str) -> None:
-    gate = armed()
-    gate.captured(0, 10.0)
-    for source in SOURCES[1:]:
-        assert gate.offer(command(0, source=source, episode=episode), 10.0) == "wrong episode"
-    assert gate.applied(10.0) == STAND
-    assert gate.emergency_stop == 0
-
-
 @pytest.mark.parametrize("driver", ["policy", "expert"])
 def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(
     driver: Source,
@@ -146,19 +123,6 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
     assert gate.applied(1000.1).source == driver
 
 
-def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) -> None:
-    for tick in (1, 2):
-        gate.captured(tick, 10.0)
-        gate.offer(command(tick, source="teleop", atom="stop"), 10.0)
-    said = "another episode has begun, or the person has commanded since"
-    assert gate.resume("e", 1, "") == said
-    for episode in ("another", "other"):
-        assert gate.resume(episode, 2, "") == said
-    assert gate.taken_over
-    assert gate.resume("e", 2, "") is None
-    assert not gate.taken_over
-
-
 def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop"), 10.0)
     hear(gate, "o", 0, 10.0)
@@ -166,28 +130,6 @@ def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate
     assert gate.taken_over
     assert gate.resume(None, 0, "o") is None
     assert not gate.taken_over
-
-
-@pytest.mark.parametrize("tick", [0, 99])
-@pytest.mark.parametrize("episode", ["e", "other"])
-def test_an_emergency_stop_holds_until_it_is_released(
-    gate: CommandGate, tick: int, episode: str
-) -> None:
-    gate.offer(command(0), 10.0)
-    assert (
-        gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0)
-        is None
-    )
-    gate.captured(1, 10.1)
-    gate.offer(command(1), 10.1)
-    assert gate.applied(10.1) == Applied(STANDING, "emergency_stop", "emergency_stop")
-    gate.begin("f", "policy")
-    gate.captured(0, 10.2)
-    assert gate.offer(command(0, episode="f"), 10.2) is None
-    assert gate.applied(10.2).reason == "emergency_stop"
-    assert (gate.emergency_stop, gate.stop_cause) == (2, "emergency_stop")
-    assert gate.arm(2, "") is None
-    assert (gate.emergency_stop, gate.stop_cause) == (0, None)
 
 
 def test_a_robot_that_was_started_moves_for_nobody_until_it_is_armed() -> None:
@@ -219,23 +161,6 @@ def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: i
     gate.stop()
     assert gate.arm(3, "") == "another stop was latched meanwhile"
     assert gate.emergency_stop == 4
-
-
-@pytest.mark.parametrize("cause", ["emergency_stop", "operator_lost", "fault"])
-def test_who_drove_before_a_stop_does_not_go_on_by_being_released(
-    gate: CommandGate, cause: StopCause
-) -> None:
-    gate.offer(command(0), 10.0)
-    gate.stop(cause)
-    assert gate.stop_cause == cause
-    assert gate.applied(10.0).source == ("emergency_stop" if cause == "emergency_stop" else None)
-    assert gate.arm(2, "") is None
-    assert gate.taken_over
-    assert gate.applied(10.0) == Applied(STANDING, None, "taken_over")
-    assert gate.resume("e", 0, "") is None
-    gate.captured(1, 10.1)
-    gate.offer(command(1), 10.1)
-    assert gate.applied(10.1).source == "policy"
 
 
 def test_of_two_stops_the_graver_cause_is_told_in_whatever_order_they_come() -> None:
@@ -279,36 +204,6 @@ def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
 
 
-@pytest.mark.parametrize("sequence", [0, 1])
-def test_a_sign_of_life_that_comes_twice_or_late_is_none(gate: CommandGate, sequence: int) -> None:
-    hear(gate, "o", 1, 10.0)
-    hear(gate, "o", sequence, 10.2)
-    gate.watch(10.1 + OPERATOR_S)
-    assert gate.stop_cause == "operator_lost"
-
-
-def test_an_operator_who_says_good_bye_is_not_missed(gate: CommandGate) -> None:
-    hear(gate, "o", 0, 10.0)
-    hear(gate, "o", 1, 10.1, present=False)
-    assert (gate.operator, gate.not_theirs("p")) == (None, None)
-    gate.watch(99.0)
-    assert gate.emergency_stop == 0
-
-
-@pytest.mark.parametrize("late", [0, 1])
-def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(
-    gate: CommandGate, late: int
-) -> None:
-    hear(gate, "o", 0, 10.0)
-    hear(gate, "o", 1, 10.1, present=False)
-    hear(gate, "o", late, 10.2)
-    assert gate.operator is None
-    gate.watch(99.0)
-    assert gate.emergency_stop == 0
-    hear(gate, "o", 2, 99.0)
-    assert gate.operator == "o"
-
-
 def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate) -> None:
     pulse = gate.pulse(10.0)
     gate.hear(beat("o", 0, pulse), 10.2)
@@ -316,18 +211,6 @@ def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate)
     assert gate.operator == "o"
     gate.watch(10.2501)
     assert gate.stop_cause == "operator_lost", "not 0.25 s after their answer was heard"
-
-
-@pytest.mark.parametrize(("heard_s", "there"), [(10.25, True), (10.2501, False), (13.0, False)])
-def test_an_answer_that_took_too_long_is_no_sign_of_life(
-    gate: CommandGate, heard_s: float, there: bool
-) -> None:
-    pulse = gate.pulse(10.0)
-    gate.pulse(heard_s)
-    gate.hear(beat("o", 0, pulse), heard_s)
-    assert (gate.operator == "o") == there
-    gate.watch(heard_s)
-    assert gate.emergency_stop == 0, "nobody was there whom it could miss"
 
 
 @pytest.mark.parametrize("off", [-1, 1, 7, None])
@@ -343,26 +226,6 @@ def test_no_pulse_from_before_a_restart_is_one_after_it() -> None:
     assert all(0 < number < 2**62 for number in numbers)
 
 
-@pytest.mark.parametrize("other", ["n", "p"])
-def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
-    hear(gate, "o", 0, 10.0)
-    hear(gate, other, 7, 10.1)
-    hear(gate, other, 8, 10.1, present=False)
-    assert gate.operator == "o"
-    assert gate.offer(command(0, source="teleop", session=other), 10.0) == "not the operator"
-    gate.stop()
-    assert gate.arm(2, other) == gate.arm(7, other) == THEIRS
-    assert gate.emergency_stop == 2
-    assert gate.arm(2, "o") is None
-    assert gate.resume("e", 0, other) == THEIRS
-    assert gate.taken_over
-    assert gate.resume("e", 0, "o") is None
-    assert gate.offer(command(0, source="teleop", session="o"), 10.0) is None
-    hear(gate, "o", 1, 10.1, present=False)
-    hear(gate, other, 9, 10.2)
-    assert gate.operator == other
-
-
 def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate = CommandGate(attended=True, first_stop=1)
     assert gate.arm(1, "o") == "no operator answers in time; this robot moves only while one does"
@@ -374,25 +237,6 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     assert gate.applied(10.0).velocity == KEYS["forward"]
     hear(gate, "o", 2, 10.1, present=False)
     assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
-
-
-def test_one_process_of_a_kind_commands_until_it_falls_silent(gate: CommandGate) -> None:
-    for tick in (1, 2, 3):
-        gate.captured(tick, 10.0)
-    assert gate.offer(command(1, session="a", sequence=1_000_000), 10.0) is None
-    for other in ("0", "b"):
-        assert gate.offer(command(2, session=other, atom="left"), 10.0) == "another session"
-    assert gate.applied(10.0).velocity == KEYS["forward"]
-    assert gate.offer(command(2, session="a"), 10.0) is None, (
-        "no number locks the rightful sender out"
-    )
-    late_s = 11.0
-    gate.captured(12, late_s)
-    assert gate.offer(command(12, session="b"), late_s) == "another session"
-    gate.captured(13, late_s + 0.001)
-    assert gate.offer(command(13, session="b"), late_s + 0.001) is None
-    assert gate.offer(command(13, session="a", sequence=9), late_s + 0.001) == "another session"
-    assert gate.applied(late_s + 0.001).answered_tick == 13
 
 
 @pytest.mark.parametrize(("first", "second"), ["ab", "ba"])

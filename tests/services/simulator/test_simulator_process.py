@@ -4,13 +4,11 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.camera import CompressedImage
-from schemas.codec import decode
 from schemas.command import Command
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest
 from services.kit.bus import Bus, RpcError
 from tests.services.chain import process
-from tests.services.waiting import eventually, malformed, ready, status_of
+from tests.services.waiting import collected, eventually, malformed, ready, status_of
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh]
 
@@ -23,10 +21,7 @@ def command(episode: str, tick: int) -> Command:
 def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_every_topic(
     client: Bus, router_endpoint: str
 ) -> None:
-    images: list[CompressedImage] = []
-    client.subscribe(
-        topics.JPEG, lambda payload, form, _: images.append(decode(CompressedImage, payload, form))
-    )
+    images = collected(client, topics.JPEG)
     reset = ResetRequest(seed=1)
 
     def told(what: str) -> object:

@@ -25,7 +25,7 @@ from services.expert.driver import RouteDriver
 from services.kit.bus import Bus, RpcError
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import collected, eventually, status_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -43,12 +43,8 @@ class Site:
         self.stack = stack
         self.bus = bus
         self.root = root
-        self.poses: list[Pose] = []
+        self.poses: list[Pose] = collected(bus, topics.POSE)
         self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
-        bus.subscribe(
-            topics.POSE,
-            lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)),
-        )
         bus.subscribe(topics.APPLIED, self._note)
         self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
         bus.subscribe(topics.EPISODE, self._note_end)
