@@ -178,7 +178,6 @@ def test_only_what_is_listed_is_deleted(
     assert not gone.exists()
 
 
-@pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     console: Console,
     robot: Robot,
@@ -186,12 +185,10 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     open_page: Callable[[], Page],
     settings: ServiceSettings,
     run_node: RunNode,
-    scheme: str,
 ) -> None:
     """Recorded as well, since a person may correct it by hand."""
     loaded: list[tuple[str, LoadRequest]] = []
-    model = corridor.model() if scheme == "filter" else corridor.paper_model()
-    model.save(console.root / "corridor.smal")
+    corridor.save_model(console.root / "corridor.smal")
     features = Node("features", settings)
     features.detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
     chain = {name: Node(name, settings) for name in ("recognition", "policy")}
@@ -199,7 +196,7 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
 
         def load(request: LoadRequest, name: str = name) -> LoadReply:
             loaded.append((name, request))
-            return LoadReply(scheme=model.scheme, stride=1)
+            return LoadReply(scheme="filter", stride=1)
 
         node.serve("load", LoadRequest, load)
     for node in (features, *chain.values()):
@@ -208,11 +205,9 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     eventually(lambda: page.state.get("library", {}).get("models"))
     page.take()
     eventually(lambda: page.beats and page.robot(answers=True))
-    # The page has no goals to choose from for the paper's scheme.
-    goal = "victim" if scheme == "filter" else None
-    run = {"model": "corridor.smal", "goal": goal, "start": "start", "seed": 7}
+    run = {"model": "corridor.smal", "goal": "victim", "start": "start", "seed": 7}
     page.insist(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"), do="run", **run)
-    wanted = LoadRequest(model="corridor.smal", goal=goal)
+    wanted = LoadRequest(model="corridor.smal", goal="victim")
     assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]

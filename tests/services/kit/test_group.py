@@ -246,16 +246,13 @@ def nothing_seen(tick: int) -> Observation:
     return seen(tick).model_copy(update={"features": Float32Array.from_numpy(vector)})
 
 
-@pytest.mark.parametrize("loaded", ["of the settings", "by a call"])
 def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
-    loaded: str, client: Bus, router_endpoint: str, stack: ExitStack, model: Path
+    client: Bus, router_endpoint: str, stack: ExitStack, model: Path
 ) -> None:
     names = fleet("rescuebot", MANY)
     robots = Robots(client, names, topics.STATE, stack)
     handed = Robots(client, names, topics.SNAPSHOTS["recognition"], stack)
-    flags = (
-        ["--model", str(model)] if loaded == "of the settings" else ["--root", str(model.parent)]
-    )
+    flags = ["--root", str(model.parent)]
     start(stack, "recognition", router_endpoint, MANY, *flags)
     command = [
         sys.executable,
@@ -270,9 +267,8 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
     first = stack.enter_context(subprocess.Popen(command))
     stack.callback(first.kill)
     served = robots.served_by("recognition", 2)
-    if loaded == "by a call":
-        for bus in robots.buses.values():
-            bus.call("recognition", "load", LoadRequest(model=model.name), LoadReply)
+    for bus in robots.buses.values():
+        bus.call("recognition", "load", LoadRequest(model=model.name), LoadReply)
     robots.insist(wheels(0), seen(0))  # Until each is heard.
     for tick in range(1, 9):
         robots.send(wheels(tick), seen(tick))

@@ -213,6 +213,18 @@ def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate)
     assert gate.stop_cause == "operator_lost", "not 0.25 s after their answer was heard"
 
 
+@pytest.mark.parametrize(("heard_s", "there"), [(10.25, True), (10.2501, False), (13.0, False)])
+def test_an_answer_that_took_too_long_is_no_sign_of_life(
+    gate: CommandGate, heard_s: float, there: bool
+) -> None:
+    pulse = gate.pulse(10.0)
+    gate.pulse(heard_s)
+    gate.hear(beat("o", 0, pulse), heard_s)
+    assert (gate.operator == "o") == there
+    gate.watch(heard_s)
+    assert gate.emergency_stop == 0, "nobody was there whom it could miss"
+
+
 @pytest.mark.parametrize("off", [-1, 1, 7, None])
 def test_what_answers_no_pulse_is_no_sign_of_life(gate: CommandGate, off: int | None) -> None:
     pulse = gate.pulse(10.0)
@@ -224,6 +236,26 @@ def test_no_pulse_from_before_a_restart_is_one_after_it() -> None:
     numbers = [CommandGate().pulse(0.0) for _ in range(100)]
     assert len({number // 1000 for number in numbers}) == 100
     assert all(0 < number < 2**62 for number in numbers)
+
+
+@pytest.mark.parametrize("other", ["n", "p"])
+def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
+    hear(gate, "o", 0, 10.0)
+    hear(gate, other, 7, 10.1)
+    hear(gate, other, 8, 10.1, present=False)
+    assert gate.operator == "o"
+    assert gate.offer(command(0, source="teleop", session=other), 10.0) == "not the operator"
+    gate.stop()
+    assert gate.arm(2, other) == gate.arm(7, other) == THEIRS
+    assert gate.emergency_stop == 2
+    assert gate.arm(2, "o") is None
+    assert gate.resume("e", 0, other) == THEIRS
+    assert gate.taken_over
+    assert gate.resume("e", 0, "o") is None
+    assert gate.offer(command(0, source="teleop", session="o"), 10.0) is None
+    hear(gate, "o", 1, 10.1, present=False)
+    hear(gate, other, 9, 10.2)
+    assert gate.operator == other
 
 
 def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:

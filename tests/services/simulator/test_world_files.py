@@ -23,7 +23,6 @@ BILLION_LAUGHS = (
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10))
     + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
 )
-NODE = '<node id="1" version="1" lat="1" lon="1"/>'
 WAYS = "".join(
     f'<way id="{k}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>" for k in range(1, 7)
 )

@@ -76,18 +76,6 @@ def test_agrees_with_algorithm_2(length: int) -> None:
     np.testing.assert_allclose(solution.weights, published.weights, atol=5e-3)
 
 
-@pytest.mark.parametrize(("length", "tolerance"), [(1, 1e-5), (5, 1e-5), (10, 1e-4)])
-def test_exact_duplicate_of_a_template(length: int, tolerance: float) -> None:
-    X, _ = matching_problem(5, blocks=6, length=length, size=200)
-    Y = X[:, length : 2 * length].copy()
-    # lambda1 + lambda2 < 1, the slope of a residual: most residuals are zero, where the norms have no gradient.
-    problem = Problem(X, Y, length, 0.1, 0.1)
-    for name, solution in answers(problem, tolerance):
-        check(solution, problem, tolerance, name)
-        assert solution.residual_norms.max() < 0.05
-        assert solution.active_blocks.tolist() == [1]
-
-
 @pytest.mark.parametrize("lambdas", [(1.0, 0.0), (0.0, 1.0), (0.5, 0.8)])
 def test_lambda_at_which_the_weights_vanish(lambdas: tuple[float, float]) -> None:
     """W = 0 is optimal where X_j^T Y / ||y_i|| of every sequence is in the dual set, and nowhere else."""

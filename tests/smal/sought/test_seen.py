@@ -130,7 +130,7 @@ def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_p
     for sights, said in (({}, "found"), ({"victim": sight()}, "not_here")):
         replace(model(), sights=sights).save(tmp_path / "way.smal")
         robot = Robot(Model.load(tmp_path / "way.smal"))
-        here = (0.1, 0.3, 0.1)
+        here = (2.4, 0.1, 0.05)
         for _ in range(250):
             here = moved(here, robot.step(corridor(*here), here))
             if robot.done:

@@ -64,7 +64,7 @@ def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(
     for number, said in ((AT_END, "found"), (OTHER, "not_here")):
         # By the tag alone: at 80 x 60 pixels two tags look much the same.
         robot = Robot(replace(Model.load(tmp_path / "way.smal"), sights={}))
-        here = (0.1, 0.1, 0.0)
+        here = (2.4, 0.1, 0.0)
         for _ in range(250):
             here = corridor.moved(here, robot.step(view(here, (number, 5.5, 0.0)), here))
             if robot.done:
