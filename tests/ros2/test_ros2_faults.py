@@ -169,7 +169,7 @@ def test_the_base_stands_in_time_and_drives_again(
         until(driven.moves)
 
 
-def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven: Driven) -> None:
+def test_odometry_continues_when_the_base_restarts(driven: Driven) -> None:
     until(driven.moves)
     heard = collected(driven.bus, topics.ODOMETRY)
     until(lambda: heard)
@@ -200,7 +200,7 @@ def test_a_driver_that_is_silent_is_noticed(
     until(driven.moves)
 
 
-def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(
+def test_status_and_log_name_velocity_type_and_clock_offset(
     driven: Driven,
 ) -> None:
     detail = driven.detail

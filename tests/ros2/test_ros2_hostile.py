@@ -96,7 +96,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None
 )
 @given(st.data())
-def test_whatever_it_says_there_is_a_frame_that_can_be_sent_and_a_command_that_is_one(
+def test_frame_and_command_are_valid_when_messages_are_hostile(
     folder: Path, data: st.DataObject
 ) -> None:
     rig = Rig(folder, stops=", {topic: button, type: std_msgs/msg/Bool, silence_s: null}")

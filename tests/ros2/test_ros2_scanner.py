@@ -48,7 +48,7 @@ def after(rig: Rig, ranges: object, **fields: float) -> Rig:
     [-INF, NAN, 0.0, 0.01, 0.05, -1.0, 12.1, 65.533, 1e30],
     ids=lambda value: f"all {value}",
 )
-def test_a_scanner_that_sees_nothing_is_no_free_way(rig: Rig, value: float) -> None:
+def test_way_is_closed_when_the_scanner_sees_nothing(rig: Rig, value: float) -> None:
     assert after(rig, [value] * 360).ways() == "left right"
 
 
@@ -61,9 +61,7 @@ WRONG: list[dict[str, float]] = [
 
 
 @pytest.mark.parametrize("fields", WRONG, ids=str)
-def test_what_cannot_be_a_scan_is_refused_and_no_free_way(
-    rig: Rig, fields: dict[str, float]
-) -> None:
+def test_scan_is_refused_when_it_is_impossible(rig: Rig, fields: dict[str, float]) -> None:
     refused = rig.senses.refused[SCAN]
     assert after(rig, [5.0] * 360, **fields).ways() == "left right"
     assert rig.senses.refused[SCAN] == refused + 1
@@ -119,7 +117,7 @@ def scans(draw: st.DrawFn) -> tuple[list[float], dict[str, float]]:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(scans(), st.sampled_from([("forward", 0.0), ("backward", math.pi)]))
-def test_only_a_scan_that_tells_of_the_whole_way_that_it_is_free_makes_it_free(
+def test_way_is_free_only_when_the_scan_covers_all_of_it(
     rig: Rig, scan: tuple[list[float], dict[str, float]], way: tuple[str, float]
 ) -> None:
     ranges, fields = scan
@@ -167,7 +165,7 @@ def test_a_way_that_is_not_seen_is_not_gone_and_the_others_are(rig: Rig) -> None
     assert rig.may_go("forward")
 
 
-def test_a_scanner_that_only_looks_ahead_guards_the_way_back_only_where_it_is_told_that_it_cannot(
+def test_way_back_is_open_when_the_config_says_it_is_unguarded(
     tmp_path: Path,
 ) -> None:
     half = {"angle_min": -2.0, "angle_max": 2.0, "angle_increment": 4.0 / 240}
@@ -180,7 +178,7 @@ def test_a_scanner_that_only_looks_ahead_guards_the_way_back_only_where_it_is_to
 
 
 @pytest.mark.parametrize("lds", [LDS_01, LDS_02], ids=["LDS-01", "LDS-02"])
-def test_a_turtlebot_3_in_an_open_space_drives_where_it_is_told_what_its_zeros_mean(
+def test_turtlebot_3_drives_when_its_zeros_are_declared_free(
     tmp_path: Path, lds: dict[str, float]
 ) -> None:
     beams = 360 if lds is LDS_01 else 241
@@ -203,7 +201,7 @@ def test_a_turtlebot_3_in_an_open_space_drives_where_it_is_told_what_its_zeros_m
     assert after(safe, room, **lds).may_go("forward")
 
 
-def test_what_is_too_near_to_be_measured_is_near(rig: Rig) -> None:
+def test_obstacle_is_near_when_it_is_too_near_to_be_measured(rig: Rig) -> None:
     ranges = [5.0] * 360
     ranges[3] = -INF
     after(rig, ranges)

@@ -153,7 +153,7 @@ def test_a_button_that_was_pressed_before_we_came_is_seen(
     eventually(lambda: released(senses))
 
 
-def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
+def test_robot_stands_when_its_button_is_silent_or_gone(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
     place = make(False)
@@ -173,7 +173,7 @@ def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_what_a_button_said_during_an_outage_is_asked_for(
+def test_button_state_is_fetched_after_an_outage(
     make: Callable[[bool], Place], stack: ExitStack, *, latched: bool
 ) -> None:
     place = make(latched)
@@ -194,7 +194,7 @@ def test_what_a_button_said_during_an_outage_is_asked_for(
     assert not senses.refused
 
 
-def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
+def test_message_is_dropped_when_it_is_too_large(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
     place = make(False)

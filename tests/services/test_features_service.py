@@ -64,7 +64,7 @@ def test_a_frame_is_published_once_both_its_images_are_there(depth_first: bool) 
     assert service.without_depth == 0
 
 
-def test_what_a_detector_finds_goes_with_the_features_of_its_frame() -> None:
+def test_detections_go_with_the_features_of_their_frame() -> None:
     tag = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 5, 120
     )
@@ -79,7 +79,7 @@ def test_what_a_detector_finds_goes_with_the_features_of_its_frame() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.sampled_from("ab")), max_size=20))
-def test_whatever_the_order_every_observation_is_of_one_frame(
+def test_observation_is_of_one_frame_in_any_order(
     arrivals: list[tuple[bool, int, str]],
 ) -> None:
     """Once for every colour image at most, with the features of that frame; the others are counted or wait."""

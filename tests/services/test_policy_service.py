@@ -119,9 +119,7 @@ def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, mo
     ]
 
 
-def test_a_repeated_state_has_the_same_answer_and_turns_no_further(
-    policy: PolicyService, model: Path
-) -> None:
+def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) -> None:
     answer = policy.handle(belief(0, model, lost=0.9))
     assert all(policy.handle(belief(0, model, lost=0.9)) == answer for _ in range(500))
     assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"

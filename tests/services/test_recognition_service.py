@@ -64,9 +64,7 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.tracked_m == pytest.approx(1.4, abs=0.01)
 
 
-def test_a_renewed_map_goes_on_from_what_was_believed(
-    service: RecognitionService, tmp_path: Path
-) -> None:
+def test_renewed_map_keeps_the_belief(service: RecognitionService, tmp_path: Path) -> None:
     for tick in range(8):
         at(service, tick)
     renewed = corridor.save_renewed(tmp_path / "renewed.smal")
@@ -89,7 +87,7 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
     assert state.places
 
 
-def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
+def test_detected_target_is_seen(tmp_path: Path) -> None:
     tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     service = RecognitionService()
@@ -106,7 +104,7 @@ def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
 
-def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows_none(
+def test_unexpected_ground_is_reported_when_it_is_watched(
     tmp_path: Path,
 ) -> None:
     black = Ground(np.zeros((len(corridor.model().mapped.keyframes), 9, 3), dtype=np.uint8), 0.1)
@@ -153,7 +151,7 @@ def test_a_frame_that_is_sent_again_has_the_same_answer(service: RecognitionServ
     assert placed(fresh)[0] == pytest.approx(0.6, abs=0.1)
 
 
-def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
+def test_recognition_goes_on_without_odometry_on_a_resent_frame(
     service: RecognitionService,
 ) -> None:
     for tick in range(3):
@@ -168,7 +166,7 @@ def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
     assert placed(later)[0] == pytest.approx(0.8, abs=0.1)
 
 
-def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path) -> None:
+def test_recognition_uses_commands_when_taught_without_odometry(tmp_path: Path) -> None:
     path = tmp_path / "unmeasured.smal"
     corridor.model(odometry=False).save(path)
     service = RecognitionService()

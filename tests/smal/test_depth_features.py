@@ -26,7 +26,7 @@ def nearness(millimetres: int) -> float:
 
 
 @given(seed=st.integers(0, 99))
-def test_each_cell_is_the_nearness_of_what_is_there(seed: int) -> None:
+def test_cell_is_the_nearness_of_its_pixels(seed: int) -> None:
     depth = scene(seed)
     expected = np.array([nearness(one) for one in depth.ravel().tolist()])
     np.testing.assert_allclose(

@@ -258,7 +258,7 @@ def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
     assert follow(drive(way=((1.0, 0.0), (0.0, turn_deg), (away, 0.0))))[-1].lost > 0.95
 
 
-def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
+def test_robot_is_lost_in_another_room_and_found_again() -> None:
     """Rooms may look alike by chance: lost in most of them."""
     rooms = [elsewhere(seed) for seed in range(1, 4)]
     assert max(lost[0] for lost, _ in rooms) < 0.2
@@ -307,7 +307,7 @@ def test_a_belief_is_made_of_probabilities(
     ],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_what_is_no_frame_is_refused_and_changes_nothing(
+def test_invalid_frame_is_refused_and_changes_nothing(
     raw: Any, movement: Movement, first: bool
 ) -> None:
     seen = drive(way=((0.2, 0.0),))

@@ -180,7 +180,7 @@ def test_weights_in_another_file_are_refused(
 STRANGE = f"onnx:{'0123456789abcdef' * 4}:4"
 
 
-def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
+def test_unknown_network_can_be_named_but_not_run() -> None:
     named = FeatureSettings((STRANGE,))
     assert (named.size, named.needs) == (4, {"color"})
     line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
@@ -255,7 +255,7 @@ def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> Non
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
 
 
-def test_without_onnxruntime_the_line_says_what_to_install(
+def test_missing_onnxruntime_names_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = network(tmp_path / "mix.onnx")

@@ -61,7 +61,7 @@ def test_one_drive_is_recorded_drawn_and_gives_a_map_of_views(taught: Path) -> N
     assert len(model.mapped.keyframes) == report["keyframes"]
 
 
-def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outcome(
+def test_robot_finds_the_victim_and_repeats_by_seed(
     near: Path, taught: Path, tmp_path: Path, running: str
 ) -> None:
     """On a stack of the command's own, and on another one."""
@@ -80,7 +80,7 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
     assert abs(second["episodes"][0]["ticks"] - first["episodes"][0]["ticks"]) <= 15
 
 
-def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
+def test_robot_finds_the_victim_from_anywhere_after_a_kidnap(
     near: Path, taught: Path, tmp_path: Path, running: str
 ) -> None:
     more = ("--start", "anywhere", "--kidnap", 30, "--connect", running)
@@ -98,7 +98,7 @@ def test_the_papers_scheme_runs_in_real_time(
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}
 
 
-def test_two_robots_of_one_stack_find_their_victims_while_an_instance_is_killed(
+def test_two_robots_find_victims_while_an_instance_is_killed(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:
     """On two instances of each service that follows: whatever the dead one served, the other one goes on with."""

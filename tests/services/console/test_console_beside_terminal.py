@@ -27,7 +27,7 @@ def terminal(robot: Robot, settings: ServiceSettings) -> Iterator[Node]:
         yield node
 
 
-def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
+def test_page_keeps_the_takeover_of_a_terminal(
     terminal: Node,
     robot: Robot,
     recorder: RecorderService,

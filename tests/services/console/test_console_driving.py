@@ -53,9 +53,7 @@ def goes(page: Page, robot: Robot) -> bool:
     return robot.wheels.driven
 
 
-def test_what_the_camera_sees_is_shown_before_a_drive_begins(
-    robot: Robot, open_page: OpenPage
-) -> None:
+def test_page_shows_the_camera_before_a_drive(robot: Robot, open_page: OpenPage) -> None:
     page = open_page()
     eventually(lambda: page.pictures)
     robot.wheels.x = 12.0  # somebody carries it
@@ -63,7 +61,7 @@ def test_what_the_camera_sees_is_shown_before_a_drive_begins(
 
 
 @unattended
-def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
+def test_drive_is_begun_driven_recorded_and_ended_by_the_page(
     robot: Robot,
     recorder: RecorderService,
     open_page: OpenPage,
@@ -123,9 +121,7 @@ def test_a_page_that_is_gone_stands_the_robot(
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
 
 
-def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_they_say_so(
-    driving: Page, robot: Robot
-) -> None:
+def test_late_answers_do_not_move_the_robot(driving: Page, robot: Robot) -> None:
     """What a sleeping laptop or a slow link delivers afterwards was meant for another moment."""
     driving.late_s = 1.5 * LET_GO_S
     eventually(lambda: not robot.wheels.driven)
@@ -145,7 +141,7 @@ def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_the
 
 
 @unattended
-def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> None:
+def test_page_request_is_refused_when_it_is_old(driving: Page, robot: Robot) -> None:
     """What a slow link or a console that was frozen delivers afterwards must not have a robot move by itself."""
     asked_at = driving.beat
     episode = driving.state["robot"]["episode"]
@@ -214,7 +210,9 @@ def test_one_drives_and_others_watch(driving: Page, robot: Robot, open_page: Ope
     eventually(seated)
 
 
-def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+def test_robot_does_not_miss_an_operator_that_left(
+    driving: Page, robot: Robot, open_page: OpenPage
+) -> None:
     driving.held = None
     eventually(lambda: not robot.wheels.driven)
     driving.say(do="leave")
@@ -226,7 +224,7 @@ def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page:
     eventually(lambda: other.beats)
 
 
-def test_anybody_stops_it_for_an_emergency(
+def test_any_page_stops_the_robot(
     driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost
 ) -> None:
     """Whoever drives also by the socket that they drive by, where all places to watch are taken."""
@@ -253,7 +251,7 @@ def test_anybody_stops_it_for_an_emergency(
 
 
 @unattended
-def test_nonsense_moves_nothing_and_is_told(
+def test_page_nonsense_is_refused_and_moves_nothing(
     driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert driving._drive is not None
@@ -277,7 +275,7 @@ def _ended(socket: object) -> int | None:
 
 
 @pytest.mark.parametrize("how", ["leaves", "falls silent"])
-def test_nothing_begins_for_who_has_left_before_it_could(
+def test_episode_does_not_begin_when_its_person_has_left(
     robot: Robot,
     console: Console,
     open_page: OpenPage,

@@ -121,7 +121,7 @@ def test_a_job_that_does_not_hear_is_ended(
     assert not jobs.running
 
 
-def test_a_model_learns_more_from_runs_and_says_what_came_of_it(tmp_path: Path) -> None:
+def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "drives").mkdir()
     model = corridor.save_model(tmp_path / "models" / "way.smal")

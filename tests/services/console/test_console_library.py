@@ -43,7 +43,7 @@ def library(tmp_path: Path) -> Library:
     return Library(tmp_path)
 
 
-def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(
+def test_library_lists_outcome_length_and_pictures(
     library: Library,
 ) -> None:
     listed = library.look()
@@ -73,7 +73,7 @@ def test_a_reader_ends_that_has_worked_for_too_long() -> None:
     assert process.exitcode == -signal.SIGXCPU
 
 
-def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library: Library) -> None:
+def test_library_goes_on_when_a_file_kills_its_reader(library: Library) -> None:
     path = library.root / "drives" / "drive-1.mcap"
     listed = ListedRecording("drives/drive-1.mcap", 1.0, 5)
     with closing(Reader()) as reader:
@@ -85,7 +85,7 @@ def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library:
     assert not [one for one in multiprocessing.active_children() if one.name == "recordings"]
 
 
-def test_what_is_known_is_shown_while_more_is_read(
+def test_library_shows_known_files_while_it_reads(
     library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A file that unpacks to far more than its size is listed as unreadable, and keeps nobody."""
@@ -108,7 +108,7 @@ def test_what_is_known_is_shown_while_more_is_read(
 @pytest.mark.parametrize(
     ("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")]
 )
-def test_what_teaches_nothing_says_why(tmp_path: Path, outcome: Any, why: str) -> None:
+def test_library_names_why_a_recording_is_useless(tmp_path: Path, outcome: Any, why: str) -> None:
     record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))
     (tmp_path / "drives" / "broken.mcap").write_bytes(b"nonsense")
     (tmp_path / "models").mkdir()
@@ -135,7 +135,7 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 
-def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there(
+def test_library_lists_goals_and_worlds_of_a_model(
     tmp_path: Path,
 ) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
@@ -154,7 +154,7 @@ def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there
     assert shown["worlds"] == [library.recordings()[0].world]
 
 
-def test_only_what_is_listed_is_deleted(
+def test_library_deletes_only_listed_recordings(
     console: Console, robot: Robot, open_page: Callable[[], Page]
 ) -> None:
     kept = record(console.root / "other", list(recorded_messages.episode("drive-1")))

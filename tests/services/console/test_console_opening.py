@@ -36,7 +36,7 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
 
 @unattended
 @pytest.mark.parametrize("how", ["leave", "withdraw"])
-def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_another_world_was_opened(
+def test_episode_ends_when_its_person_left_while_a_world_opened(
     recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str
 ) -> None:
     """Its body tells of no steps between which it could end."""
@@ -58,7 +58,7 @@ def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_anothe
     eventually(lambda: other.robot(episode=None, waiting=False))
 
 
-def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
+def test_emergency_stop_is_latched_while_a_world_opens(
     robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
 ) -> None:
     asked, goes_on = opening

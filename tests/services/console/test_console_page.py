@@ -74,7 +74,7 @@ def begin(page: Page, nobody: Nobody) -> Any:
 
 
 @pytest.mark.parametrize("name", ["map (1)", "<img src=x onerror=alert(1)>"])
-def test_a_robot_whose_world_has_a_name_that_cannot_be_asked_for_is_driven_there(
+def test_page_drives_a_world_when_its_name_is_unusable(
     page: Page, nobody: Nobody, board: Board, name: str
 ) -> None:
     """As `smal up --world "map (1).osm"` has it."""
@@ -162,7 +162,7 @@ def recording(name: str) -> dict[str, object]:
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
 
 
-def test_what_is_being_begun_is_cancelled_by_who_drives(
+def test_driver_cancels_an_episode_that_is_being_begun(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
@@ -176,7 +176,7 @@ def test_what_is_being_begun_is_cancelled_by_who_drives(
     page.wait_for_selector("#withdraw", state="hidden")
 
 
-def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
+def test_page_draws_course_and_obstacles_over_the_picture(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     """A box stands before it on the left; it drives on, in a bend to the right."""
@@ -216,7 +216,7 @@ def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
     assert drawn(250, 60) == [128, 128, 128]
 
 
-def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_moves_on(
+def test_box_goes_with_found_unless_the_robot_moves_on(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     def draw(*corners: tuple[float, float]) -> None:
@@ -253,9 +253,7 @@ def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_mov
     assert found() is None
 
 
-def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(
-    page: Page, nobody: Nobody
-) -> None:
+def test_keys_and_sticks_are_velocities(page: Page, nobody: Nobody) -> None:
     def has(*held: float) -> None:
         eventually(lambda: nobody.held == (pytest.approx(held) if held else None))
 

@@ -103,7 +103,7 @@ def begun(expert: ExpertService, episode: str = "e") -> ExpertService:
     return expert
 
 
-def test_a_frame_is_answered_once_its_two_halves_are_there_and_always_the_same() -> None:
+def test_expert_answers_a_frame_once_when_both_parts_arrived() -> None:
     expert = begun(ExpertService())
     pose, observation = frame(0)
     assert expert.see(pose) is None
@@ -118,7 +118,7 @@ def test_a_frame_is_answered_once_its_two_halves_are_there_and_always_the_same()
     assert expert.see(pose) == expert.handle(observation) == second, "a frame that is sent again"
 
 
-def test_nothing_is_commanded_after_arrival() -> None:
+def test_expert_is_silent_after_arrival() -> None:
     expert = begun(ExpertService())
     for tick, y in enumerate((8.0, 8.0, 0.0)):
         pose, observation = frame(tick, 10.0, y)

@@ -201,7 +201,7 @@ def permitted(role: Role) -> set[Cell]:
 
 
 @pytest.mark.parametrize("role", roles().values(), ids=lambda role: role.name)
-def test_a_role_can_do_what_the_tables_say_and_nothing_else(
+def test_role_can_do_exactly_its_table(
     role: Role, endpoint: str, keys: Path, within: zenoh.Session
 ) -> None:
     with closing(open_session(endpoint, credentials_in(keys, role.name))) as session:
@@ -221,7 +221,7 @@ def test_without_rules_every_attempt_goes_through(free_endpoint: str) -> None:
 
 
 @pytest.mark.parametrize("mode", ["peer", "router"])
-def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
+def test_stolen_watcher_certificate_gives_no_more_to_a_router(
     mode: str, endpoint: str, keys: Path, within: zenoh.Session
 ) -> None:
     more = {"listen/endpoints": []}
@@ -327,7 +327,7 @@ def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
     return drive
 
 
-def test_a_full_router_says_so_and_who_is_in_goes_on(
+def test_full_router_refuses_newcomers_and_serves_the_others(
     endpoint: str, keys: Path, within: zenoh.Session
 ) -> None:
     watcher = credentials_in(keys, "watcher")
@@ -353,7 +353,7 @@ def test_a_stack_leaves_half_of_the_router_to_others() -> None:
 
 
 @pytest.mark.parametrize("knock", ["silent", "leaves"])
-def test_strangers_at_the_door_do_not_disturb_who_is_in(
+def test_strangers_do_not_disturb_connected_sessions(
     endpoint: str, keys: Path, within: zenoh.Session, knock: str
 ) -> None:
     """They hold up who wants to come in (TLS: eclipse-zenoh/zenoh#2685), for no longer than they keep coming."""
@@ -372,7 +372,7 @@ def test_strangers_at_the_door_do_not_disturb_who_is_in(
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - refused
-def test_a_router_that_others_reach_lets_nobody_in_unless_it_is_told_to(host: str) -> None:
+def test_public_router_is_refused_unless_it_is_insecure(host: str) -> None:
     with pytest.raises(BusError, match="can be reached from other machines"):
         Router(f"tcp/{host}:7447")
 
@@ -394,7 +394,7 @@ def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) 
         (0, os.getegid(), 0o440, 0, False),
     ],
 )
-def test_what_root_gives_to_our_group_is_for_us(
+def test_secret_of_root_is_read_when_our_group_may(
     owner: int,
     group: int,
     mode: int,

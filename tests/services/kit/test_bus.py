@@ -79,7 +79,7 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
     assert [tick for tick in ticks if tick] == list(range(1, 100))
 
 
-def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: Bus) -> None:
+def test_handler_delays_only_its_own_lane(client: Bus, other: Bus) -> None:
     begun = threading.Event()
     release = threading.Event()
     handled = list[int]()
@@ -107,7 +107,7 @@ def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: B
     assert len(threads) == len(threads - {threading.get_ident()}) == 1
 
 
-def test_who_has_left_neither_hears_nor_answers(
+def test_closed_bus_neither_receives_nor_answers(
     client: Bus, other: Bus, router_endpoint: str
 ) -> None:
     leaving = Bus("rescuebot", router_endpoint)
@@ -166,9 +166,7 @@ def call_when_served(
     return reply
 
 
-def test_a_call_that_is_refused_malformed_late_or_nobody_s(
-    client: Bus, other: Bus, router_endpoint: str
-) -> None:
+def test_call_names_the_reason_when_it_fails(client: Bus, other: Bus, router_endpoint: str) -> None:
     kept: list[Callable[[Strict], None]] = []
     other.serve("sim", "refused", lambda _request, reply: reply(Failure(error="no such episode")))
     other.serve("sim", "malformed", lambda _request, reply: reply(Nothing()))
@@ -210,7 +208,7 @@ def test_a_request_that_is_dropped_is_told_at_once(client: Bus, other: Bus) -> N
     assert asked.is_set()
 
 
-def test_a_service_that_leaves_keeps_nobody_waiting(client: Bus, router_endpoint: str) -> None:
+def test_call_fails_at_once_when_its_service_leaves(client: Bus, router_endpoint: str) -> None:
     leaving = Bus("rescuebot", router_endpoint)
     asked = list[Callable[[Strict], None]]()
     leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="e")))
@@ -281,7 +279,7 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
     ],
     ids=["short", "longer than is asked for"],
 )
-def test_what_is_recorded_survives_an_outage_of_the_router(
+def test_recorded_topic_is_whole_after_an_outage(
     free_endpoint: str,
     topic: topics.Topic,
     kept_s: float,
@@ -317,7 +315,7 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
         router.close()
 
 
-def test_nothing_is_missing_where_live_samples_come_during_the_replay(
+def test_replay_is_whole_when_live_samples_arrive_meanwhile(
     client: Bus, router_endpoint: str
 ) -> None:
     """As for a recorder that is started again while the robot drives."""
@@ -345,7 +343,7 @@ def test_nothing_is_missing_where_live_samples_come_during_the_replay(
             bus.close()
 
 
-def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:
+def test_bus_knows_its_listeners(client: Bus, router_endpoint: str) -> None:
     assert not client.has_listeners(topics.DEPTH)
     one = Bus("rescuebot", router_endpoint)
     all_of_it = Bus("rescuebot", router_endpoint)
@@ -426,7 +424,7 @@ def test_a_host_that_does_not_exist(free_endpoint: str) -> None:
         Bus("rescuebot", address, patience_s=0.1)
 
 
-def test_what_is_kept_is_bounded(client: Bus, other: Bus) -> None:
+def test_sender_keeps_only_the_newest_samples(client: Bus, other: Bus) -> None:
     """Of a sender's samples those that it keeps, the newest, and of a sender that has left none."""
     kept = topics.COMMANDS["teleop"].kept
     for tick in range(kept + 10):

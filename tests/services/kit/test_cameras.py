@@ -48,7 +48,7 @@ def test_a_camera_comes_back(
     st.integers(0, 2**32 - 1),
     st.text(),
 )
-def test_whatever_ros_tells_is_a_camera_that_can_be_told_or_one_error(
+def test_ros_camera_is_valid_or_refused(
     k: list[float], d: list[float], width: int, lens: str
 ) -> None:
     try:
@@ -74,7 +74,7 @@ ROWS, COLUMNS = np.mgrid[0:96, 0:128]
 SMOOTH = np.stack([COLUMNS, ROWS, (COLUMNS + ROWS) // 2], axis=2).astype(np.uint8)
 
 
-def test_an_image_comes_back_almost_as_it_was_colours_in_their_order() -> None:
+def test_jpeg_keeps_image_and_channel_order() -> None:
     back = decode_jpeg(encode_jpeg(SMOOTH))
     assert back.shape == SMOOTH.shape
     assert np.abs(back.astype(int) - SMOOTH).mean() < 1.5
@@ -97,18 +97,18 @@ def test_a_progressive_jpeg_of_another_program_is_read() -> None:
     ],
     ids=["empty", "start", "start and end", "text", "cut in its header", "another format"],
 )
-def test_what_is_no_jpeg_is_refused(data: bytes) -> None:
+def test_data_is_refused_when_it_is_no_jpeg(data: bytes) -> None:
     with pytest.raises(ValueError, match=r"^not a JPEG image"):
         decode_jpeg(data)
 
 
-def test_a_small_file_that_claims_an_enormous_image_costs_nothing() -> None:
+def test_jpeg_is_refused_when_it_claims_an_enormous_image() -> None:
     data = encode_jpeg(SMOOTH)
     at = data.index(b"\xff\xc0") + 5
     with pytest.raises(ValueError, match=r"of a size that a camera has$"):
         decode_jpeg(data[:at] + (32_700).to_bytes(2, "big") * 2 + data[at + 4 :])
 
 
-def test_what_jpeg_cannot_hold_is_refused() -> None:
+def test_image_is_refused_when_jpeg_cannot_hold_it() -> None:
     with pytest.raises(ValueError, match=r"^OpenCV cannot encode a 65536x1 image as JPEG$"):
         encode_jpeg(np.zeros((1, 65536, 3), np.uint8))

@@ -42,7 +42,7 @@ PREFIX = "smal/rescuebot/@group/features"
 
 
 @given(INSTANCES, ROBOTS)
-def test_a_robot_has_one_owner_whoever_asks(instances: set[str], robot: str) -> None:
+def test_robot_has_one_owner(instances: set[str], robot: str) -> None:
     assert owner(robot, instances) in instances
     assert owner(robot, sorted(instances)) == owner(robot, sorted(instances, reverse=True))
 
@@ -67,7 +67,7 @@ def test_where_an_instance_leaves_its_robots_alone_move(
         max_size=9,
     )
 )
-def test_robots_are_shared_out_among_those_who_serve_so_many(counts: dict[str, int]) -> None:
+def test_robots_are_shared_among_the_instances_that_serve_them(counts: dict[str, int]) -> None:
     instances = {f"{one}-{many}": many for one, many in counts.items()}
     shares = [share(one, fleet("rescuebot", many), instances) for one, many in instances.items()]
     assert sorted(robot for each in shares for robot in each) == sorted(
@@ -246,7 +246,7 @@ def nothing_seen(tick: int) -> Observation:
     return seen(tick).model_copy(update={"features": Float32Array.from_numpy(vector)})
 
 
-def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
+def test_robots_keep_their_belief_when_an_instance_is_killed(
     client: Bus, router_endpoint: str, stack: ExitStack, model: Path
 ) -> None:
     names = fleet("rescuebot", MANY)
@@ -299,7 +299,7 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
 
 
-def test_what_an_idle_robot_sent_is_let_go_and_what_it_sends_next_arrives(
+def test_idle_robot_forgets_its_samples(
     client: Bus, router_endpoint: str, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = client.of_robot("rescuebot")
@@ -343,7 +343,7 @@ def test_a_process_tells_the_health_of_all_its_robots(
     assert metrics.count("\nprocess_cpu_seconds_total ") == 1
 
 
-def test_a_frozen_instance_s_robots_move_and_it_answers_nothing_old_when_it_goes_on(
+def test_frozen_instance_loses_its_robots_and_old_answers(
     client: Bus, router_endpoint: str, stack: ExitStack
 ) -> None:
     robots = Robots(client, fleet("rescuebot", MANY), topics.OBSERVATION, stack)
@@ -483,7 +483,7 @@ def test_an_instance_ends_when_its_router_is_frozen(
     assert not thread.is_alive()
 
 
-def test_a_question_about_tokens_has_no_answer_when_the_session_is_closed(
+def test_token_query_is_empty_when_the_session_is_closed(
     router_endpoint: str,
 ) -> None:
     bus = Bus("rescuebot", router_endpoint)

@@ -123,7 +123,7 @@ def test_a_node_without_its_router_is_not_healthy(free_endpoint: str) -> None:
         router.close()
 
 
-def test_clients_that_say_nothing_take_few_threads_and_are_sent_away(
+def test_silent_http_clients_take_few_threads(
     node: Node, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.kit.health._Handler.timeout", 0.2)

@@ -24,7 +24,7 @@ Step = tuple[str, int] | None
     st.tuples(*[st.integers(1, 5) for _ in NAMES]),
     st.integers(0, 30),
 )
-def test_inbox_gives_the_oldest_and_counts_what_gave_way(
+def test_inbox_gives_the_oldest_and_counts_drops(
     steps: list[Step], depths: tuple[int, ...], most_bytes: int
 ) -> None:
     """Compare with one list that holds everything in order of arrival; None takes, a name and a size put."""

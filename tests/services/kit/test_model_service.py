@@ -159,7 +159,7 @@ def test_recognition_keeps_its_window_after_a_refused_load(
     assert (answer.status, answer.state) == ("recognized", 2)
 
 
-def test_who_goes_by_a_map_runs_none_of_the_paper(tmp_path: Path) -> None:
+def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
     """It takes no memory, and no time at the start."""
     program = (
         "import sys\n"
@@ -194,7 +194,7 @@ def test_states_name_the_model_that_they_are_of(
 @pytest.mark.parametrize(
     "fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str
 )
-def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
+def test_policy_stops_when_a_state_is_of_another_model(
     policy: PolicyService, fields: dict[str, object], model: Path, other: Path
 ) -> None:
     known = state(0, model, status="recognized", state=2)
@@ -209,7 +209,7 @@ def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
     assert policy.detail()["states_of_another_model"] == 3
 
 
-def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
+def test_policy_obeys_another_model_once_it_is_loaded(
     policy: PolicyService, model: Path, other: Path
 ) -> None:
     theirs = state(0, other, status="recognized", state=2)

@@ -251,7 +251,7 @@ def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
     assert calls[3] - calls[1] >= 0.015, "the five missed calls did not come at once"
 
 
-def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> None:
+def test_soon_runs_once_and_counts_as_no_message(node: Node) -> None:
     done: list[int] = []
     soon = node.soon(lambda: done.append(1))
     other = node.soon(lambda: done.append(2))
@@ -266,7 +266,7 @@ def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> No
     assert node.status().dropped == {}, "nothing is lost where nothing was said"
 
 
-def test_a_node_ends_although_what_works_apart_hangs(
+def test_node_ends_when_its_thread_hangs(
     node: Node, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("services.kit.node._LAST_WORK_S", 0.05)
@@ -396,7 +396,7 @@ def test_a_service_that_cannot_start_says_why(
     assert caplog.messages == [str(error)]
 
 
-def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
+def test_emergency_stop_is_handled_at_once_when_the_node_is_busy(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
     """An emergency stop: behind junk, behind calls, and while the node's own thread is busy."""

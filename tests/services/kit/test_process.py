@@ -102,7 +102,7 @@ def test_process_is_killed_when_it_cannot_tidy_up(router_endpoint: str) -> None:
     assert (status, lines) == (-signal.SIGALRM, [])
 
 
-def test_process_ends_with_one_line_when_little_memory_is_allowed() -> None:
+def test_process_ends_in_one_line_when_memory_is_scarce() -> None:
     limited = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (90 << 20, 90 << 20)); import services.kit.bus"
     done = subprocess.run(
         [sys.executable, "-c", limited],

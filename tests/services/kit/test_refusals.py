@@ -92,7 +92,7 @@ def node(settings: ServiceSettings) -> Iterator[Node]:
 
 @pytest.mark.zenoh
 @WAYS
-def test_what_is_no_such_message_is_refused_and_its_sender_named(
+def test_forged_message_is_refused_and_names_its_sender(
     router_endpoint: str,
     node: Node,
     run_node: RunNode,
@@ -145,7 +145,7 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
 
 
 @pytest.mark.zenoh
-def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
+def test_sender_cannot_choose_priority_or_congestion_control(router_endpoint: str) -> None:
     """Whoever could would make all wait for a slow one, or go before an emergency stop."""
     block = zenoh.CongestionControl.BLOCK
     first = zenoh.Priority.REAL_TIME
@@ -202,9 +202,7 @@ def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) 
 
 
 @pytest.mark.zenoh
-def test_a_message_larger_than_any_topic_s_reaches_nobody(
-    router_endpoint: str, client: Bus
-) -> None:
+def test_message_is_dropped_when_it_exceeds_every_topic(router_endpoint: str, client: Bus) -> None:
     """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
     camera = topics.JPEG.key("rescuebot")
     sizes = SimpleQueue[int]()
@@ -254,7 +252,7 @@ def test_the_other_router_is_told_the_same() -> None:
     assert f"ZENOH_RUNTIME: {runtime(MAX_SESSIONS)!r}" in (ROOT / "docker-compose.yml").read_text()
 
 
-def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
+def test_waiting_messages_of_a_node_are_bounded(settings: ServiceSettings) -> None:
     """Frames as large as they may be come faster than they are handled; their queue alone would take 14 GB."""
     topic = topics.JPEG
     sender = Bus("rescuebot", settings.router)
@@ -291,7 +289,7 @@ def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node
 
 
 @pytest.mark.zenoh
-def test_a_call_of_everybody_is_nobody_s(
+def test_call_to_a_wildcard_is_refused(
     router_endpoint: str, node: Node, run_node: RunNode, client: Bus
 ) -> None:
     stopped: list[Nothing] = []
@@ -346,9 +344,7 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
 
 
 @pytest.mark.zenoh
-def test_a_call_larger_than_any_service_takes_reaches_none(
-    router_endpoint: str, client: Bus
-) -> None:
+def test_call_is_dropped_when_it_is_too_large(router_endpoint: str, client: Bus) -> None:
     """The router does not pass it on: calls that wait take no memory."""
     asked: list[int] = []
     service = Bus("rescuebot", router_endpoint)
@@ -418,7 +414,7 @@ def _called(bus: Bus, service: str) -> str:
         return "" if "is the service running" in str(error) else str(error)
 
 
-def test_whoever_goes_on_and_on_does_not_fill_the_log(
+def test_repeated_failures_do_not_fill_the_log(
     node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Refused requests, bugs in handlers of requests, of messages, and of what is handled at once."""

@@ -74,7 +74,7 @@ def test_a_sender_is_asked_once_at_the_first_sign_of_it() -> None:
     assert bench.asked == ["a"]
 
 
-def test_who_does_not_answer_holds_up_nobody_else() -> None:
+def test_silent_sender_delays_no_other() -> None:
     bench = Bench()
     bench.live("dead", 0)
     bench.live("a", 0)
@@ -84,7 +84,7 @@ def test_who_does_not_answer_holds_up_nobody_else() -> None:
     assert bench.passed[-1] == ("dead", 0)
 
 
-def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> None:
+def test_waiting_samples_are_bounded_and_kept() -> None:
     """Two senders who do not answer: the one for whose sample there is no room waits no longer, and that is told."""
     bench = Bench(most_bytes=10)
     bench.live("a", 5, size=4)
@@ -101,7 +101,7 @@ def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> N
     assert bench.budget.take(10), "all room is given back"
 
 
-def test_a_sender_that_is_forgotten_leaves_nothing_behind() -> None:
+def test_forgotten_sender_frees_its_room() -> None:
     bench = Bench(most_bytes=1000)
     for number in range(200):
         bench.live(f"sender-{number}", 0, size=1)

@@ -112,7 +112,7 @@ def is_heard(settings: ServiceSettings) -> bool:
         (True, signal.SIGSTOP, True),
     ],
 )
-def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
+def test_bus_goes_on_when_either_router_is_gone(
     tmp_path: Path, secure: bool, harm: signal.Signals, apart: bool
 ) -> None:
     with linked(tmp_path, secure=secure) as stack, closing(Stream(stack, apart=apart)) as stream:
@@ -135,7 +135,7 @@ def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
     assert stream.recorded == list(range(stream.recorded[0], stream.recorded[-1] + 1))
 
 
-def test_who_finds_a_router_again_that_was_frozen_comes_under_a_new_name(tmp_path: Path) -> None:
+def test_session_gets_a_new_name_when_its_router_was_frozen(tmp_path: Path) -> None:
     """For to the router that they had they might still be who they were, with other numbers for other keys."""
     plan = StackPlan(("router",), ROBOT, free_endpoint(), logs=tmp_path / "logs")
     with Stack(plan) as stack, closing(Stream(stack, apart=False)) as stream:

@@ -70,7 +70,7 @@ def asked(
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["taken over", "taken over and stopped"])
-def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
+def test_driver_begins_anew_when_the_operator_takes_over(
     node: Node, robot: Robot, operator: Operator, said: list[str], stopped: bool
 ) -> None:
     begun = asked(
@@ -93,9 +93,7 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     )
 
 
-def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(
-    settings: ServiceSettings, client: Bus
-) -> None:
+def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, client: Bus) -> None:
     """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
     stops = collected(client, COMMANDS["emergency_stop"])
     with Node("teleop", settings) as node:
@@ -114,7 +112,7 @@ def there(robot: Robot, node: Node) -> bool:
 
 
 @attended
-def test_a_robot_whose_pictures_take_long_misses_nobody(
+def test_robot_with_slow_pictures_does_not_miss_its_operator(
     node: Node, robot: Robot, operator: Operator, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
@@ -138,7 +136,7 @@ def test_a_robot_whose_pictures_take_long_misses_nobody(
 
 @attended
 @pytest.mark.parametrize("stays", [True, False])
-def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and_nobody_else(
+def test_robot_that_opens_a_world_misses_only_a_lost_operator(
     node: Node,
     robot: Robot,
     operator: Operator,

@@ -94,7 +94,7 @@ def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
 
 
 @pytest.mark.parametrize("driver", ["policy", "expert"])
-def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(
+def test_robot_stands_after_a_takeover_until_it_is_resumed(
     driver: Source,
 ) -> None:
     gate = armed()
@@ -123,7 +123,7 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
     assert gate.applied(1000.1).source == driver
 
 
-def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate) -> None:
+def test_resume_needs_no_episode_when_none_runs(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop"), 10.0)
     hear(gate, "o", 0, 10.0)
     assert gate.resume(None, 0, "another") == THEIRS
@@ -132,7 +132,7 @@ def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate
     assert not gate.taken_over
 
 
-def test_a_robot_that_was_started_moves_for_nobody_until_it_is_armed() -> None:
+def test_started_robot_stands_until_it_is_armed() -> None:
     gate = CommandGate()
     assert gate.stop_cause == "not_armed"
     assert begun(gate).offer(command(0), 10.0) is None, "what it would do is heard"
@@ -163,7 +163,7 @@ def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: i
     assert gate.emergency_stop == 4
 
 
-def test_of_two_stops_the_graver_cause_is_told_in_whatever_order_they_come() -> None:
+def test_graver_stop_cause_is_reported_in_any_order() -> None:
     """Who only misses the operator would arm a robot whose body has failed, without a look at it."""
     for graver, other in (
         ("fault", "operator_lost"),
@@ -191,7 +191,7 @@ class Interrupted(CommandGate):
 
 
 @pytest.mark.parametrize("how", ["stop", "silence", "good bye"])
-def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how: str) -> None:
+def test_emergency_stop_is_not_hidden_by_another_stop(how: str) -> None:
     gate = Interrupted(attended=True, first_stop=1)
     hear(gate, "o", 0, 10.0)
     if how == "stop":
@@ -204,7 +204,7 @@ def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
 
 
-def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate) -> None:
+def test_operator_is_lost_by_the_age_of_their_answer(gate: CommandGate) -> None:
     pulse = gate.pulse(10.0)
     gate.hear(beat("o", 0, pulse), 10.2)
     gate.watch(10.25)
@@ -226,7 +226,7 @@ def test_an_answer_that_took_too_long_is_no_sign_of_life(
 
 
 @pytest.mark.parametrize("off", [-1, 1, 7, None])
-def test_what_answers_no_pulse_is_no_sign_of_life(gate: CommandGate, off: int | None) -> None:
+def test_heartbeat_without_a_valid_pulse_is_ignored(gate: CommandGate, off: int | None) -> None:
     pulse = gate.pulse(10.0)
     gate.hear(beat("o", 0, None if off is None else pulse + off), 10.0)
     assert gate.operator is None
@@ -297,7 +297,7 @@ def test_how_old_the_command_is_that_moves_the_robot_is_told(gate: CommandGate) 
         ((-1.0, 1.0), (-1.0, 1.0), "command"),
     ],
 )
-def test_a_car_turns_no_more_sharply_than_it_can_whoever_asks(
+def test_car_turns_no_more_sharply_than_its_radius(
     gate: CommandGate, asked: tuple[float, float], goes: tuple[float, float], reason: str
 ) -> None:
     gate.kinematics = Kinematics(2.0, 2.0 / 1.5, 1.5)

@@ -71,7 +71,7 @@ def stands_after(robot: Robot, way: Link, harm: Harm, lane: Lane, lost_s: Lost) 
 
 
 @pytest.mark.parametrize(("harm", "lane"), HARMS)
-def test_robot_stands_when_its_lane_carries_nothing(
+def test_robot_stands_when_its_lane_is_dead(
     far: ServiceSettings, settings: ServiceSettings, way: Link, run_node: RunNode, client: Bus, lost_s: Lost,
     harm: Harm, lane: Lane,
 ) -> None:  # fmt: skip

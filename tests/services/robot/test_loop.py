@@ -55,7 +55,7 @@ def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCapt
     assert body.orders[-1] == ("stop", 0.0), "it does not try by itself"
 
 
-def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(
+def test_failed_body_is_left_to_its_watchdog(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     body = Failing(Clock())
@@ -72,7 +72,7 @@ def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(
     assert not told
 
 
-def test_what_is_carried_out_is_told_when_it_changes() -> None:
+def test_loop_reports_changes_of_the_executed_command() -> None:
     clock = Clock()
     body = LineBody(clock)
     gate = armed()
@@ -121,7 +121,7 @@ def stuck() -> Iterator[Stuck]:
     body.go_on.set()
 
 
-def test_nothing_that_waits_keeps_the_robot_moving(stuck: Stuck) -> None:
+def test_wheels_stop_when_rendering_hangs(stuck: Stuck) -> None:
     """The thread that renders and publishes is stuck, as it is where the router is frozen; the wheels are not."""
     runner = EpisodeRunner(stuck, Reach(), armed(), "r", "s")
     runner.reset(ResetRequest(seed=1, mode="realtime"))

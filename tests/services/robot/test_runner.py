@@ -49,7 +49,7 @@ def test_so_many_frames_a_second_whether_commanded_or_not(frames_hz: float, many
     assert len(images) in many
 
 
-def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers() -> None:
+def test_radio_sends_small_pictures_and_few_unanswered() -> None:
     clock = Clock()
     _, whole = begin(LineBody(clock), mode="realtime")
     runner = runner_of(LineBody(clock))
@@ -75,7 +75,7 @@ def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers()
     assert pictures(2.0) in {19, 20}, "a person who drives answers none"
 
 
-def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None:
+def test_radio_depth_image_is_a_sample_of_the_whole() -> None:
     whole = np.arange(240 * 320, dtype="<u2").reshape(240, 320)
     depth = DepthImage(**HEADER, width=320, height=240, data=whole.tobytes())
     small = DepthImage.model_validate(dict(coarse(depth)))
@@ -84,7 +84,7 @@ def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None
     assert coarse(small) == small
 
 
-def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:
+def test_body_without_sensors_sends_no_readings() -> None:
     body = LineBody(Clock())
     body.senses = False
     body.camera = None
@@ -114,7 +114,7 @@ def test_silence_stops_the_robot_within_half_a_second(body_of: type[LineBody]) -
     assert (told[0].reason, told[-1].reason) == ("command", "silence")
 
 
-def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock() -> None:
+def test_stamps_are_capture_times_when_the_wall_clock_jumps() -> None:
     clock = Clock()
     wall_ns = iter([7_000_000_000])
     runner = runner_of(LineBody(clock), wall_clock_ns=lambda: next(wall_ns))
@@ -228,7 +228,7 @@ def test_the_end_of_an_episode_is_standing_still() -> None:
         (1e9, 3, "found", "false_goal", None),
     ],
 )
-def test_what_the_robot_says_ends_its_run_and_is_judged(
+def test_report_of_the_robot_ends_its_run_and_is_judged(
     goal: float, frames: int, said: str, outcome: str, right: bool | None
 ) -> None:
     runner, _ = begin(LineBody(Clock(), goal=goal), until_said=True)
@@ -242,9 +242,7 @@ def test_what_the_robot_says_ends_its_run_and_is_judged(
 
 
 @pytest.mark.parametrize(("goal", "outcome"), [(0.3, "missed"), (1e9, "timeout")])
-def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(
-    goal: float, outcome: str
-) -> None:
+def test_run_is_missed_when_the_robot_passes_the_goal_silently(goal: float, outcome: str) -> None:
     runner, _ = begin(LineBody(Clock(), goal=goal, sight=0.2), until_said=True, max_ticks=8)
     assert [e for _ in range(8) for e in events(answer(runner))][-2:] == [
         ("timed_out", None),
@@ -268,7 +266,7 @@ def test_where_a_person_says_that_the_goal_is_it_is() -> None:
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "found")]
 
 
-def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
+def test_report_is_not_judged_when_there_is_no_task() -> None:
     body = LineBody(Clock())
     gate = armed()
     runner: Runner = EpisodeRunner(
@@ -303,7 +301,7 @@ def test_a_drive_of_a_person_has_no_time_limit() -> None:
     assert runner.running.tick == 3100
 
 
-def test_a_run_that_a_person_corrects_does_not_time_out_in_their_hands() -> None:
+def test_corrected_run_does_not_time_out() -> None:
     """It would end as one that found nothing, which teaches nothing."""
     clock = Clock()
     runner, _ = begin(LineBody(clock, goal=1e9), mode="realtime", max_ticks=5)
@@ -317,7 +315,7 @@ def test_a_run_that_a_person_corrects_does_not_time_out_in_their_hands() -> None
     assert events(advance(runner, clock, 0.2)) == [("timed_out", None), ("ended", "timeout")]
 
 
-def test_a_mode_that_the_robot_does_not_know_is_refused_in_one_line() -> None:
+def test_unknown_mode_is_refused_in_one_line() -> None:
     runner: EpisodeRunner[LineView] = EpisodeRunner(
         LineBody(Clock()), OperatorsTask(), armed(), "r", "s"
     )

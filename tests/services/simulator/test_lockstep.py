@@ -55,7 +55,7 @@ def test_it_sends_a_lost_frame_again_and_then_gives_up() -> None:
     assert events(list(runner.poll())) == [("ended", "aborted")]
 
 
-def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
+def test_late_listener_gets_its_picture_when_a_frame_is_resent() -> None:
     """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
     clock = Clock()
     wanted = set[Topic]()
@@ -105,7 +105,7 @@ def test_how_an_episode_ends(
     assert said == told
 
 
-def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commanding() -> None:
+def test_stopped_robot_stands_and_renders_nothing() -> None:
     body = LineBody(Clock())
     runner, _ = begin(body)
     runner.gate.stop()
@@ -130,7 +130,7 @@ def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commandi
     } == {"stop"}, "released is not told to go on"
 
 
-def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:
+def test_stop_during_a_step_ends_that_step() -> None:
     body = LineBody(Clock())
     runner, _ = begin(body)
     runner.offer(command(runner))
@@ -152,7 +152,7 @@ class Broken(LineBody):
             raise RuntimeError("no picture")
 
 
-def test_an_episode_whose_next_frame_cannot_be_made_ends() -> None:
+def test_episode_ends_when_its_next_frame_fails() -> None:
     body = Broken(Clock())
     runner, _ = begin(body)
     answer(runner)

@@ -57,7 +57,7 @@ def passes(simulation: Simulation, room: float) -> bool:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(world: str) -> None:
+def test_obstacles_stand_in_the_way_and_leave_room(world: str) -> None:
     simulation = simulated(world)
     for seed in (1, 2):
         simulation.reset(seed, "run", obstacles=3)
@@ -81,7 +81,7 @@ def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
+def test_blocked_way_has_no_passage(world: str) -> None:
     simulation = simulated(world)
     simulation.reset(1, "run")
     assert passes(simulation, 1.0)
@@ -90,7 +90,7 @@ def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(
+def test_people_walk_wait_and_are_hit_by_blind_robots(
     world: str,
 ) -> None:
     simulation = simulated(world)
@@ -126,7 +126,7 @@ def test_a_way_too_short_for_so_many_says_so() -> None:
         body.begin(ResetRequest(seed=1, obstacles=50))
 
 
-def test_clearance_is_of_the_robots_side_from_walls_things_and_people() -> None:
+def test_clearance_counts_walls_obstacles_and_people() -> None:
     simulation = simulated("campus")
     simulation.reset(1, "run")
     radius_m = simulation.world.robot.radius_m

@@ -77,9 +77,7 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(
 
 @robots
 @pytest.mark.parametrize("atom", ["forward", "left"])
-def test_silence_means_that_the_robot_stands_within_half_a_second(
-    robot: RobotModel, atom: Atom
-) -> None:
+def test_robot_stands_within_half_a_second_of_silence(robot: RobotModel, atom: Atom) -> None:
     """The gate obeys a command for so long from its frame on, and none comes sooner than a cycle after its frame.
 
     A robot stands that moves by less than 5 % of what it usually does in a tick.
@@ -124,7 +122,7 @@ def trace(base: PhysicalBase, seed: int, atoms: list[Atom]) -> list[Motion]:
     second=st.lists(st.sampled_from([*ATOMS, "forward"]), min_size=6, max_size=12),
 )
 @settings(max_examples=5)
-def test_an_episode_repeats_exactly_whatever_was_before(
+def test_episode_repeats_exactly(
     first: list[Atom], seeds: tuple[int, int], second: list[Atom]
 ) -> None:
     corner = Solid(

@@ -18,7 +18,7 @@ def command(episode: str, tick: int) -> Command:
     return Command.after(header, source="policy", atom="forward")
 
 
-def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_every_topic(
+def test_lockstep_episode_waits_and_survives_malformed_commands(
     client: Bus, router_endpoint: str
 ) -> None:
     images = collected(client, topics.JPEG)

@@ -80,7 +80,7 @@ def test_a_world_that_is_imported_is_the_same_in_its_file(name: str, tmp_path: P
         (lambda made: made.way(SCRIBBLE, building="yes"), "it crosses itself too often"),
     ],
 )  # fmt: skip
-def test_what_is_broken_is_left_out_and_counted_by_reason(
+def test_broken_map_objects_are_counted_by_reason(
     break_it: Callable[[MapText], object], reason: str, tmp_path: Path
 ) -> None:
     made = block_of_houses()

@@ -96,7 +96,7 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
         (os.mkfifo, "no world 'bad'"),
     ],
 )
-def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
+def test_robot_stays_when_another_world_is_unusable(
     made: Path, opened: list[tuple[str, str]], make: Callable[[Path], object], why: str
 ) -> None:
     make(made / "worlds" / "bad.json")
@@ -115,7 +115,7 @@ class EnoughError(Exception):
     """What ends the opening of a world."""
 
 
-def test_the_robot_stays_where_it_is_when_the_opening_of_another_world_is_ended(
+def test_robot_stays_when_opening_a_world_is_cancelled(
     made: Path, opened: list[tuple[str, str]]
 ) -> None:
     def enough() -> None:

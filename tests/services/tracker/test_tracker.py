@@ -109,7 +109,7 @@ def test_an_impossible_calibration_is_one_line_and_no_pose(
     assert line.startswith("handling camera/overhead failed (1 failures so far): a camera 0.4 m")
 
 
-def test_the_defaults_are_the_tag_that_the_simulator_puts_on_its_robot() -> None:
+def test_default_tag_is_the_tag_of_the_simulator() -> None:
     settings = TrackerSettings()
     assert TURTLEBOT.tag is not None
     on_robot = (TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m)

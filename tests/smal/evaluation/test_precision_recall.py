@@ -47,7 +47,7 @@ def test_poses_are_near_and_look_the_same_way(
             )
 
 
-def test_judging_takes_what_is_right_and_nothing_else() -> None:
+def test_truth_judges_answers() -> None:
     """Right; wrong; not judged; nothing to find; no answer; right at the second of two intervals."""
     intervals = np.array([[0, 2, 4], [1, 2, 4], [4, 0, 9], [5, 1, 2], [5, 7, 8]]).T
     truth = IntervalTruth(*intervals, np.array([1, 1, 0, 1, 1, 1], bool))
@@ -140,7 +140,7 @@ def judgement_of(
     return Judgement(score, score > 0.0, right, every, every if findable is None else findable)
 
 
-def test_scores_that_are_what_they_say_have_no_calibration_error() -> None:
+def test_calibrated_scores_have_no_calibration_error() -> None:
     rng = np.random.default_rng(0)
     score = rng.random(100_000)
     right = rng.random(score.size) < score

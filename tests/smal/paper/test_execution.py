@@ -99,7 +99,7 @@ def test_bad_features_are_refused_and_not_taken_in(model: PaperModel) -> None:
     assert recognizer.observe(4, query[4], due=True).status == "recognized"
 
 
-def test_the_whole_action_of_the_policy_is_made_and_then_the_robot_stops(model: PaperModel) -> None:
+def test_policy_action_is_executed_whole_and_then_stops(model: PaperModel) -> None:
     maker = DecisionMaker(model)
     for state in np.flatnonzero(model.policy >= 0).tolist():
         decision = maker.decide(Recognition("recognized", 0, state))
@@ -124,7 +124,7 @@ def test_waiting_keeps_the_plan_and_all_else_replaces_it(model: PaperModel) -> N
     assert maker.next_atom() == Atom.STOP
 
 
-def test_where_nothing_is_to_follow_the_robot_stops() -> None:
+def test_robot_stops_when_no_action_is_known() -> None:
     astray = drive(np.concatenate([corridor(20, seed=8, smooth=0.9), VIEWS]), 0, seed=4, end=20)
     model = learn([DRIVES[0], astray], LearningSettings(features=COLOR))
     assert model.states - np.unique(model.transitions.state).size == 1

@@ -56,7 +56,7 @@ def model() -> Model:
     )
 
 
-def test_a_robot_finds_the_tag_at_the_end_of_the_way_and_takes_no_other_for_it(
+def test_robot_finds_its_tag_and_no_other(
     tmp_path: Path,
 ) -> None:
     assert model().words["victim"].label == f"apriltag {AT_END}"
@@ -115,7 +115,7 @@ def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
     assert learned() is None
 
 
-def test_the_text_of_a_qr_code_is_what_is_found() -> None:
+def test_qr_text_is_detected() -> None:
     code = cv2.resize(
         cv2.QRCodeEncoder.create().encode("dock 4"), (120, 120), interpolation=cv2.INTER_NEAREST
     )
@@ -126,7 +126,7 @@ def test_the_text_of_a_qr_code_is_what_is_found() -> None:
     assert found.box == pytest.approx((100 / 320, 60 / 240, 220 / 320, 180 / 240), abs=0.05)
 
 
-def test_a_network_draws_boxes_and_one_that_does_not_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_network_draws_boxes_or_is_refused_in_one_line(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     onnx = pytest.importorskip("onnx")
     helper = onnx.helper
@@ -169,7 +169,7 @@ def test_a_network_draws_boxes_and_one_that_does_not_is_refused_in_one_line(tmp_
         FeatureSettings.parse(f"thumbnail,boxes:{network('raw.onnx', 1, 84, 8)}")
 
 
-def test_a_file_whose_word_does_not_fit_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_file_is_refused_when_its_detector_does_not_fit(tmp_path: Path) -> None:
     harmed = replace(model().words["victim"])
     vars(harmed)["size"] = -1.0
     replace(model(), words={"victim": harmed}).save(tmp_path / "way.smal")

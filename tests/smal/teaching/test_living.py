@@ -58,7 +58,7 @@ def looks_of(mapped: VisualMap) -> int:
     return int(np.bincount(mapped.looks, minlength=1).max())
 
 
-def test_places_that_look_otherwise_get_a_look_with_which_that_day_is_likelier() -> None:
+def test_changed_places_get_a_look_that_fits_the_day() -> None:
     grown = taken_up(model(), [run(7, 0.6)])
     taught = model().mapped
     count = len(taught.keyframes)
@@ -73,7 +73,7 @@ def test_places_that_look_otherwise_get_a_look_with_which_that_day_is_likelier()
     assert compared(model(), grown, [run(0, 0.0)]).better
 
 
-def test_the_taught_day_teaches_nothing_new() -> None:
+def test_taught_day_teaches_nothing_new() -> None:
     assert taken_up(model(), [run(0, 0.0)]) is model()
     unchanged, verdict = lived(model(), [run(0, 0.0), run(0, 0.0, -0.05)])
     assert unchanged is model()
@@ -88,7 +88,7 @@ def test_the_other_half_of_the_runs_decides() -> None:
         lived(model(), [run(7, 0.6)])
 
 
-def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(
+def test_looks_are_bounded_and_keep_the_taught_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("smal.teaching.living.SETTINGS", replace(SETTINGS, looks=2))
@@ -105,7 +105,7 @@ def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(
     ).all()
 
 
-def test_what_was_not_reached_or_has_no_images_teaches_nothing() -> None:
+def test_failed_run_or_run_without_images_teaches_nothing() -> None:
     assert whole_runs([replace(run(7, 0.6), successful=False)]) == []
     assert taken_up(model(), [replace(run(7, 0.6), camera=None)]) is model()
 
@@ -123,7 +123,7 @@ def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
         assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
 
 
-def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(
+def test_looks_lead_to_their_keyframes_on_a_long_way(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taught = model().mapped

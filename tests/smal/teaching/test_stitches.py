@@ -30,7 +30,7 @@ def two() -> tuple[VisualMap, Centering]:
     return stitched(replace(found, goals=("left", "right"))), centering
 
 
-def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
+def test_drives_are_joined_along_their_shared_way() -> None:
     found, _ = two()
     first = found.key_poses[found.stitched[:, 0]]
     second = found.key_poses[found.stitched[:, 1]]
@@ -54,7 +54,7 @@ def test_drives_in_different_rooms_are_not_joined() -> None:
     assert stitched(taught(Room(), LEFT, there, scene=SCENE)[0]).stitched.shape == (0, 2)
 
 
-def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
+def test_joined_drives_are_drawn_in_common_axes() -> None:
     found, _ = two()
     poses = found.poses.copy()
     second = found.drives == 1
@@ -68,7 +68,7 @@ def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
     np.testing.assert_array_equal(in_common_axes(alone), alone.key_poses)
 
 
-def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() -> None:
+def test_similar_places_are_not_joined_against_the_odometry() -> None:
     found, _ = two()
     drives = found.drives[found.keyframes]
     ends = [np.flatnonzero(drives == number)[-9:] for number in (0, 1)]

@@ -125,7 +125,7 @@ def stands_in_time(
 
 
 @pytest.mark.parametrize("fate", FATES)
-def test_whatever_becomes_of_the_page_the_robot_stands(
+def test_robot_stands_when_its_page_is_gone(
     browser: Browser, site: Site, lost_s: Lost, fate: str
 ) -> None:
     with opened(browser, site) as page:
@@ -133,7 +133,7 @@ def test_whatever_becomes_of_the_page_the_robot_stands(
         stands_in_time(page, site, lost_s, FATES[fate], fate)
 
 
-def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site, lost_s: Lost) -> None:
+def test_robot_stands_when_its_key_is_released(page: Page, site: Site, lost_s: Lost) -> None:
     """A key, whatever takes it away, and the pad; what stops the robot keeps it stopped until it is armed."""
     drive_ahead(page, site)
     for name, (befalls, undo) in LETS_GO.items():
@@ -168,7 +168,7 @@ def killed(site: Site) -> Iterator[None]:
         site.pid_of_console()
 
 
-def test_without_its_console_the_robot_stands_until_somebody_asks(
+def test_robot_stands_without_its_console_until_it_is_armed(
     browser: Browser, site: Site, lost_s: Lost
 ) -> None:
     faults: tuple[tuple[Callable[[int], AbstractContextManager[None]], str], ...] = (
@@ -197,7 +197,7 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(
             hold(page, site, lambda: page.keyboard.down("w"))
 
 
-def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
+def test_page_warns_when_a_stop_may_be_late(page: Page, site: Site) -> None:
     with frozen(site.pid_of_console()):
         eventually(lambda: told(page).startswith("The console has been silent for"))
         page.keyboard.press("Escape")

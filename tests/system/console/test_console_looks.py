@@ -67,7 +67,7 @@ VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => vi
 
 
 @pytest.mark.usefixtures("taught_here")
-def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
+def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     axe = pytest.importorskip(
         "axe_playwright_python.base", reason="axe-playwright-python is not installed"
     )
