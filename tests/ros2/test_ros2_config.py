@@ -79,7 +79,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ("", "expected settings such as"),
         ("a: [\n", "no YAML in line"),
         ("!!python/object/apply:os.system ['true']\n", "no YAML"),
-        ("[" * 5000, "no YAML"),
+        ("[" * 1500, "no YAML"),
         ("a: " + "x" * 70000, "larger than 65536 bytes"),
     ],
 )

@@ -87,8 +87,3 @@ def test_centering_normalizes_each_modality_alike() -> None:
     np.testing.assert_array_equal(
         Centering.fit(list(raw[:, None]), BOTH).mean, Centering.fit(raw, BOTH).mean
     )
-
-
-def test_settings_are_read_from_names() -> None:
-    assert FeatureSettings.parse("color,hog") == BOTH
-    assert FeatureSettings.parse(" hog , depth") == FeatureSettings(("hog", "depth"))

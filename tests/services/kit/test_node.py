@@ -213,16 +213,6 @@ def test_status_is_answered_while_a_handler_is_busy(
 # -- the loop ---------------------------------------------------------------------------------------------------------
 
 
-def test_spin_until_something_holds_or_time_is_over(node: Node) -> None:
-    with node:
-        handled: list[int] = []
-        node.subscribe(TELEOP, lambda received: handled.append(received.tick))
-        assert not node.spin(until=lambda: bool(handled), timeout_s=0.02)
-        send_raw(node, TELEOP, encode(command(4)), encoding_of(Command))
-        assert node.spin(until=lambda: bool(handled), timeout_s=100.0)
-        assert handled == [4]
-
-
 def test_timers_run_and_survive_failures(node: Node) -> None:
     calls: list[float] = []
 
@@ -365,16 +355,6 @@ def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: st
     assert process.returncode == status
     assert line in error
     assert len(error.strip().splitlines()) == 1
-
-
-def test_read_settings_names_the_unknown_flag(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["sample", "--colour", "red"])
-    with pytest.raises(SystemExit) as ended:
-        service_process.run_node("sample", ServiceSettings, lambda *_: None)
-    assert ended.value.code == 2
-    assert "--colour" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("error", [ServiceError("no such model"), BusError("no router")])

@@ -214,7 +214,7 @@ def test_operator_is_lost_by_the_age_of_their_answer(gate: CommandGate) -> None:
 
 
 @pytest.mark.parametrize(("heard_s", "there"), [(10.25, True), (10.2501, False), (13.0, False)])
-def test_an_answer_that_took_too_long_is_no_sign_of_life(
+def test_answer_that_is_too_late_is_no_heartbeat(
     gate: CommandGate, heard_s: float, there: bool
 ) -> None:
     pulse = gate.pulse(10.0)
@@ -269,6 +269,25 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     assert gate.applied(10.0).velocity == KEYS["forward"]
     hear(gate, "o", 2, 10.1, present=False)
     assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
+
+
+def test_process_holds_the_lease_until_it_is_silent(gate: CommandGate) -> None:
+    for tick in (1, 2, 3):
+        gate.captured(tick, 10.0)
+    assert gate.offer(command(1, session="a", sequence=1_000_000), 10.0) is None
+    for other in ("0", "b"):
+        assert gate.offer(command(2, session=other, atom="left"), 10.0) == "another session"
+    assert gate.applied(10.0).velocity == KEYS["forward"]
+    assert gate.offer(command(2, session="a"), 10.0) is None, (
+        "no number locks the rightful sender out"
+    )
+    late_s = 11.0
+    gate.captured(12, late_s)
+    assert gate.offer(command(12, session="b"), late_s) == "another session"
+    gate.captured(13, late_s + 0.001)
+    assert gate.offer(command(13, session="b"), late_s + 0.001) is None
+    assert gate.offer(command(13, session="a", sequence=9), late_s + 0.001) == "another session"
+    assert gate.applied(late_s + 0.001).answered_tick == 13
 
 
 @pytest.mark.parametrize(("first", "second"), ["ab", "ba"])

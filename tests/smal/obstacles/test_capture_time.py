@@ -95,12 +95,6 @@ def test_delay_is_zero_when_the_robot_was_carried(way: Callable[[int], Pose], to
         assert tick * TICK_S - at_s < 0.25
 
 
-def test_delay_ends_when_the_camera_sees_again() -> None:
-    found = delays(straight, lambda tick: 12 if 12 <= tick < 18 else tick, 30)
-    assert max(found[14:18]) > 0.25
-    assert max(found[20:]) == pytest.approx(0.0, abs=1e-9)
-
-
 #: Smooth walls on both sides: an image says little of how far along the robot is.
 STREET: list[Box] = [
     (-5.0, 2.5, 60.0, 3.0, 3.0),

@@ -30,22 +30,6 @@ def seen(model: PaperModel, frames: np.ndarray, tick: int = 0) -> list[Recogniti
     return [recognizer.observe(tick + k, frame, due=True) for k, frame in enumerate(frames)]
 
 
-def test_drives_share_their_states(model: PaperModel) -> None:
-    each = np.concatenate([np.unique(stream) for stream in model.state_streams])
-    assert model.states < 60
-    assert (np.bincount(each) > 1).sum() > 0.5 * model.states
-    assert model.transitions.goals.size == 1
-
-
-def test_every_state_leads_to_the_goal(model: PaperModel) -> None:
-    T = model.transitions.matrix
-    value = model.value
-    assert model.reward[model.transitions.goals[0]] == pytest.approx(1.0)
-    assert value[model.transitions.goals[0]] == pytest.approx(value.max())
-    expert = model.transitions.expert_pairs()
-    assert (T[expert] @ value > value - 1e-9).all()
-
-
 @pytest.mark.parametrize("noise", [0.3, 1.5, 4.0])
 def test_the_state_is_that_of_eq_9_however_strange_the_view(
     model: PaperModel, noise: float

@@ -148,9 +148,3 @@ def test_reward_is_at_the_goal() -> None:
     reward = learn_reward(T, 0.95).state_reward
     assert np.flatnonzero(reward > 1e-6).tolist() == [29]
     assert (np.diff(policy_iteration(T, reward, 0.95).value) > 0).all()
-
-
-def test_no_reward_at_the_critical_penalty() -> None:
-    T = learn_transitions([np.arange(9, dtype=np.int32)], [np.zeros(9, dtype=np.int32)], [True], 9)
-    assert np.abs(learn_reward(T, 0.9, 0.999).state_reward).max() == pytest.approx(1.0)
-    assert learn_reward(T, 0.9, 1.0).objective == pytest.approx(0.0, abs=1e-6)

@@ -32,7 +32,7 @@ GENERATE = (Phase.explicit, Phase.generate)
 
 @pytest.mark.parametrize(("structure", "tolerance"), CASES)
 @settings(
-    max_examples=4, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False
+    max_examples=2, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False
 )
 @given(seed=st.integers(0, 2**31))
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
@@ -124,16 +124,6 @@ def test_zero_and_repeated_and_collinear_templates() -> None:
     for name, solution in answers(problem, 1e-4):
         check(solution, problem, 1e-4, name)
         assert not solution.weights[4].any()
-
-
-def test_one_template() -> None:
-    X, _ = matching_problem(6, blocks=1, length=1)
-    for _, solution in answers(Problem(X, X, 1, 0.1, 0.1), 1e-4):
-        assert solution.converged
-        assert solution.weights == pytest.approx(np.ones((1, 1)), abs=1e-3)
-    for _, solution in answers(Problem(np.zeros_like(X), X, 1, 0.1, 0.1), 1e-4):
-        assert solution.converged
-        assert not solution.weights.any()
 
 
 BAD = [np.nan, np.inf, -np.inf]

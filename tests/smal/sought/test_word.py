@@ -19,7 +19,7 @@ from smal.sought.witness import Witness
 from tests import corridor
 
 TAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-READS = FeatureSettings(("color", "hog", "apriltag"))
+READS = FeatureSettings(("color", "apriltag"))
 AT_END = 7
 BESIDE = 3
 OTHER = 8

@@ -99,8 +99,9 @@ def of_two_people() -> tuple[VisualMap, Centering]:
     return stitched(replace(found, goals=("left", "right"))), centering
 
 
-@pytest.mark.parametrize("goal", ["left", "right"])
-@pytest.mark.parametrize("taught_by", [two, of_two_people])
+@pytest.mark.parametrize(
+    ("goal", "taught_by"), [("left", two), ("right", two), ("right", of_two_people)]
+)
 def test_each_goal_is_reached_from_the_start_of_the_other_drive(
     goal: str, taught_by: Callable[[], tuple[VisualMap, Centering]]
 ) -> None:
