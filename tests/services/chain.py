@@ -12,6 +12,7 @@ import numpy as np
 from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CompressedImage
+from schemas.command import Command
 from schemas.motion import Odometry
 from schemas.observation import Observation
 from schemas.state import State
@@ -92,6 +93,12 @@ def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -
     header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick * 100_000_000)
     named = {"status": "idle"} if model is None else {"model": identity(model)}
     return State.after(header, **named, **fields)
+
+
+def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
+    """Return a command to turn left."""
+    header = {"robot": robot, "episode": "e", "tick": tick, "stamp_ns": 0}
+    return Command.model_validate(header | {"source": source, "atom": "left"})
 
 
 def save_model(path: Path, frames: int = 18) -> Path:

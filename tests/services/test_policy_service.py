@@ -16,11 +16,6 @@ from tests.services.chain import state
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
-
-
-@pytest.fixture(scope="module")
 def papers_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "paper.smal"
     corridor.paper_model().save(path)

@@ -22,11 +22,6 @@ from tests.services.chain import identity, observation, picture, save_model, see
 from tests.services.recordings.recorded_messages import applied
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
-
-
 @pytest.fixture
 def service(model: Path) -> RecognitionService:
     made = RecognitionService()

@@ -19,15 +19,10 @@ from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from services.kit.bus import HEARTBEAT_S, Bus, BusError, Router, RpcError
 from tests.schemas.messages import EXAMPLES
+from tests.services.chain import command
 from tests.services.waiting import eventually
 
 Sample = tuple[bytes, str]
-
-
-def command(tick: int) -> Command:
-    return Command(
-        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
-    )
 
 
 @pytest.fixture

@@ -233,11 +233,6 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
     assert max(robots.answers.values()) == 1
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
-
-
 def nothing_seen(tick: int) -> Observation:
     """Return the observation of a picture that is all grey: it tells nothing of where the robot is."""
     vector = extract(

@@ -19,6 +19,7 @@ from services.kit.errors import JobError
 from services.kit.health import MOST_CONNECTIONS, ailment, serve_http
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
+from tests.services.chain import command
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce
 
@@ -26,12 +27,6 @@ HEALTHY = Status(
     service="s", state="ready", pid=1, connected=True, uptime_s=9.0, idle_s=0.0, busy_s=0.0, oldest_s=0.0, waiting={},
     received={}, published={}, dropped={}, bad={}, failed=0, detail={},
 )  # fmt: skip
-
-
-def command(tick: int) -> Command:
-    return Command(
-        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
-    )
 
 
 @pytest.mark.parametrize(

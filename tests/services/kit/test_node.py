@@ -19,13 +19,15 @@ from schemas.base import Message
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.motion import Pose
-from schemas.rpc import EndRequest, Nothing, Status
+from schemas.rpc import EndRequest, Nothing
 from schemas.topics import Topic
 from services.kit import process as service_process
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
+from tests.services.chain import command
 from tests.services.conftest import RunNode
+from tests.services.kit.conftest import status
 from tests.services.waiting import (
     collected,
     eventually,
@@ -39,34 +41,9 @@ ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
 
 
-def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
-    return Command.model_validate(
-        {
-            "robot": robot,
-            "episode": "e",
-            "tick": tick,
-            "stamp_ns": 0,
-            "source": source,
-            "atom": "left",
-        }
-    )
-
-
-def status(client: Bus) -> Status:
-    answer = status_of(client, "sample")
-    assert answer is not None
-    return answer
-
-
 def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
     """Hand over a sample as Zenoh's thread does."""
     node._inbox.put(topic.name, (payload, encoding), len(payload))
-
-
-@pytest.fixture
-def node(settings: ServiceSettings) -> Iterator[Node]:
-    with Node("sample", settings) as node:
-        yield node
 
 
 # -- messages ---------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.rpc import EndRequest, Failure, Nothing, Status
+from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from schemas.topics import TOPICS, rpc_key
 from services.kit.bus import Bus, RpcError
@@ -27,21 +27,17 @@ from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES
 from services.kit.zenoh_session import MAX_SESSIONS, runtime, zenohd_configuration
 from tests.schemas.messages import EXAMPLES
+from tests.services.chain import command
 from tests.services.conftest import RunNode
-from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
+from tests.services.kit.conftest import status
+from tests.services.waiting import eventually, introduce, ready, send_as_stranger
 
 ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
 KEY = TELEOP.key("rescuebot")
-COMMAND = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source="teleop", atom="left")
+COMMAND = command(1)
 ENCODING = encoding_of(Command)
 OTHERS = "tcp/0.0.0.0:7447"  # Where Eclipse's router listens, in its container.
-
-
-def status(client: Bus) -> Status:
-    answer = status_of(client, "sample")
-    assert answer is not None
-    return answer
 
 
 def bad(client: Bus, name: str, count: int) -> None:
@@ -82,12 +78,6 @@ def at_once(node: Node, handled: list[Message]) -> None:
 WAYS = pytest.mark.parametrize(
     "subscribe", [plain, replayed, at_once], ids=lambda way: way.__name__
 )
-
-
-@pytest.fixture
-def node(settings: ServiceSettings) -> Iterator[Node]:
-    with Node("sample", settings) as node:
-        yield node
 
 
 @pytest.mark.zenoh

@@ -8,7 +8,7 @@ import pytest
 from schemas.base import KEYS, STANDING, Source
 from schemas.command import Command, StopCause
 from services.robot.body import Kinematics
-from services.robot.gate import MAX_AGE_S, Applied, CommandGate
+from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
@@ -175,6 +175,8 @@ def test_graver_stop_cause_is_reported_in_any_order() -> None:
             for cause in causes:
                 gate.stop(cause)
             assert gate.stop_cause == graver
+            source = "emergency_stop" if graver == "emergency_stop" else None
+            assert gate.applied(0.0).source == source
 
 
 class Interrupted(CommandGate):
@@ -202,6 +204,14 @@ def test_emergency_stop_is_not_hidden_by_another_stop(how: str) -> None:
         hear(gate, "o", 1, 10.0, present=False)
     gate.other.join()
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
+
+
+@pytest.mark.parametrize("sequence", [0, 1])
+def test_heartbeat_counts_once_and_in_order(gate: CommandGate, sequence: int) -> None:
+    hear(gate, "o", 1, 10.0)
+    hear(gate, "o", sequence, 10.2)
+    gate.watch(10.1 + OPERATOR_S)
+    assert gate.stop_cause == "operator_lost"
 
 
 def test_operator_is_lost_by_the_age_of_their_answer(gate: CommandGate) -> None:

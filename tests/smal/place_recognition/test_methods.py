@@ -12,7 +12,8 @@ from smal.paper.phase import matched_phase
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.place_recognition.paper_matching import LAMBDA_SCALE, match_as_in_the_paper
-from tests.smal.place_recognition.traverses import Road, Walk, unit
+from tests.smal.place_recognition.traverses import Road, Walk
+from tests.smal.worlds import unit
 
 N = 100
 FIRST = 20

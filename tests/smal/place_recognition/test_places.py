@@ -14,7 +14,8 @@ from smal.features.extraction import in_parallel
 from smal.place_recognition import places as module
 from smal.place_recognition.hidden_markov import Chain, smoothed
 from smal.place_recognition.places import match_places
-from tests.smal.place_recognition.traverses import Walk, unit
+from tests.smal.place_recognition.traverses import Walk
+from tests.smal.worlds import unit
 
 N = 240
 LAGGED = (

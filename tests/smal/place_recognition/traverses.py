@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.smal.worlds import unit
+
 
 def random_features(rng: np.random.Generator, count: int, size: int = 24) -> NDArray[np.float32]:
     """Return features (count, size) of frames that have nothing to do with each other, of length 1."""
@@ -22,14 +24,6 @@ class Road:
         return np.asarray(
             np.cos(np.outer(positions, self._frequency) + self._phase), dtype=np.float32
         )
-
-
-def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: NDArray[np.float64] = np.divide(
-        vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0
-    )
-    return scaled
 
 
 class Walk:
