@@ -1,4 +1,4 @@
-"""Work in a child process that does what hostile files make libraries do."""
+"""Work in a child process that misbehaves as libraries do with hostile files."""
 
 import os
 import time

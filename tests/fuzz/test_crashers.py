@@ -1,4 +1,4 @@
-"""Inputs that once broke a decoder, valid ones, and changes in these: none breaks it, none costs much."""
+"""Inputs that once broke a decoder, valid inputs, and changed ones: none breaks it or costs much."""
 
 import re
 import time

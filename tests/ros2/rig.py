@@ -1,4 +1,4 @@
-"""A body, and a robot whose messages the test sends; no bus, and time as the test has it."""
+"""A body, and a robot whose messages the test sends: no bus, and a clock that the test moves."""
 
 from __future__ import annotations
 

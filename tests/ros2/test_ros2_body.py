@@ -1,4 +1,4 @@
-"""A ROS 2 base as a body, without Zenoh: what its messages do, and what they can never do."""
+"""A ROS 2 base as a body, without Zenoh: messages in, velocities out."""
 
 import math
 from pathlib import Path

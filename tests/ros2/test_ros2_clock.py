@@ -1,4 +1,4 @@
-"""Another machine's clock: whatever it does, no old frame is taken for a new one."""
+"""The clock of another machine: an old frame is never believed to be new."""
 
 import math
 from pathlib import Path
@@ -31,7 +31,6 @@ def fresh(rig: Rig) -> bool:
 def test_age_is_at_least_the_delay_and_at_most_the_round_trip(
     ahead: float, trips: list[tuple[float, float]]
 ) -> None:
-    """The first of a pair is the delay of the link to here; the second is the way of an echo there, and its wait."""
     clock = StampedClock()
     least = math.inf
     leaps = 0
@@ -60,7 +59,6 @@ def test_a_link_that_became_slow_makes_frames_old() -> None:
 @pytest.mark.parametrize("by_s", [0.0, -0.2, -1.3, -3600.0])
 @pytest.mark.parametrize("late_from", [0, 30])
 def test_age_is_the_delay_when_a_clock_is_set_back(by_s: float, late_from: int) -> None:
-    """The age was 0.0 after the step, and from the start on a link that is late from the start."""
     clock = StampedClock()
     for number in range(100):
         made = number * FRAME_S
@@ -140,7 +138,6 @@ def test_robot_stands_when_its_clock_was_set_until_it_is_learned(rig: Rig, by_s:
 
 
 def test_late_frame_is_old_when_the_clock_was_set_back(rig: Rig) -> None:
-    """What came 3 s late was taken for new, where the robot's clock had been set back by 1.3 s."""
     rig.clock.now_s += 3.0
     for number in range(2):
         rig.passes(0.0, "picture")

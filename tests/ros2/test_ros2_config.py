@@ -1,4 +1,4 @@
-"""What a robot is told of its base: every mistake is one clear line."""
+"""The configuration of a base: every mistake is one clear line."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A fake TurtleBot is driven, and harmed: by its own log its wheels stand in time, whatever is killed or frozen."""
+"""Harm a driven fake TurtleBot: by its own log its wheels stand in time."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""A broken or malicious robot: whatever comes on its topics is taken or refused, and moves nothing."""
+"""A broken or malicious robot: its messages are accepted or refused, and move nothing."""
 
 import math
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""The scanner: a way is free where it says so, and nowhere else."""
+"""The scanner: a way is free only where the scan shows it free."""
 
 import math
 from pathlib import Path
@@ -84,7 +84,6 @@ def test_scan_is_refused_when_its_count_contradicts_its_angles(rig: Rig, beams: 
 def test_only_the_way_is_closed_when_its_beams_are_invalid(
     rig: Rig, value: float, middle: int, others: str
 ) -> None:
-    """All other gates are open: the invalid beams alone close the way."""
     ranges = np.full(360, 5.0, np.float32)
     ranges[np.arange(middle - 10, middle + 11) % 360] = value
     assert after(rig, ranges).ways() == others

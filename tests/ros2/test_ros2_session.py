@@ -1,4 +1,4 @@
-"""The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
+"""The session with a robot's router: buttons that report only changes, and messages that are too large."""
 
 import math
 import os
@@ -96,7 +96,6 @@ def make(
 def test_age_is_at_least_the_delay_when_a_link_is_late(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
-    """The link is late from the first picture on; the least delay counted as none, so pictures were 0.0 s old."""
     place = make(False)
     place.start_robot()
     assert place.robot is not None

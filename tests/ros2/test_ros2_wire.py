@@ -1,4 +1,4 @@
-"""How ROS 2 speaks over Zenoh: by what a real node sent, and by what another implementation reads of what we write."""
+"""ROS 2 over Zenoh: recordings of a real node, and a second implementation that reads our bytes."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""Whatever comes over the wire, ``decode`` gives a valid message or a DecodeError of one line, at little cost."""
+"""``decode`` turns any bytes into a valid message or a DecodeError of one line, at little cost."""
 
 import tracemalloc
 

@@ -1,4 +1,4 @@
-"""The one table of topics."""
+"""The table of topics."""
 
 import pytest
 from hypothesis import given

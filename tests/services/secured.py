@@ -1,4 +1,4 @@
-"""A router that knows who is who, and raw sessions with the certificates of each role."""
+"""A router with certificates, and raw sessions of each role."""
 
 import json
 from collections.abc import Iterator

@@ -82,7 +82,6 @@ def test_detections_go_with_the_features_of_their_frame() -> None:
 def test_observation_is_of_one_frame_in_any_order(
     arrivals: list[tuple[bool, int, str]],
 ) -> None:
-    """Once for every colour image at most, with the features of that frame; the others are counted or wait."""
     service = FeaturesService(WITH_DEPTH)
     sent = [
         (depth_image if is_depth else image)(tick, episode=episode)
@@ -141,7 +140,6 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
 
 
 def test_the_service_needs_no_scipy() -> None:
-    """Its container image has none."""
     program = (
         "import sys\n"
         "sys.modules['scipy'] = None\n"

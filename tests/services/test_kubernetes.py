@@ -1,4 +1,4 @@
-"""The manifests for Kubernetes: they are what its API takes, and say what the table of services says."""
+"""The manifests for Kubernetes fit its API and the table of services."""
 
 import re
 import runpy

@@ -162,7 +162,6 @@ def test_it_stops_for_a_state_of_another_scheme(
 def test_it_stops_for_a_place_that_its_model_does_not_have(
     policy: PolicyService, model: Path, papers_model: Path
 ) -> None:
-    """States come over the network: one that names the right model may still be wrong."""
     papers = PolicyService()
     papers.load(LoadedModel.read(papers_model))
     beyond = state(0, papers_model, status="recognized", state=1_000_000)

@@ -1,4 +1,4 @@
-"""Recognition by the filter, its handlers alone: which frames it answers, when, and with what it knows."""
+"""Recognition by the filter, its handlers alone."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Boxes on flat ground, and what a depth camera measures of them, by rays; a robot that its atoms move exactly."""
+"""Boxes on flat ground, their depth images by ray casting, and a robot with exact motions."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A robot whose camera shows nothing of the taught way notices within half a second of driving, and stands."""
+"""A robot whose camera fails notices within half a second of driving, and stands."""
 
 import math
 from collections.abc import Callable

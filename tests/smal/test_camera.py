@@ -42,7 +42,6 @@ def test_a_lens_bends_as_opencv_says(lens: Lens, distortion: tuple[float, ...]) 
 
 
 def test_lens_is_monotone_beyond_its_calibration() -> None:
-    """A strong barrel bends back what is far aside, where its calibration says nothing true."""
     camera = Camera(0.5, "plumb_bob", (-0.5,))
     radii = camera.radius(np.linspace(0.0, math.pi, 1000))
     assert (np.diff(radii) >= 0.0).all()

@@ -63,7 +63,6 @@ def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
 
 @pytest.mark.parametrize("odometry", [True, False])
 def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -> None:
-    """Begun 10 cm outside and turned a little; without odometry the filter goes by what it was told to do."""
     found, centering = learned(odometry)
     follower = Filter(found, centering)
     planner = Planner(found)

@@ -35,7 +35,6 @@ def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> N
 
 
 def test_sizes_are_known_without_opencv() -> None:
-    """The container of recognition has none."""
     code = "import sys; sys.modules['cv2'] = None; from smal.features import FeatureSettings; FeatureSettings().size"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=DEADLINE_S)
 

@@ -137,7 +137,6 @@ def test_noise_of_the_camera_is_no_new_view() -> None:
 
 @pytest.mark.parametrize("to", [40, 110])
 def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
-    """Carried on for two seconds at a walk, it no longer believes to be where it was taken away."""
     one = drive()
     found = Filter(*usual_map())
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
@@ -179,7 +178,6 @@ def test_the_likelihood_does_not_jump_between_the_virtual_views(
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize(("contrast", "frames"), [(0.0, 10), (3.0, 10), (70.0, 3)])
 def test_hidden_frames_do_not_move_the_belief(moves: bool, contrast: float, frames: int) -> None:
-    """Grey hides half a metre, most of a correlation length, or noise a few frames: it goes on by the wheels."""
     seen = drive(way=((2.2, 0.0),))
     found = Filter(*usual_map())
     follow(Drive(seen.poses[:20], seen.atoms[:20]), found)
@@ -259,7 +257,6 @@ def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
 
 
 def test_robot_is_lost_in_another_room_and_found_again() -> None:
-    """Rooms may look alike by chance: lost in most of them."""
     rooms = [elsewhere(seed) for seed in range(1, 4)]
     assert max(lost[0] for lost, _ in rooms) < 0.2
     assert float(np.median([lost[-1] for lost, _ in rooms])) > 0.5

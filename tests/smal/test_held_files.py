@@ -1,4 +1,4 @@
-"""A loaded model keeps its content, whatever happens to its file."""
+"""A loaded model keeps its content when its file changes."""
 
 import os
 import subprocess

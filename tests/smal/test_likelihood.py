@@ -1,4 +1,4 @@
-"""What a view says of a place: calibrated, monotone, and the same whatever dims all views alike."""
+"""The likelihood of a place: calibrated, monotone, and independent of dimming."""
 
 import numpy as np
 import pytest

@@ -84,7 +84,6 @@ def test_the_table_that_made_a_noisy_drive_is_found() -> None:
 def test_missing_atom_is_the_opposite_of_its_opposite(
     made: Atom, missing: Atom, sign: tuple[float, float]
 ) -> None:
-    """Of a turn that is the one in a mirror: who goes ahead in one goes ahead in the other."""
     atoms = np.full(20, made, dtype=np.int8)
     found = atom_movements([dead_reckoning(atoms, TABLE)], [atoms])
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
@@ -104,7 +103,6 @@ def test_bends_do_not_make_a_turning_robot_a_car() -> None:
 
 
 def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
-    """As where somebody corrects at full speed: of what it rolls 0.6 is left after each frame of a turn."""
     atoms = np.tile(
         np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5
     ).astype(np.int8)

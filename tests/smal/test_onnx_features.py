@@ -1,4 +1,4 @@
-"""Networks as modalities: what is calculated, what names it, and the files that are refused."""
+"""Networks as modalities: values, names, and files that are refused."""
 
 import os
 import pickle
@@ -207,7 +207,6 @@ def test_unknown_network_can_be_named_but_not_run() -> None:
     ],
 )
 def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not even that of a file which is there."""
     monkeypatch.chdir(tmp_path)
     network(tmp_path / "FILE")
     with pytest.raises(
@@ -219,7 +218,6 @@ def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_model_opens_no_file_and_runs_no_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A model that names a FIFO is refused at once; one that names a network by its contents is used without it."""
     text = network(tmp_path / "mix.onnx")
     path = tmp_path / "x.smal"
     seed = smallest_model()

@@ -1,4 +1,4 @@
-"""Taught by people: what they did wrong and mended is not repeated, and how long they took does not matter."""
+"""Teaching by people: corrected mistakes are not repeated, and pauses do not matter."""
 
 import itertools
 import math

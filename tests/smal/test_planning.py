@@ -1,4 +1,4 @@
-"""What the planner does with a belief: along the way, towards it, at its end, and when the belief is too wide."""
+"""Decisions of the planner: on the way, beside it, at its end, and when the belief is too wide."""
 
 import itertools
 import math
@@ -270,7 +270,6 @@ def test_robot_does_not_approach_an_unlocated_target() -> None:
 
 
 def test_robot_reports_not_here_when_no_way_leads_on() -> None:
-    """Carried to a way that leads nowhere, just before it has looked all round."""
     planner = Planner(map_of(5.0, 5.0, goals=("victim", "elsewhere")), "victim")
     end = belief((50, 0.0, 0.0, 0.0))
     other = belief((70, 0.0, 0.0, 0.0))
@@ -281,7 +280,6 @@ def test_robot_reports_not_here_when_no_way_leads_on() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
-    """Until its decision moves the robot it goes on turning: without that it would turn too far, and back again."""
     turns = []
     for delay_s in (0.0, 0.1, 0.3):
         planner = Planner(STRAIGHT)
@@ -294,7 +292,6 @@ def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
 
 @pytest.mark.parametrize("car", [False, True])
 def test_robot_returns_to_the_way_without_a_stop(car: bool) -> None:
-    """A car turns no more sharply than it can, and goes ahead in turning; the other turns where it looks back."""
     table = STRAIGHT.movements.copy()
     table[[Atom.LEFT, Atom.RIGHT], 0] = 0.05 if car else 0.0
     planner = Planner(replace(STRAIGHT, movements=table))

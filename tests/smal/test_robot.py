@@ -1,4 +1,4 @@
-"""The method in four lines: images in, atoms out, and where the robot is."""
+"""The method in four lines: images in, atoms and the position out."""
 
 import math
 import subprocess
@@ -110,7 +110,6 @@ def test_atoms_fill_gaps_in_the_odometry() -> None:
 
 
 def test_following_features_needs_no_opencv(tmp_path: Path) -> None:
-    """The processes of recognition and of the policy have none: their image is smaller for it."""
     model().save(tmp_path / "way.smal")
     np.save(tmp_path / "seen.npy", extract(view(*pose(0)), FEATURES))
     code = (

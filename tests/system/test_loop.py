@@ -86,7 +86,6 @@ def test_robot_finds_the_victim_from_anywhere_after_a_kidnap(
 def test_the_papers_scheme_runs_in_real_time(
     near: Path, taught_paper: Path, tmp_path: Path, running: str
 ) -> None:
-    """A map of views is followed in real time by a run from the page, and by the fake TurtleBot."""
     more = ("--scheme", "paper", "--realtime", "--connect", running, "--max-ticks", 60)
     found = run_json(near, taught_paper, tmp_path / "paper.json", *more)
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}
@@ -95,7 +94,6 @@ def test_the_papers_scheme_runs_in_real_time(
 def test_two_robots_find_victims_while_an_instance_is_killed(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:
-    """On two instances of each service that follows: whatever the dead one served, the other one goes on with."""
     own = {
         "robot": flags(world=near, camera_width=160, camera_height=120),
         **dict.fromkeys(("recognition", "policy"), flags(root=taught)),

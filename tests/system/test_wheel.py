@@ -1,4 +1,4 @@
-"""The project as a wheel has all that it needs: it is built, unpacked somewhere else, and run."""
+"""The wheel is complete: build it, unpack it elsewhere, and run it."""
 
 import os
 import shutil

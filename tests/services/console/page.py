@@ -1,4 +1,4 @@
-"""A page as a test has it: two sockets, and what a person does at it."""
+"""A page for tests: two sockets, and the actions of a person."""
 
 from __future__ import annotations
 

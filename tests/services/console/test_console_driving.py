@@ -1,4 +1,4 @@
-"""A page drives the real actuator, and whatever becomes of the page, the robot stands in time."""
+"""A page drives the real actuator; the robot stands in time when the page fails."""
 
 import threading
 import time
@@ -110,7 +110,6 @@ def test_drive_is_begun_driven_recorded_and_ended_by_the_page(
 def test_a_page_that_is_gone_stands_the_robot(
     driving: Page, robot: Robot, lost_s: Lost, how: str
 ) -> None:
-    """Cut off without a word, or still connected but asleep."""
     gone_s = time.monotonic()
     if how == "vanished":
         driving.vanish()
@@ -122,7 +121,6 @@ def test_a_page_that_is_gone_stands_the_robot(
 
 
 def test_late_answers_do_not_move_the_robot(driving: Page, robot: Robot) -> None:
-    """What a sleeping laptop or a slow link delivers afterwards was meant for another moment."""
     driving.late_s = 1.5 * LET_GO_S
     eventually(lambda: not robot.wheels.driven)
     beats = driving.beats
@@ -142,7 +140,6 @@ def test_late_answers_do_not_move_the_robot(driving: Page, robot: Robot) -> None
 
 @unattended
 def test_page_request_is_refused_when_it_is_old(driving: Page, robot: Robot) -> None:
-    """What a slow link or a console that was frozen delivers afterwards must not have a robot move by itself."""
     asked_at = driving.beat
     episode = driving.state["robot"]["episode"]
     driving.answers = False
@@ -167,7 +164,6 @@ def test_page_request_is_refused_when_it_is_old(driving: Page, robot: Robot) -> 
 def test_an_emergency_stop_overtakes_a_flood(
     driving: Page, robot: Robot, console: Console, open_page: OpenPage
 ) -> None:
-    """Somebody who drives says thousands of things; the stop of whoever watches waits for none but one of them."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
     flooding = True
@@ -227,7 +223,6 @@ def test_robot_does_not_miss_an_operator_that_left(
 def test_any_page_stops_the_robot(
     driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost
 ) -> None:
-    """Whoever drives also by the socket that they drive by, where all places to watch are taken."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
     for who in ("a watcher", "the driver"):
@@ -283,7 +278,6 @@ def test_episode_does_not_begin_when_its_person_has_left(
     run_node: RunNode,
     how: str,
 ) -> None:
-    """A model takes seconds to load; a robot must not set out then with nobody there."""
     asked = threading.Event()
     goes_on = threading.Event()
 

@@ -1,4 +1,4 @@
-"""Who gets in: names, origins, tokens; and what the page may not do."""
+"""Access to the page: host names, origins, tokens, and its content security policy."""
 
 import ssl
 import subprocess
@@ -27,7 +27,7 @@ TOKEN = "correct horse battery"  # noqa: S105 - of a test
 
 
 def test_a_foreign_name_is_refused(page: Page) -> None:
-    """A name of somebody else's may be made to lead here: then their page would be of our origin."""
+    """Another name of this host would give a foreign page our origin."""
     for host in ("evil.example", "127.0.0.1.evil.example:8080", "[::1].evil", "", "127.0.0.2"):
         answered, said = page.get("/", Host=host)
         assert (answered, b"<html" in said) == (421, False), host
@@ -70,7 +70,6 @@ def test_flood_of_a_watcher_does_not_delay_the_driver(
     opcode: int,
     said: bytes,
 ) -> None:
-    """The robot misses a driver who is not heard for LEASE_S."""
     heard_s: list[float] = []
     monkeypatch.setattr(nobody, "hold", lambda _atom, _sent_s: heard_s.append(time.monotonic()))
     frame = bytes((0x80 | opcode, 0x80 | len(said), 0, 0, 0, 0)) + said

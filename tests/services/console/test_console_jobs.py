@@ -1,4 +1,4 @@
-"""What takes long is a process of its own: it tells how far it is, is cancelled, and leaves nothing behind."""
+"""Long jobs run as processes: they report progress, can be cancelled, and leave nothing behind."""
 
 import sys
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What was recorded and learned, as the page lists it; names and files may be anybody's."""
+"""The list of recordings and models; names and files are untrusted."""
 
 import multiprocessing
 import signal
@@ -88,7 +88,6 @@ def test_library_goes_on_when_a_file_kills_its_reader(library: Library) -> None:
 def test_library_shows_known_files_while_it_reads(
     library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file that unpacks to far more than its size is listed as unreadable, and keeps nobody."""
     monkeypatch.setattr("services.console.library._SHOW_S", 0.0)
     chunk = Chunk("zstd", zstandard.compress(bytes(64 << 20)), 0, 0, 0, 64 << 20)
     builder = RecordBuilder()
@@ -186,7 +185,6 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     settings: ServiceSettings,
     run_node: RunNode,
 ) -> None:
-    """Recorded as well, since a person may correct it by hand."""
     loaded: list[tuple[str, LoadRequest]] = []
     corridor.save_model(console.root / "corridor.smal")
     features = Node("features", settings)

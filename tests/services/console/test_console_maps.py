@@ -1,4 +1,4 @@
-"""Maps that a page sends: only whoever drives sends one, and whatever happens, nothing of it is left behind."""
+"""Maps that a page sends: only the driver may send them, and failed uploads leave nothing behind."""
 
 import os
 import tempfile
@@ -71,7 +71,6 @@ def head(page: Page, *lines: str) -> bytes:
 
 
 def test_map_upload_ends_when_its_sender_leaves_the_seat(seated: Page, nobody: Nobody) -> None:
-    """The word of a seat is of no use to anybody later."""
     with connected(seated) as sending:
         sending.sendall(
             head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half"

@@ -1,4 +1,4 @@
-"""A world that the robot opens for a page: who has left or cancels meanwhile drives nothing, and a stop is heard."""
+"""A page that leaves, cancels or stops while the robot opens a world."""
 
 import threading
 from collections.abc import Callable
@@ -39,7 +39,6 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
 def test_episode_ends_when_its_person_left_while_a_world_opened(
     recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str
 ) -> None:
-    """Its body tells of no steps between which it could end."""
     asked, goes_on = opening
     page = open_page()
     other = open_page()

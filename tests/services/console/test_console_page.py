@@ -1,4 +1,4 @@
-"""What the page makes of what it is told, in a real browser, without a stack."""
+"""The page in a real browser, without a stack."""
 
 from __future__ import annotations
 

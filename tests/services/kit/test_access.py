@@ -1,7 +1,6 @@
-"""Every role against every key and verb, by real sessions and a real router; and whoever has no business there.
+"""Try every role on every key and verb, by real sessions and a real router.
 
-What must be allowed is told by the tables; what the router does is tried. The same attempts against a router without
-rules all go through, so that an attempt that could not succeed proves nothing here.
+The tables tell which attempts may succeed. Without rules every attempt succeeds, so each attempt proves something.
 """
 
 import json
@@ -356,7 +355,6 @@ def test_a_stack_leaves_half_of_the_router_to_others() -> None:
 def test_strangers_do_not_disturb_connected_sessions(
     endpoint: str, keys: Path, within: zenoh.Session, knock: str
 ) -> None:
-    """They hold up who wants to come in (TLS: eclipse-zenoh/zenoh#2685), for no longer than they keep coming."""
     with ExitStack() as stack:
         drive = _driving(endpoint, keys, stack)
         with ExitStack() as at_door:

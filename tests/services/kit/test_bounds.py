@@ -1,4 +1,4 @@
-"""What a router lets one session ask in a second: a flood of calls is dropped at the door, of others nothing."""
+"""The bound on calls of one session: a router drops a flood of calls, and nothing of other sessions."""
 
 import time
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""What may be counted on, in memory and over Zenoh; then what only Zenoh has: links, outages, addresses."""
+"""Guarantees of the bus: delivery and order, calls, outages, addresses."""
 
 import socket
 import threading
@@ -281,7 +281,6 @@ def test_recorded_topic_is_whole_after_an_outage(
     away_s: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
     monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
     router = Router(free_endpoint)
     sender = Bus("rescuebot", free_endpoint)
@@ -313,7 +312,6 @@ def test_recorded_topic_is_whole_after_an_outage(
 def test_replay_is_whole_when_live_samples_arrive_meanwhile(
     client: Bus, router_endpoint: str
 ) -> None:
-    """As for a recorder that is started again while the robot drives."""
     before = 100
     after = 150
     late = [Bus("rescuebot", router_endpoint) for _ in range(6)]
@@ -420,7 +418,6 @@ def test_a_host_that_does_not_exist(free_endpoint: str) -> None:
 
 
 def test_sender_keeps_only_the_newest_samples(client: Bus, other: Bus) -> None:
-    """Of a sender's samples those that it keeps, the newest, and of a sender that has left none."""
     kept = topics.COMMANDS["teleop"].kept
     for tick in range(kept + 10):
         client.publish(command(tick))

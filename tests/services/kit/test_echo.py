@@ -1,4 +1,4 @@
-"""Lanes that carry nothing although they are connected: seen by health, and the end of the process that has them."""
+"""Connected lanes that carry nothing: health reports them, and the process ends."""
 
 import subprocess
 import sys
@@ -64,7 +64,6 @@ def test_a_sample_of_another_size_is_no_echo(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """A router that a flood holds up delivered samples of other keys as well."""
     monkeypatch.setattr("services.kit.echo.secrets.token_hex", lambda _size: "known")
     with closing(Bus("rescuebot", router_endpoint)) as bus:
         key = echo_key("operator", "known", "urgent", "stop")
@@ -75,7 +74,7 @@ def test_a_sample_of_another_size_is_no_echo(
 
 @pytest.mark.system
 def test_echo_passes_between_linked_routers(tmp_path: Path) -> None:
-    """A process whose router is gone may have its lanes at two routers for a while."""
+    """The lanes of a process may be at two routers for a while."""
     key = echo_key("robot", "p", "urgent", "stop")
     heard = list[bytes]()
     with linked(tmp_path, secure=True) as stack:
@@ -106,7 +105,6 @@ def test_process_ends_when_its_lane_stays_deaf(
 def test_group_without_a_robot_ends_when_a_lane_stays_deaf(
     router_endpoint: str, way: Link, soon: float
 ) -> None:
-    """An instance that serves nobody has no node that could notice."""
     group = Group("tracker", FleetSettings(router=way.address), lambda *_: None)
     group.robots = ()
 

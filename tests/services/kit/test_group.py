@@ -1,4 +1,4 @@
-"""A service that runs any number of times: whose a robot is, what happens when an instance comes or goes."""
+"""A service with several instances: how robots are assigned when an instance joins or leaves."""
 
 import signal
 import subprocess

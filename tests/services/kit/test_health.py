@@ -1,4 +1,4 @@
-"""Health and metrics: what a service tells whoever restarts it, and Prometheus."""
+"""Health and metrics of a service."""
 
 import socket
 import threading

@@ -27,7 +27,7 @@ Step = tuple[str, int] | None
 def test_inbox_gives_the_oldest_and_counts_drops(
     steps: list[Step], depths: tuple[int, ...], most_bytes: int
 ) -> None:
-    """Compare with one list that holds everything in order of arrival; None takes, a name and a size put."""
+    """Compare with one list in order of arrival. A step of None takes; a name and a size puts."""
     inbox = Inbox(most_bytes=most_bytes)
     depth = dict(zip(NAMES, depths, strict=True))
     for name in NAMES:

@@ -1,4 +1,4 @@
-"""What a process lets go of is given back to the system."""
+"""Freed memory goes back to the system."""
 
 from typing import Final
 

@@ -1,9 +1,4 @@
-"""Recognition and policy hold a model: named, replaced only by one that is accepted, never mixed with another.
-
-Their handlers alone, without processes; those are in ``test_chain``. Either scheme's model is held alike; here it is
-mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
-have the filter's.
-"""
+"""Recognition and policy load models by name, keep the old one when a load is refused, and never mix two."""
 
 import subprocess
 import sys
@@ -160,7 +155,6 @@ def test_recognition_keeps_its_window_after_a_refused_load(
 
 
 def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
-    """It takes no memory, and no time at the start."""
     program = (
         "import sys\n"
         "from pathlib import Path\n"

@@ -254,7 +254,6 @@ def test_node_ends_when_its_thread_hangs(
 def test_a_signal_just_before_the_loop_waits_ends_it(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It wakes nobody; idle services hung so, one in twelve that were ended on a busy machine."""
     wait = node._inbox.take
     before = [
         (one, signal.getsignal(one)) for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -356,7 +355,6 @@ def test_a_service_that_cannot_start_says_why(
 def test_emergency_stop_is_handled_at_once_when_the_node_is_busy(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
-    """An emergency stop: behind junk, behind calls, and while the node's own thread is busy."""
     stop = topics.COMMANDS["emergency_stop"]
     stopped = threading.Event()
     busy = threading.Event()

@@ -1,4 +1,4 @@
-"""How the process of a service ends when it cannot go on: soon, with one line, and by itself."""
+"""A service that cannot go on ends soon, with one line, by itself."""
 
 import signal
 import subprocess

@@ -1,4 +1,4 @@
-"""What a stranger sends is refused before it is copied, counted, and told with its sender; all others go on."""
+"""Forged and oversized messages are refused before they are copied, and counted; others pass."""
 
 import json
 import logging
@@ -90,7 +90,6 @@ def test_forged_message_is_refused_and_names_its_sender(
     subscribe: Callable[[Node, list[Message]], None],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """A command that is right in itself, sent to everybody; a command's key deleted; another encoding, and too much."""
     handled: list[Message] = []
     subscribe(node, handled)
     run_node(node)
@@ -136,7 +135,6 @@ def test_forged_message_is_refused_and_names_its_sender(
 
 @pytest.mark.zenoh
 def test_sender_cannot_choose_priority_or_congestion_control(router_endpoint: str) -> None:
-    """Whoever could would make all wait for a slow one, or go before an emergency stop."""
     block = zenoh.CongestionControl.BLOCK
     first = zenoh.Priority.REAL_TIME
     with stranger(router_endpoint) as rude, stranger(router_endpoint) as receiver:
@@ -160,7 +158,6 @@ def test_sender_cannot_choose_priority_or_congestion_control(router_endpoint: st
 def test_a_forged_sign_of_life_is_refused(
     router_endpoint: str, node: Node, run_node: RunNode, client: Bus
 ) -> None:
-    """Whoever kept something is asked for it by that name, so it must be one, and no pattern."""
     heard: list[int] = []
     node.subscribe(topics.STATE, lambda state: heard.append(state.tick), replay=True)
     run_node(node)
@@ -193,7 +190,6 @@ def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) 
 
 @pytest.mark.zenoh
 def test_message_is_dropped_when_it_exceeds_every_topic(router_endpoint: str, client: Bus) -> None:
-    """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
     camera = topics.JPEG.key("rescuebot")
     sizes = SimpleQueue[int]()
     with stranger(router_endpoint) as sender, stranger(router_endpoint) as witness:
@@ -243,7 +239,6 @@ def test_the_other_router_is_told_the_same() -> None:
 
 
 def test_waiting_messages_of_a_node_are_bounded(settings: ServiceSettings) -> None:
-    """Frames as large as they may be come faster than they are handled; their queue alone would take 14 GB."""
     topic = topics.JPEG
     sender = Bus("rescuebot", settings.router)
     with Node("sample", settings) as node:
@@ -302,7 +297,6 @@ def test_call_to_a_wildcard_is_refused(
 
 @pytest.mark.zenoh
 def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, client: Bus) -> None:
-    """Of a service whose answers take 5 ms; callers hear at once what is dropped, and who calls later is answered."""
     answered = 0
 
     def answer(_request: bytes, reply: Callable[[EndRequest], None]) -> None:
@@ -335,7 +329,6 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
 
 @pytest.mark.zenoh
 def test_call_is_dropped_when_it_is_too_large(router_endpoint: str, client: Bus) -> None:
-    """The router does not pass it on: calls that wait take no memory."""
     asked: list[int] = []
     service = Bus("rescuebot", router_endpoint)
     service.serve(
@@ -359,7 +352,6 @@ def test_call_is_dropped_when_it_is_too_large(router_endpoint: str, client: Bus)
 @pytest.mark.zenoh
 @pytest.mark.parametrize("way", ["key", "delete", "many"])
 def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
-    """A thousand replies of nearly a megabyte: the first is taken, and a call of somebody else goes on beside it."""
     key = rpc_key("rescuebot", "sim", "end")
     sent = threading.Event()
 
@@ -407,7 +399,6 @@ def _called(bus: Bus, service: str) -> str:
 def test_repeated_failures_do_not_fill_the_log(
     node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Refused requests, bugs in handlers of requests, of messages, and of what is handled at once."""
 
     def refuse(_: Nothing) -> None:
         raise ServiceError("not now")

@@ -1,4 +1,4 @@
-"""What a sender kept and what it sends come in its order, each once, however they arrive."""
+"""Kept and live samples of a sender arrive in order, each once."""
 
 import random
 import threading
@@ -40,7 +40,6 @@ class Bench:
 def test_all_samples_come_in_order_and_once(
     sent: list[int], joined: int, rng: random.Random
 ) -> None:
-    """Of each sender those from `joined` on come live as well, anywhere between and after those it replays."""
     bench = Bench()
     for name, count in zip("abc", sent, strict=False):
         kept = [(bench.replayed, number) for number in range(count)] + [None]
@@ -85,7 +84,6 @@ def test_silent_sender_delays_no_other() -> None:
 
 
 def test_waiting_samples_are_bounded_and_kept() -> None:
-    """Two senders who do not answer: the one for whose sample there is no room waits no longer, and that is told."""
     bench = Bench(most_bytes=10)
     bench.live("a", 5, size=4)
     bench.live("b", 7, size=4)

@@ -1,4 +1,4 @@
-"""What others name is a regular file below the root, or one line at once; no name reaches anything else."""
+"""A name in a request is a regular file below the root, or an error of one line."""
 
 import os
 import shutil

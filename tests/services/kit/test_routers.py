@@ -1,4 +1,4 @@
-"""Two routers that are linked: what goes on when one is gone, in processes of their own, open and with certificates."""
+"""Two linked routers, open and with certificates: the bus goes on when one of them is gone."""
 
 import os
 import signal
@@ -136,7 +136,6 @@ def test_bus_goes_on_when_either_router_is_gone(
 
 
 def test_session_gets_a_new_name_when_its_router_was_frozen(tmp_path: Path) -> None:
-    """For to the router that they had they might still be who they were, with other numbers for other keys."""
     plan = StackPlan(("router",), ROBOT, free_endpoint(), logs=tmp_path / "logs")
     with Stack(plan) as stack, closing(Stream(stack, apart=False)) as stream:
         sessions = [session for bus in stream.buses for session in bus.sessions.values()]

@@ -1,4 +1,4 @@
-"""What is sent beside a message: whether it came as it was sent."""
+"""The checksum beside a message."""
 
 from contextlib import closing
 from queue import SimpleQueue

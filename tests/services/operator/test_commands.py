@@ -1,4 +1,4 @@
-"""What keys and heartbeats make of each other, without a terminal and without a bus."""
+"""Keys and heartbeats become commands, without a terminal and without a bus."""
 
 import math
 from typing import cast
@@ -189,7 +189,6 @@ def test_commands_are_in_order_and_end_with_a_stop(
 def test_stop_is_released_only_by_a_later_key(
     script: list[str],
 ) -> None:
-    """Whatever gets lost: while a stop of the operator's is not released, the robot stands or hears of it again."""
     operator = Operator()
     gate = CommandGate(first_stop=1)
     gate.arm(1, "")

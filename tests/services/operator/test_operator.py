@@ -1,4 +1,4 @@
-"""An operator begins what another driver drives, also after having taken over from one."""
+"""An operator begins episodes of other drivers, also after a takeover."""
 
 import math
 import threading
@@ -94,7 +94,6 @@ def test_driver_begins_anew_when_the_operator_takes_over(
 
 
 def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, client: Bus) -> None:
-    """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
     stops = collected(client, COMMANDS["emergency_stop"])
     with Node("teleop", settings) as node:
         operator = Operator(node, lambda _: None)
@@ -115,7 +114,6 @@ def there(robot: Robot, node: Node) -> bool:
 def test_robot_with_slow_pictures_does_not_miss_its_operator(
     node: Node, robot: Robot, operator: Operator, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
     monkeypatch.setattr(robot.wheels, "render", lambda _x: time.sleep(0.3))
     assert node.spin(
         asked(operator, DRIVE, lambda: operator.commands.applied is not None), 100.0
@@ -146,7 +144,6 @@ def test_robot_that_opens_a_world_misses_only_a_lost_operator(
     monkeypatch: pytest.MonkeyPatch,
     stays: bool,
 ) -> None:
-    """It was armed before, and sets out as soon as it can: with a policy that commands, and nobody who looks on."""
     opening = threading.Event()
     opened = threading.Event()
     begin = robot.wheels.begin

@@ -1,4 +1,4 @@
-"""A robot on a line without pixels: a goal and a wall somewhere ahead, time as the test has it."""
+"""A robot on a line without pixels: a goal and a wall ahead, and a clock that the test moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command gate: nothing moves the robot unless it is fresh, finite, in order and from the highest source."""
+"""The command gate: only fresh, finite, ordered commands of the highest source move the robot."""
 
 import pickle
 import threading
@@ -164,7 +164,6 @@ def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: i
 
 
 def test_graver_stop_cause_is_reported_in_any_order() -> None:
-    """Who only misses the operator would arm a robot whose body has failed, without a look at it."""
     for graver, other in (
         ("fault", "operator_lost"),
         ("operator_lost", "not_armed"),

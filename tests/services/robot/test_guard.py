@@ -1,4 +1,4 @@
-"""The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
+"""The guard stops a robot before obstacles and where its depth camera shows nothing."""
 
 import math
 import threading
@@ -116,14 +116,12 @@ def test_guard_stands_before_a_wall_when_depth_lies(lie: str, since: int) -> Non
 
 @pytest.mark.parametrize("height", [0.6, 1.5])
 def test_guard_is_blind_when_its_mount_has_another_height(height: float) -> None:
-    """Ground that seems higher than it is would be a wall, and ground that seems lower an abyss: neither is free."""
     made = Guard(MOUNT._replace(height_m=height), Kinematics(SPEED_M_S, math.pi / 4), 0.22)
     made.look(depth([], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
     assert made.share(KEYS["forward"], 0.0) == 0.0
 
 
 def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
-    """A stop must not wait for the guard, which may be looking, or computing how far the way is free."""
     gate = CommandGate(first_stop=1)
     busy = threading.Event()
     release = threading.Event()

@@ -1,4 +1,4 @@
-"""A robot or an operator of which one lane to the router carries nothing: the robot stands, in time, and stays so."""
+"""One dead lane to the router, of the robot or of its operator: the robot stands in time."""
 
 import math
 import time
@@ -114,7 +114,6 @@ def test_attended_robot_is_stopped_when_a_lane_is_harmed(
     far: ServiceSettings, settings: ServiceSettings, way: Link, run_node: RunNode, lost_s: Lost,
     harmed: str, harm: Harm, lane: Lane,
 ) -> None:  # fmt: skip
-    """An operator drives by hand; what harms the way of their stops, at either end, stops the robot."""
     robot = run_robot(far if harmed == "robot" else settings, run_node, attended=True)
     with Node("teleop", settings if harmed == "robot" else far) as node:
         operator = Operator(node, (told := []).append)

@@ -1,4 +1,4 @@
-"""The thread before the wheels: it does nothing else, and whatever fails, the robot stands."""
+"""The actuator loop: the robot stands whatever else fails."""
 
 import logging
 import threading
@@ -122,7 +122,6 @@ def stuck() -> Iterator[Stuck]:
 
 
 def test_wheels_stop_when_rendering_hangs(stuck: Stuck) -> None:
-    """The thread that renders and publishes is stuck, as it is where the router is frozen; the wheels are not."""
     runner = EpisodeRunner(stuck, Reach(), armed(), "r", "s")
     runner.reset(ResetRequest(seed=1, mode="realtime"))
     try:

@@ -1,4 +1,4 @@
-"""The robot on the bus: one of an id, and nobody who was there looks as if they were there now."""
+"""The robot on the bus: one robot for each id, operators that are lost, worlds that open."""
 
 import itertools
 import os
@@ -35,7 +35,6 @@ from tests.services.waiting import Lost, eventually, status_of
 def test_operator_is_lost_when_the_link_grows_slow(
     settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus, lost_s: Lost
 ) -> None:
-    """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
     robot = run_robot(settings, run_node, attended=True)
     policy = Node("policy", settings)
     policy.subscribe(
@@ -115,7 +114,6 @@ def test_of_two_robots_of_one_id_one_stays(
 def test_one_of_two_simultaneous_robots_is_refused(
     settings: ServiceSettings, monkeypatch: pytest.MonkeyPatch, client: Bus
 ) -> None:
-    """Neither is there yet when the other one asks."""
     asked = threading.Barrier(2)
 
     def check_alone(_: ServiceSettings) -> None:

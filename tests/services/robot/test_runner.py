@@ -1,4 +1,4 @@
-"""Episodes of a robot on a line: what moves it, what is told meanwhile in real time, and how one ends."""
+"""Episodes of a robot on a line: motion, messages in real time, and how an episode ends."""
 
 from dataclasses import replace
 
@@ -138,7 +138,6 @@ def test_stamps_are_capture_times_when_the_wall_clock_jumps() -> None:
 
 
 def test_latency_belongs_to_the_frame_that_was_answered() -> None:
-    """The heartbeat of a frame goes out before that frame can have been answered; its command moves the robot next."""
     clock = Clock()
     runner, _ = begin(LineBody(clock), mode="realtime")
     told: list[CommandApplied] = []
@@ -251,7 +250,6 @@ def test_run_is_missed_when_the_robot_passes_the_goal_silently(goal: float, outc
 
 
 def test_where_a_person_says_that_the_goal_is_it_is() -> None:
-    """In runs after that too, wherever the task had it."""
     runner, _ = begin(LineBody(Clock(), goal=1e9), purpose="drive", driver="teleop")
     for _ in range(3):
         answer(runner, source="teleop")
@@ -292,7 +290,6 @@ def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
 
 
 def test_a_drive_of_a_person_has_no_time_limit() -> None:
-    """The default ended it after five minutes, as a drive that teaches nothing."""
     runner = runner_of(LineBody(Clock(), goal=1e9))
     reset(runner, max_ticks=None)
     for _ in range(3100):
@@ -302,7 +299,6 @@ def test_a_drive_of_a_person_has_no_time_limit() -> None:
 
 
 def test_corrected_run_does_not_time_out() -> None:
-    """It would end as one that found nothing, which teaches nothing."""
     clock = Clock()
     runner, _ = begin(LineBody(clock, goal=1e9), mode="realtime", max_ticks=5)
     advance(runner, clock, 0.2)

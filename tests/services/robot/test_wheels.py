@@ -1,4 +1,4 @@
-"""The odometry must follow what the base carries out."""
+"""Odometry is compared with the executed commands."""
 
 import math
 
@@ -129,7 +129,6 @@ def test_wheels_agree_when_a_base_rolls_on_after_its_order() -> None:
 
 
 def test_loop_compares_the_executed_command_when_it_is_refused() -> None:
-    """A base that stands, because an input is silent, is not expected to move."""
 
     class Refusing(LineBody):
         def drive(self, velocity: Velocity) -> Velocity:

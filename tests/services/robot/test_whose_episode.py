@@ -1,4 +1,4 @@
-"""Whose a robot's episode is: who may begin one, end it, and let the robot go on after a stop or a takeover."""
+"""Ownership of an episode: beginning and ending it, resuming after a stop or a takeover."""
 
 from typing import get_args
 
@@ -74,7 +74,6 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
 
 
 def test_stop_between_episodes_is_released_by_any_person() -> None:
-    """Theirs is a teleop that was just started: it has heard of no frame."""
     runner, _ = begin(LineBody(Clock()), mode="realtime")
     runner.end()
     runner.gate.stop()
@@ -134,7 +133,6 @@ def taken_over() -> Runner:
 
 
 def test_only_the_operator_begins_an_episode_after_a_takeover() -> None:
-    """An episode that a person drives would make their takeover forgotten, and the next one could be the policy's."""
     runner = taken_over()
     run = runner.running
     for session in ("a", "b", ""):

@@ -56,7 +56,6 @@ def test_it_sends_a_lost_frame_again_and_then_gives_up() -> None:
 
 
 def test_late_listener_gets_its_picture_when_a_frame_is_resent() -> None:
-    """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
     clock = Clock()
     wanted = set[Topic]()
     runner, sent = begin(LineBody(clock, wanted=wanted.__contains__))

@@ -1,4 +1,4 @@
-"""What stands in the way after teaching: on it, with room to pass beside it; or it closes the way."""
+"""Obstacles after teaching: beside the way, or across it."""
 
 import math
 

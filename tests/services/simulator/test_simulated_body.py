@@ -1,4 +1,4 @@
-"""The simulated robot as a body: its world goes on by the clock, and it tells of what only a simulator sees."""
+"""The simulated robot as a body: its world follows the clock."""
 
 import math
 

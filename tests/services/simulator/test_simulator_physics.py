@@ -78,10 +78,7 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(
 @robots
 @pytest.mark.parametrize("atom", ["forward", "left"])
 def test_robot_stands_within_half_a_second_of_silence(robot: RobotModel, atom: Atom) -> None:
-    """The gate obeys a command for so long from its frame on, and none comes sooner than a cycle after its frame.
-
-    A robot stands that moves by less than 5 % of what it usually does in a tick.
-    """
+    """The gate obeys a command for `MAX_AGE_S`. Standing means less than 5 % of the usual motion a tick."""
     base = standing(PhysicalBase(Hall(model=robot), perfect(robot)))
     drive(base, atom, 2.0)
     before = drive(base, "stop", 0.5 - MAX_AGE_S + STEP_S)[-1].pose

@@ -1,4 +1,4 @@
-"""The room: what the world `indoor` must be like, lanes that reach all free floor, and files that cannot be used."""
+"""The room: starts and lanes of the world `indoor`, and files that cannot be used."""
 
 import copy
 import json

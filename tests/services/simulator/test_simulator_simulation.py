@@ -1,4 +1,4 @@
-"""Without pixels: where the robot may go, ways to the victim, variations; episodes repeat, walls stop the robot."""
+"""Without pixels: free places, routes, variations; episodes repeat, walls stop the robot."""
 
 import math
 from dataclasses import replace

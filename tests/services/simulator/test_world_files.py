@@ -1,4 +1,4 @@
-"""Maps and world files: ours and real ones load, what is broken is counted, what is hostile is one clear line."""
+"""Maps and world files: valid ones load, broken objects are counted, hostile files are one clear line."""
 
 import json
 import os

@@ -142,7 +142,6 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: Robot) -> None:
 
 
 def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
-    """Not by its time having run out; again where this machine is so busy that this took as long."""
     begin(told, robot)
 
     def stops_at_once() -> bool:
@@ -244,7 +243,6 @@ def test_emergency_stop_survives_when_pressed_during_arming(
 
 
 def test_heartbeats_go_on_while_an_episode_begins(console: Console, robot: Robot) -> None:
-    """A simulator's first picture takes a minute; leaving meanwhile ends what was begun, and says good-bye last."""
 
     def slow() -> None:
         hear(robot, beats=20)

@@ -1,4 +1,4 @@
-"""The tracker: images in, poses out, over a real router; what it says when the tag is lost and seen again."""
+"""The tracker: images in, poses out, over a real router; lost and found tags are logged."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Answers held against a truth: which are right, precision and recall by hand, and how probable scores are."""
+"""Answers against a truth: precision and recall by hand, and calibration of scores."""
 
 import math
 
@@ -19,7 +19,6 @@ from smal.place_recognition import Matches
 def test_poses_are_near_and_look_the_same_way(
     seed: int, distance_m: float, angle_deg: float
 ) -> None:
-    """Against the angle between the two directions as vectors; headings come with any number of turns."""
     rng = np.random.default_rng(seed)
     references, queries = (
         np.column_stack([rng.uniform(0, 4, (n, 2)), rng.uniform(-20, 20, n)]) for n in (30, 300)

@@ -1,4 +1,4 @@
-"""Teach and repeat comes back to the taught way, tells headings from shifts, stops at the end, names what is wrong."""
+"""Teach and repeat returns to the taught way, tells headings from shifts, and stops at the end."""
 
 import math
 from dataclasses import replace

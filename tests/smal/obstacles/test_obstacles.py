@@ -1,4 +1,4 @@
-"""What a depth camera says of the ground about the robot, and the way round what stands there."""
+"""Free ground from a depth camera, and ways round obstacles."""
 
 import math
 import tracemalloc
@@ -108,7 +108,6 @@ def test_robot_keeps_off_walkers_and_passes_standing_things() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_standing_things_do_not_move_when_the_robot_does(seed: int) -> None:
-    """Distances err by a hundredth, as those of a depth camera; what seems to come does so far off, and is let pass."""
     rng = np.random.default_rng(seed)
     made = Surroundings(MOUNT.radius_m)
     pose = (0.0, 0.0, 0.3)
@@ -194,7 +193,6 @@ def test_it_goes_round_and_comes_back(boxes: list[Box]) -> None:
 
 @pytest.mark.parametrize("heading", [2.0, -2.6])
 def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) -> None:
-    """It went on straight away, and meant to turn back later."""
     box: Box = (2.2, -0.3, 2.8, 0.5, 1.0)
     made = around(box)
     pose = (0.0, 0.0, heading)
@@ -215,7 +213,6 @@ def test_robot_waits_when_no_way_leads_round() -> None:
 
 @pytest.mark.parametrize("far_m", [1e4, 1e6])
 def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
-    """A belief may lie that far off: of a wrong state, or when the odometry has jumped."""
     way = np.stack([far_m + np.arange(0.0, 7.0, 0.35), np.full(20, -far_m)], axis=1)
     tracemalloc.start()
     assert hit_m(around(), way) == math.inf

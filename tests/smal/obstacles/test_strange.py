@@ -1,4 +1,4 @@
-"""Without depth: what lies on the taught way and was not there slows a robot, then stops it; the way does not."""
+"""Without depth: unexpected ground on the taught way slows a robot, then stops it."""
 
 import math
 from dataclasses import replace

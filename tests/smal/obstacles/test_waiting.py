@@ -1,4 +1,4 @@
-"""What the planner does before what nothing leads round, and with whoever walks up to it."""
+"""The planner before obstacles without a way round, and with people."""
 
 import math
 from dataclasses import replace
@@ -85,7 +85,6 @@ def test_waiting_robot_turns_to_a_walker(side: float, atom: Atom) -> None:
 
 
 def test_robot_makes_room_for_people_only() -> None:
-    """They wait for each other; it backs off to where people feel free to go, as long as it knows that it can."""
     x = 0.0
     somebody: Box = (0.7, -0.3, 1.0, 0.3, 1.7)
     planner = Planner(map_of(16.0))

@@ -1,4 +1,4 @@
-"""Problems that are hard for state matching, all ways to solve them, and what any answer has to satisfy."""
+"""Hard problems of state matching, all ways to solve them, and the properties of any solution."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -78,7 +78,6 @@ def test_a_block_inside_the_dual_set_is_recognized(lambdas: tuple[float, float])
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-20, 1e-6, 1e6, 1e20])
 def test_bounds_do_not_depend_on_the_scale(scale: float) -> None:
-    """A norm is homogeneous; squares of float32 are not where they underflow."""
     blocks = np.random.default_rng(3).standard_normal((2, 4, 5)).astype(np.float32)
     scaled = quick_bounds((blocks * scale).astype(np.float32), 0.3 * scale, 0.5 * scale)
     np.testing.assert_allclose(scaled, quick_bounds(blocks, 0.3, 0.5), rtol=1e-4)

@@ -62,7 +62,6 @@ def test_gap_is_true_and_small_when_rounding_is_large(lambda_: float) -> None:
 def test_dual_point_that_is_too_long_bounds_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No template has a weight here, so that nothing but the length of Theta holds the bound down."""
 
     def too_long(*arguments: object) -> tuple[object, ...]:
         found, *rest = minimize(*arguments)  # type: ignore[arg-type]

@@ -36,7 +36,6 @@ GENERATE = (Phase.explicit, Phase.generate)
 )
 @given(seed=st.integers(0, 2**31))
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
-    """The gap is within the tolerance and true: no entry finds less than what another one calls a lower bound."""
     problem = structured(structure, seed)
     solutions = dict(answers(problem, tolerance))
     for name, solution in solutions.items():
@@ -133,7 +132,6 @@ BAD = [np.nan, np.inf, -np.inf]
 @pytest.mark.parametrize("column", [0, 199, 399])
 @pytest.mark.parametrize("lambda1", [0.1, 20.0])
 def test_templates_that_are_not_finite(bad: float, column: int, lambda1: float) -> None:
-    """Anywhere: where the solution looks, and where it does not."""
     X, Y = matching_problem(0, blocks=100, length=4)
     X[-1, column] = bad
     for templates in (

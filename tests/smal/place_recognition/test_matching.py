@@ -1,4 +1,4 @@
-"""What every method answers, `smal.match`, and the pieces: centring, the nearest sequence, the chain."""
+"""`smal.match`, and its parts: centring, the nearest sequence, the chain."""
 
 import cv2
 import numpy as np

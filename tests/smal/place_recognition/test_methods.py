@@ -66,7 +66,6 @@ def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["image", "nearest", "paper", "smal"])
 def test_one_photo_is_found(name: str) -> None:
-    """Its own mean is all that it shows."""
     method = METHODS[name]
     references, queries = raw_traverses(method.features)
     for query in range(0, LAST - FIRST, 7):

@@ -1,4 +1,4 @@
-"""Where queries are among references: one way that is driven again, otherwise."""
+"""Places of queries among references, for drives at any speed and direction."""
 
 import itertools
 import threading
@@ -61,7 +61,6 @@ def test_the_place_is_found(name: str, lag: int | None) -> None:
 
 
 def test_scores_are_the_share_that_is_right() -> None:
-    """With so much noise that many queries are not found."""
     said = []
     true = []
     for seed in range(4):

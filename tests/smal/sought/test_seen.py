@@ -1,4 +1,4 @@
-"""What a drive ends before is told from its absence, and from something else in its place."""
+"""The target at the end of a drive: present, absent, or replaced by something else."""
 
 from dataclasses import replace
 from functools import cache
@@ -124,7 +124,6 @@ def test_parts_that_do_not_fit_are_refused_by_name() -> None:
 
 
 def test_robot_reports_not_here_when_its_target_is_missing(tmp_path: Path) -> None:
-    """Of a model without anything to be seen, arrived is what it says; a file keeps what is sought."""
     for sights, said in (({}, "found"), ({"victim": sight()}, "not_here")):
         replace(model(), sights=sights).save(tmp_path / "way.smal")
         robot = Robot(Model.load(tmp_path / "way.smal"))

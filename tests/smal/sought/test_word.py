@@ -1,4 +1,4 @@
-"""A detector adds its word: the tag at the end of the way is sought and no other; a network's boxes count as well."""
+"""Detectors of tags, QR codes and networks add to the evidence for the target."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Drives that share a stretch are joined there, and nowhere else; by the joints the robot goes where nobody drove."""
+"""Drives are joined along stretches that they share, and nowhere else."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Views from where nobody drove, against what a camera there sees."""
+"""Virtual views against a camera at the same pose."""
 
 import math
 from collections.abc import Iterable

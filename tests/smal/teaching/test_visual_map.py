@@ -1,4 +1,4 @@
-"""The map of taught ways: which frames it keeps, what it measures of views, and what it refuses."""
+"""The map of taught ways: keyframes, measures of views, and refusals."""
 
 import math
 import multiprocessing
@@ -125,7 +125,6 @@ def test_right_place_is_among_the_candidates_of_a_long_way() -> None:
 
 
 def test_correlation_length_does_not_depend_on_drive_length() -> None:
-    """Looked at as closely as it is over ten kilometres: at few of its frames."""
     usual = usual_map()[0].correlation_length
     with patch("smal.teaching.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
         found = taught(ROOM, drive(), scene=SCENE)[0]
@@ -146,7 +145,6 @@ def length_of(way: np.ndarray, views: np.ndarray) -> float:
 
 
 def test_hidden_view_does_not_shorten_the_correlation_length() -> None:
-    """Views half as alike after 3 m; once, where the robot creeps, somebody passes: few pairs are so near."""
     rng = np.random.default_rng(0)
     way = np.sort(np.append(np.arange(0.0, 80.0), 40.25))
     views = [unit(rng.standard_normal(1024).astype(np.float32))]
@@ -161,7 +159,6 @@ def test_hidden_view_does_not_shorten_the_correlation_length() -> None:
 
 
 def test_views_that_stay_alike_nowhere_are_refused() -> None:
-    """Noise alone: standing still, no image is like the one before."""
     rng = np.random.default_rng(0)
     way = np.repeat(np.arange(0.0, 40.0), 3)
     views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))

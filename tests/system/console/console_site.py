@@ -1,4 +1,4 @@
-"""A stack with its page, a browser that opens it, and what a person does there."""
+"""A stack with its page, a browser that opens it, and the actions of a person."""
 
 from __future__ import annotations
 

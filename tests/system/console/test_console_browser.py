@@ -1,4 +1,4 @@
-"""The page in a real browser, on the real stack: what a person clicks and presses, and what becomes of the robot."""
+"""The page in a real browser on the real stack: clicks and keys drive the robot, and it stands in time."""
 
 from __future__ import annotations
 
@@ -134,7 +134,6 @@ def test_robot_stands_when_its_page_is_gone(
 
 
 def test_robot_stands_when_its_key_is_released(page: Page, site: Site, lost_s: Lost) -> None:
-    """A key, whatever takes it away, and the pad; what stops the robot keeps it stopped until it is armed."""
     drive_ahead(page, site)
     for name, (befalls, undo) in LETS_GO.items():
         hold(page, site, lambda: (page.keyboard.up("w"), page.keyboard.down("w")))

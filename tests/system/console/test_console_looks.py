@@ -1,4 +1,4 @@
-"""Who sees the page, and how: by keys alone, by day and night, on narrow screens; nothing shifts, nothing grows."""
+"""The page by keys alone, by day and night, on narrow screens."""
 
 from __future__ import annotations
 
