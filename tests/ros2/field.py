@@ -127,7 +127,7 @@ class Field:
     def begin_at(self, seed: int, purpose: str) -> Pose:
         """Carry it to where the simulator would begin an episode."""
         number = {"drive": 0, "run": 1}[purpose]
-        pose = sample_start(self.world, np.random.default_rng([seed, number, 0]), purpose)  # type: ignore[arg-type]
+        pose = sample_start(self.world, np.random.default_rng([seed, number, 0]), purpose)
         self.carry(pose)
         return pose
 

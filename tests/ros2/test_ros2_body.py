@@ -173,7 +173,6 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
         rig.wheels(10.0, 5.0 + 0.04 * k, math.pi / 2)
         rig.picture()
     told = rig.body.look(1).odometry
-    assert told is not None
     assert (told.x_m, told.y_m, told.speed_m_s) == pytest.approx((0.4, 0.0, 0.4), abs=1e-9)
     # Its driver was started again, and counts from nothing.
     for x in (0.0, 0.04):
@@ -181,7 +180,6 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
         rig.wheels(x)
     rig.picture()
     told = rig.body.look(2).odometry
-    assert told is not None
     assert (told.x_m, told.y_m) == pytest.approx((0.44, 0.0), abs=1e-9)
     assert rig.body.detail()["odometry_leaps"] == 1
 

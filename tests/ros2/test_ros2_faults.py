@@ -133,7 +133,6 @@ def driven(
             until(one.moves)
             yield one
         finally:
-            assert one.robot is not None
             one.robot.kill()
             one.robot.wait()
 
@@ -143,7 +142,6 @@ def test_the_base_stands_in_time_and_drives_again(
 ) -> None:
     for part, harm in HARMS[driven.dialect]:
         until(driven.moves)
-        assert driven.robot is not None
         pids = {"robot": driven.robot.pid, "link": driven.link_pid}
         pid = pids.get(part) or driven.place.children[part].pid
         began_s = now_s()

@@ -39,7 +39,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 
 def after(rig: Rig, ranges: object, **fields: float) -> Rig:
     """Have everything be heard, all ways be free, and then such a scan."""
-    rig.begun().scans(ranges, **fields)  # type: ignore[arg-type]
+    rig.begun().scans(ranges, **fields)
     return rig
 
 
@@ -120,7 +120,7 @@ def test_way_is_free_only_when_the_scan_covers_all_of_it(
     rig: Rig, scan: tuple[list[float], dict[str, float]], way: tuple[str, float]
 ) -> None:
     ranges, fields = scan
-    if not after(rig, ranges, **fields).may_go(way[0]):  # type: ignore[arg-type]
+    if not after(rig, ranges, **fields).may_go(way[0]):
         return
     most = fields.get("range_max", MOST_M)
     there = []

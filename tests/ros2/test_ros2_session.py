@@ -98,7 +98,6 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(
 ) -> None:
     place = make(False)
     place.start_robot()
-    assert place.robot is not None
     show = place.robot.publisher("camera/image_raw/compressed", COMPRESSED_IMAGE)
     router = place.endpoint
     late = stack.enter_context(link(router))
@@ -118,7 +117,6 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(
             return senses.frame is not frame  # noqa: B023
 
         eventually(arrives)
-        assert senses.frame is not None
         stamp = senses.frame.message.header.stamp
         delay_s = time.time() - stamp.sec - stamp.nanosec / 1e9
         if not math.isfinite(senses.camera_clock.delay_s):
@@ -162,7 +160,6 @@ def test_robot_stands_when_its_button_is_silent_or_gone(
     time.sleep(NOTHING_S)
     assert unheard(senses)
     eventually(lambda: (say(False), released(senses))[1])
-    assert place.robot is not None
     place.robot.session.close()
     eventually(lambda: place.session.lacks() == f"nobody publishes {BUTTON}")
     say = place.start_robot()
@@ -200,7 +197,6 @@ def test_message_is_dropped_when_it_is_too_large(
     say: Any = place.start_robot()
     senses = place.listen(stack)
     eventually(lambda: (say(False), released(senses))[1])
-    assert place.robot is not None
     key = place.robot._names("MP", "button", BOOL)[0]
     block = zenoh.CongestionControl.BLOCK
     place.robot.session.put(key, bytes(2 * LARGEST_BYTES), congestion_control=block)

@@ -39,7 +39,6 @@ def features(tick: int) -> np.ndarray:
 
 def detail(client: Bus) -> Detail:
     status = status_of(client, "features")
-    assert status is not None
     return status.detail
 
 
@@ -127,7 +126,7 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
         def counted() -> bool:
             for tick in (7, 8):
                 client.publish(image(tick))
-            return detail(client)["without_depth"] > before["without_depth"]  # type: ignore[operator]
+            return detail(client)["without_depth"] > before["without_depth"]
 
         eventually(counted)
         assert (before["modalities"], before["fingerprint"]) == (

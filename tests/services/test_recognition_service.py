@@ -66,7 +66,6 @@ def test_renewed_map_keeps_the_belief(service: RecognitionService, tmp_path: Pat
     service.load(LoadedModel.read(renewed))
     service.see(wheels(8))
     state = service.handle(seen(8))
-    assert state is not None
     assert (state.model, state.tracked_m) == (identity(renewed), pytest.approx(1.6, abs=0.05))
     assert placed(state) == (pytest.approx(1.6, abs=0.1), pytest.approx(0.0, abs=0.1))
 
@@ -76,7 +75,6 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
         service.see(wheels(tick))
         features = Float32Array.from_numpy(extract(picture(tick), corridor.FEATURES))
         state = service.handle(seen(tick).model_copy(update={"features": features}))
-    assert state is not None
     assert state.status == "unknown"
     assert state.lost > 0.5
     assert state.places
@@ -94,7 +92,6 @@ def test_detected_target_is_seen(tmp_path: Path) -> None:
             service.see(wheels(tick, episode=label[-1]))
             update = {"picture": picture, "detected": (Detected(label=label, score=1.0, box=box),)}
             state = service.handle(seen(tick, episode=label[-1]).model_copy(update=update))
-        assert state is not None
         assert state.seen == pytest.approx(found, abs=0.05)
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
@@ -118,7 +115,6 @@ def test_unexpected_ground_is_reported_when_it_is_watched(
             state = service.handle(
                 seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000})
             )
-        assert state is not None
         assert (state.strange_m is not None) == watches
 
 
@@ -153,7 +149,6 @@ def test_recognition_goes_on_without_odometry_on_a_resent_frame(
         at(service, tick)
     assert service.handle(seen(3)) is None
     state = service.handle(seen(3))
-    assert state is not None
     assert (state.tick, state.status) == (3, "recognized")
     # The odometry that follows says how far the robot went in both frames.
     later = at(service, 4)
@@ -176,7 +171,6 @@ def test_recognition_uses_commands_when_taught_without_odometry(tmp_path: Path) 
         state = service.handle(seen(tick).model_copy(update={"stamp_ns": tick * 100_000_000}))
         assert (state is None) == (tick in (3, 4))
         service.behind = lambda: False
-    assert state is not None
     # In the unit of such a map, one atom ahead.
     assert state.tracked_m == pytest.approx(8.0, rel=0.05)
     here = state.places[0]
@@ -224,7 +218,6 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
         far = tick % 2 == 1 and tick < 20
         service.see(wheels(tick, (1e6, 1e6, 3.0) if far else (0.2 * (tick - 20), 0.0, 0.0)))
         state = service.handle(seen(tick, (0.2 * max(tick - 20, 0), 0.0, 0.0)))
-        assert state is not None
         assert all(abs(place.ahead_m) <= 1e6 for place in state.places)
     assert state.status == "recognized"
     assert placed(state) == (pytest.approx(3.8, abs=0.2), pytest.approx(0.0, abs=0.2))

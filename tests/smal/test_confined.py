@@ -101,7 +101,6 @@ def test_child_ends_when_its_parent_is_ended(number: signal.Signals) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as parent:
-        assert parent.stdout is not None
         child = int(parent.stdout.readline())
         parent.send_signal(number)
         parent.wait()

@@ -54,6 +54,6 @@ def test_depth_is_not_looked_at_where_it_is_not_wanted() -> None:
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     wrong = np.zeros(3, dtype=np.float32)
     np.testing.assert_array_equal(
-        extract(picture, FeatureSettings(), wrong),  # type: ignore[arg-type]
+        extract(picture, FeatureSettings(), wrong),
         extract(picture, FeatureSettings()),
     )

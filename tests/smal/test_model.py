@@ -37,7 +37,7 @@ def saved(model: PaperModel, tmp_path: Path) -> Path:
 def assert_same(one: object, other: object) -> None:
     if isinstance(one, np.ndarray):
         np.testing.assert_array_equal(one, other)
-        assert one.dtype == other.dtype  # type: ignore[attr-defined]
+        assert one.dtype == other.dtype
     elif isinstance(one, tuple):
         assert isinstance(other, tuple)
         assert len(one) == len(other)

@@ -51,7 +51,6 @@ def test_one_drive_is_recorded_drawn_and_gives_a_map_of_views(taught: Path) -> N
     assert len(list((taught / "drives").glob("*.mcap"))) == 1
     assert not list((taught / "drives").glob("*.partial"))
     picture = cv2.imread(str(taught / "drives" / "drives.png"))
-    assert picture is not None
     assert picture.std() > 10
     report = json.loads((taught / "learned.json").read_text())
     assert (report["recordings"], report["episodes"], report["remarks"]) == (1, 1, [])

@@ -64,7 +64,7 @@ def nobody(tmp_path: Path) -> Nobody:
 @pytest.fixture
 def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
     """Give a page that is open to this machine, without a bus."""
-    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
+    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
     page = Page(server)
     yield page
     page.close()

@@ -72,7 +72,6 @@ class Page:
 
     def say(self, **what: object) -> None:
         """Ask for something, at the wheel."""
-        assert self._drive is not None
         # Whoever leaves leaves, whenever that comes.
         self._drive.send(
             json.dumps(what if what["do"] in ("leave", "stop") else {"beat": self.beat} | what)

@@ -117,7 +117,7 @@ def serve(keys: Path, console: str = "127.0.0.1:0", **others: object) -> WebServ
         "console_token": keys / "token",
     }
     settings = ConsoleSettings.model_validate({"root": keys, "console": console} | given | others)
-    return WebServer(Nobody(keys), Board(), settings)  # type: ignore[arg-type]
+    return WebServer(Nobody(keys), Board(), settings)
 
 
 def test_remote_page_needs_the_token_over_tls(keys: Path) -> None:

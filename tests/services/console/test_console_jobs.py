@@ -133,10 +133,10 @@ def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> N
     console = SimpleNamespace(library=library, _jobs=Jobs(shown.append))
     runs = tuple(one.name for one in library.recordings())
     ask = Add(do="add", beat=0, model="models/way.smal", recordings=runs)
-    ConsoleService._learn(console, ask)  # type: ignore[arg-type]  # what it needs of a console
+    ConsoleService._learn(console, ask)
     end = ended(shown)  # it gives way to all that a busy machine does
     assert (end["outcome"], end["done"]) == ("done", "way has looked at these runs."), end
     assert "more looks now" in str(end["remarks"])
     assert len(Model.load(model).mapped.looks) > 0
     with pytest.raises(ServiceError, match="no such model"):
-        ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))  # type: ignore[arg-type]
+        ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))

@@ -47,7 +47,7 @@ def test_library_lists_outcome_length_and_pictures(
     library: Library,
 ) -> None:
     listed = library.look()
-    (shown,) = listed["recordings"]  # type: ignore[misc]
+    (shown,) = listed["recordings"]
     assert shown["name"] == "drives/drive-1.mcap"
     assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == (
         "found",
@@ -139,7 +139,7 @@ def test_library_lists_goals_and_worlds_of_a_model(
 ) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
-    (shown,) = library.look()["models"]  # type: ignore[misc]
+    (shown,) = library.look()["models"]
     assert shown == {"name": "corridor.smal", "goals": ("victim",), "useless": "", "worlds": []}
     (model,) = library.models()
     assert (model.longest, model.fingerprint) == (corridor.FRAMES, corridor.FEATURES.fingerprint)
@@ -149,7 +149,7 @@ def test_library_lists_goals_and_worlds_of_a_model(
         [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")],
     )
     record(tmp_path / "drives", list(recorded_messages.episode("other")))
-    (shown,) = library.look()["models"]  # type: ignore[misc]
+    (shown,) = library.look()["models"]
     assert shown["worlds"] == [library.recordings()[0].world]
 
 

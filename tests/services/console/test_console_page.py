@@ -40,7 +40,7 @@ def board() -> Board:
 @pytest.fixture
 def page(browser: Browser, nobody: Nobody, board: Board, tmp_path: Path) -> Iterator[Page]:
     """Open the page; a test in which its script fails has failed."""
-    server = WebServer(nobody, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
+    server = WebServer(nobody, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
     errors: list[str] = []
     page = browser.new_page()
     page.on("pageerror", lambda error: errors.append(str(error)))
@@ -183,7 +183,7 @@ def test_page_draws_course_and_obstacles_over_the_picture(
     node = SimpleNamespace(
         subscribe=lambda *_, **__: None, apart=lambda *_: None, bus=None, name="console"
     )
-    live = LiveContent(node, board, nobody.library)  # type: ignore[arg-type]
+    live = LiveContent(node, board, nobody.library)
     frame = Message(robot="r", episode="e", tick=1, stamp_ns=0)
     measured = depth([(3.0, 0.5, 4.0, 2.0, 1.2)], (0.0, 0.0, 0.0), shape=(240, 320))
     picture = CompressedImage.after(
@@ -232,7 +232,7 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
     def found() -> tuple[float, ...] | None:
         page.click("#found")
         eventually(lambda: nobody.asked)
-        return nobody.asked.pop().box  # type: ignore[attr-defined, no-any-return]
+        return nobody.asked.pop().box
 
     told = {
         "episode": "e",

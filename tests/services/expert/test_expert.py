@@ -111,7 +111,6 @@ def test_expert_answers_a_frame_once_when_both_parts_arrived() -> None:
     pose, observation = frame(1, heading=1.0)
     assert expert.handle(observation) is None
     second = expert.see(pose)
-    assert first is not None
     assert second is not None
     assert (first.tick, first.atom, first.source) == (0, "forward", "expert")
     assert (second.tick, second.atom) == (1, "right")

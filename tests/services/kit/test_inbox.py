@@ -82,7 +82,5 @@ def test_inbox_tells_how_long_items_wait() -> None:
     assert inbox.oldest_s() == 3.5
     first = inbox.take(0.0)
     second = inbox.take(0.0)
-    assert first is not None
-    assert second is not None
     assert (first.waited_s, second.waited_s) == (pytest.approx(3.5), pytest.approx(2.5))
     assert inbox.oldest_s() == 0.0

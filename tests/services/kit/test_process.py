@@ -79,7 +79,6 @@ def test_process_ends_when_a_callback_lacks_memory(
             return process.poll() is not None
 
         eventually(has_ended)
-        assert process.stderr is not None
         lines = process.stderr.read().splitlines()
     assert (process.returncode, len(lines)) == (1, 1), lines
     assert lines[0].endswith(f" sample: {NO_MEMORY}")

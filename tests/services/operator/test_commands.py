@@ -82,7 +82,6 @@ def test_turn_key_drives_a_car_in_a_bend(
     car = Kinematics(speed_m_s=1.0, turn_rate_rad_s=1.0, radius_m=2.0)
 
     def asked(command: Command | None) -> Velocity:
-        assert command is not None
         return command.velocity
 
     operator.beat(3)
@@ -246,7 +245,6 @@ def test_operator_insists_when_they_hold_again_at_an_obstacle(
     operator.now_s += 1.0
     assert hold(KEYS["forward"])
     going_on = operator.service.handle(applied(40, "insisted", "teleop"))
-    assert going_on is not None
     assert going_on.insists
     assert not hold(None)
     assert not hold(KEYS["forward"]), "the next hold is one like any other"

@@ -24,7 +24,7 @@ class SteppedRealTime(RealTime[LineView]):
     """Real time by a test's clock: the loop has no thread, and makes a step when the test says so."""
 
     def begin(self) -> None:
-        self.loop.start = lambda: None  # type: ignore[method-assign]
+        self.loop.start = lambda: None
         super().begin()
 
 
@@ -52,7 +52,7 @@ def runner_of(
         gate,
         "r",
         "s",
-        paces=paces,  # type: ignore[arg-type]
+        paces=paces,
         clock=body.clock,
         wall_clock_ns=wall_clock_ns,
     )
@@ -90,7 +90,6 @@ def command(
 ) -> Command:
     """Return an answer to the last frame, or to another one."""
     run = runner.running
-    assert run is not None
     header = Message(robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0)
     return Command.after(
         header, source=source, session=session, sequence=sequence, atom=atom, speed=speed

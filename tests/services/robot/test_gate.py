@@ -332,7 +332,7 @@ def test_car_turns_no_more_sharply_than_its_radius(
     for source in ("policy", "teleop"):
         wanted = command(0, source=source).model_copy(
             update={"linear": asked[0], "angular": asked[1]}
-        )  # type: ignore[arg-type]
+        )
         assert gate.offer(wanted, 10.1) is None
         applied = gate.applied(10.2)
         assert (applied.velocity, applied.reason, applied.source) == (goes, reason, source)

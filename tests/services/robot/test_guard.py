@@ -65,7 +65,7 @@ def test_way_is_closed_when_the_depth_camera_shows_nothing(
     ways = ("forward", "backward")
     made = guard()
     made.look(shown, here, 0.0)
-    assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[index]
+    assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]
     made.look(depth([], here), here, 1.0)
     assert made.share(KEYS["forward"], 1.0) == 1.0
     made.look(shown, here, 1.2)

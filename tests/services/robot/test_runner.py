@@ -128,7 +128,6 @@ def test_stamps_are_capture_times_when_the_wall_clock_jumps() -> None:
             if isinstance(m, CompressedImage)
         }
     assert len(captured_s) == 3, "one each time, and none is made up for"
-    assert runner.running is not None
     assert isinstance(runner.running.pace, SteppedRealTime)
     assert runner.running.pace.late == 3
     assert all(
@@ -160,7 +159,7 @@ class SlowLine(LineBody):
     """A body whose pictures take 0.1 s."""
 
     def render(self, x: float) -> None:
-        self.clock.now_s += 0.1  # type: ignore[attr-defined]
+        self.clock.now_s += 0.1
 
 
 def test_slow_pictures_do_not_prolong_a_command() -> None:
@@ -171,7 +170,6 @@ def test_slow_pictures_do_not_prolong_a_command() -> None:
         while runner.running is not None and runner.running.tick < answered:
             answer(runner)
             advance(runner, clock, PERIOD_S)
-        assert runner.running is not None
         captured_s = runner.running.episode.view.captured_s
         runner.offer(command(runner))
         advance(runner, clock, 2.0)
@@ -234,7 +232,6 @@ def test_report_of_the_robot_ends_its_run_and_is_judged(
     for _ in range(frames):
         assert ("ended", "found") not in events(answer(runner)), "it has said nothing yet"
     run = runner.running
-    assert run is not None
     (ended,) = runner.end_by(EndRequest.model_validate({"episode": run.id, "said": said}))
     assert isinstance(ended, Episode)
     assert (ended.outcome, ended.right) == (outcome, right)
@@ -254,13 +251,11 @@ def test_where_a_person_says_that_the_goal_is_it_is() -> None:
     for _ in range(3):
         answer(runner, source="teleop")
     drive = runner.running
-    assert drive is not None
     runner.end_by(EndRequest(episode=drive.id, found=True))
     reset(runner, until_said=True)
     for _ in range(3):
         answer(runner)
     run = runner.running
-    assert run is not None
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "found")]
 
 
@@ -272,7 +267,6 @@ def test_report_is_not_judged_when_there_is_no_task() -> None:
     )
     reset(runner, until_said=True)
     run = runner.running
-    assert run is not None
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "aborted")]
 
 
@@ -294,7 +288,6 @@ def test_a_drive_of_a_person_has_no_time_limit() -> None:
     reset(runner, max_ticks=None)
     for _ in range(3100):
         assert not events(answer(runner))
-    assert runner.running is not None
     assert runner.running.tick == 3100
 
 
@@ -305,7 +298,6 @@ def test_corrected_run_does_not_time_out() -> None:
     answer(runner, "left", source="teleop")
     assert not events(advance(runner, clock, 3.0))
     run = runner.running
-    assert run is not None
     runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
     assert not events(advance(runner, clock, 0.2))
     assert events(advance(runner, clock, 0.2)) == [("timed_out", None), ("ended", "timeout")]

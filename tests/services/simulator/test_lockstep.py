@@ -98,7 +98,7 @@ def test_how_an_episode_ends(
     said: list[Event] = []
     for atom in ["forward"] * 3 + ["backward"] if atoms < 0 else ["forward"] * atoms:
         assert runner.running is not None
-        said += events(answer(runner, atom))  # type: ignore[arg-type]
+        said += events(answer(runner, atom))
     if runner.running is not None:
         said += events(runner.end())
     assert said == told

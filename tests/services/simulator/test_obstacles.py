@@ -31,7 +31,7 @@ class Shown(StubCamera):
 
 def simulated(world: str) -> Simulation:
     there = WORLDS[world]
-    return Simulation(there, Shown(), KinematicBase(there.place))  # type: ignore[arg-type]
+    return Simulation(there, Shown(), KinematicBase(there.place))
 
 
 def passes(simulation: Simulation, room: float) -> bool:
@@ -61,7 +61,7 @@ def test_obstacles_stand_in_the_way_and_leave_room(world: str) -> None:
     simulation = simulated(world)
     for seed in (1, 2):
         simulation.reset(seed, "run", obstacles=3)
-        assert simulation._seen[1].things == simulation.obstacles  # type: ignore[attr-defined]
+        assert simulation._seen[1].things == simulation.obstacles
         assert len(simulation.obstacles) == 3
         assert passes(
             simulation, 1.8 if world == "campus" else 1.3

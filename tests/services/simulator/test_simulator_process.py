@@ -25,7 +25,7 @@ def test_lockstep_episode_waits_and_survives_malformed_commands(
     reset = ResetRequest(seed=1)
 
     def told(what: str) -> object:
-        return eventually(lambda: status_of(client, "robot")).detail[what]  # type: ignore[union-attr]
+        return eventually(lambda: status_of(client, "robot")).detail[what]
 
     def arm() -> None:
         client.call("robot", "arm", ArmRequest(stop=int(str(told("emergency_stop") or 0))), Nothing)
@@ -53,7 +53,7 @@ def test_lockstep_episode_waits_and_survives_malformed_commands(
         assert [image.tick for image in images] in ([0], [0, 0])
         for tick in range(3):
             client.publish(command(reply.episode, tick))
-            eventually(lambda tick=tick: images[-1].tick == tick + 1)  # type: ignore[misc]
+            eventually(lambda tick=tick: images[-1].tick == tick + 1)
         assert images[0].data != images[-1].data
         client.call("robot", "end", EndRequest(episode=reply.episode), Nothing)
         with pytest.raises(RpcError, match="not running"):

@@ -36,7 +36,7 @@ PERFECT = DriveTrain(tick_sigma=0.0, radius_sigma=0.0)
 @settings(max_examples=20)
 def test_same_seed_gives_the_same_episode(seed: int, purpose: str, atoms: list[Atom]) -> None:
     whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
-    assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
+    assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)
     for atom in atoms:
         whole.advance(KEYS[atom], 0.1)
         for _ in range(5):
@@ -177,8 +177,8 @@ def test_moved_things_leave_the_way_free(name: str, seed: int) -> None:
         world.start,
         world.victim,
         world.place.roads,
-    )  # type: ignore[attr-defined]
-    pairs = zip(world.place.trees, moved.place.trees, strict=True)  # type: ignore[attr-defined]
+    )
+    pairs = zip(world.place.trees, moved.place.trees, strict=True)
     assert any(one != other for one, other in pairs)
 
 

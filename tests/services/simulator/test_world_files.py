@@ -41,8 +41,8 @@ def can_drive(world: World, *path: tuple[float, float]) -> bool:
 def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
     world = load_world(BROWN)
     again = load_world(BROWN)
-    assert len(world.place.buildings) > 350  # type: ignore[attr-defined]
-    assert len(world.place.trees) == 32  # type: ignore[attr-defined]
+    assert len(world.place.buildings) > 350
+    assert len(world.place.trees) == 32
     assert (world.start, world.victim) == (again.start, again.victim)
     sight = np.array([[(world.start.x, world.start.y), (world.victim.x, world.victim.y)]])
     assert not obstacles_of(world.place).in_sight(sight)[0]

@@ -58,7 +58,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 def begin(body: SimulatedBody, **wishes: str) -> None:
-    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))  # type: ignore[arg-type]
+    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))
 
 
 def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:

@@ -75,7 +75,6 @@ def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
             client.publish(frame(tick, TAG) if tick not in (4, 5, 6) else frame(tick))
             eventually(lambda tick=tick: poses[-1].tick == tick)
         status = status_of(client, "tracker")
-    assert status is not None
     assert (status.detail["tag"], status.detail["lost"], status.failed) == (7, 3, 0)
     assert status.detail["seen"] == status.received["camera/overhead"] - 3
     heard = {pose.tick: pose for pose in poses}
@@ -83,7 +82,6 @@ def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
         check(heard[tick], tick)
     for tick in (4, 5, 6):
         assert heard[tick] == TrackedPose.after(frame(tick), visible=False)
-    assert child.stderr is not None
     log = child.stderr.read()
     assert log.count("lost the tag") == log.count("seen again") == 1
     assert "lost the tag at frame 4 of episode e: no markers with number 7 are in the image" in log
@@ -111,6 +109,5 @@ def test_an_impossible_calibration_is_one_line_and_no_pose(
 
 def test_default_tag_is_the_tag_of_the_simulator() -> None:
     settings = TrackerSettings()
-    assert TURTLEBOT.tag is not None
     on_robot = (TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m)
     assert (settings.tag_number, settings.tag_side_m, settings.tag_height_m) == on_robot

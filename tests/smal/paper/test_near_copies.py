@@ -64,7 +64,7 @@ def test_dual_point_that_is_too_long_bounds_nothing(
 ) -> None:
 
     def too_long(*arguments: object) -> tuple[object, ...]:
-        found, *rest = minimize(*arguments)  # type: ignore[arg-type]
+        found, *rest = minimize(*arguments)
         return found._replace(alpha=1.5 * found.alpha, B=1.5 * found.B), *rest
 
     monkeypatch.setattr(working_set, "minimize", too_long)

@@ -133,7 +133,7 @@ def test_abandoned_work_ends() -> None:
     answers = in_parallel(work, [None, np.ones((10_000, 1), np.float32)])
     next(answers)
     begun.wait()
-    answers.close()  # type: ignore[attr-defined]  # it is a generator
+    answers.close()
     assert next(looks) < 100, (
         "looks at each of a hundred blocks, of which it would look at each twice"
     )

@@ -125,5 +125,4 @@ def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
     found = turn_of_views(
         images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views))
     )
-    assert found is not None
     assert found[1] == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)

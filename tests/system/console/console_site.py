@@ -73,7 +73,6 @@ class Site:
     def pid_of_console(self) -> int:
         """Wait until the console answers; return its process id."""
         status = eventually(lambda: status_of(self.bus, "console"))
-        assert status is not None
         return status.pid
 
     def robot(self, key: str) -> object:
@@ -197,7 +196,7 @@ def drive_to_the_victim(page: Page, site: Site, name: str) -> None:
             held = key
         if was_lost(page, site):
             held = ""
-        eventually(lambda seen=here: site.poses[-1] is not seen)  # type: ignore[misc]
+        eventually(lambda seen=here: site.poses[-1] is not seen)
         here = site.poses[-1]
     page.keyboard.up(held)
 

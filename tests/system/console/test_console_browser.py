@@ -184,11 +184,11 @@ def test_robot_stands_without_its_console_until_it_is_armed(
             began_s = time.monotonic()
             with fault(way.pid):
                 assert site.stood_s(began_s) <= STAND_WITHIN_S + lost_s(began_s)
-                eventually(lambda says=says: told(page).startswith(says))  # type: ignore[misc]
+                eventually(lambda says=says: told(page).startswith(says))
             # The key is still down.
             eventually(lambda: "console" not in told(page))
             said = len(site.applied)
-            eventually(lambda said=said: len(site.applied) > said + 10)  # type: ignore[misc]
+            eventually(lambda said=said: len(site.applied) > said + 10)
             assert not site.drives
             assert site.robot("stop_cause") is not None
             page.keyboard.up("w")

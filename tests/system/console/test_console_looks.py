@@ -76,7 +76,7 @@ def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     def violations(sizes: dict[int, int] = SIZES) -> dict[tuple[str, int], list[str]]:
         found = {}
         for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            page.emulate_media(color_scheme=scheme)
             for width, height in sizes.items():
                 page.set_viewport_size({"width": width, "height": height})
                 found[scheme, width] = run_in(page, VIOLATIONS)
