@@ -18,12 +18,12 @@ from typing import Final
 import pytest
 import zenoh
 
-from schemas.topics import COMMANDS, LANES, TOPICS, echo_key, rpc_key
+from schemas.topics import COMMANDS, TOPICS, echo_key, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
 from services.kit.credentials import Credentials, credentials_in, secret, why_refused
 from services.kit.zenoh_session import MAX_SESSIONS, router_settings
-from services.table import Role, roles, stack_services
+from services.table import Role, roles
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
 from tests.services.waiting import eventually
 
@@ -344,11 +344,6 @@ def test_full_router_refuses_newcomers_and_serves_the_others(
             drive()
         Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator")).close()
         drive()
-
-
-def test_a_stack_leaves_half_of_the_router_to_others() -> None:
-    """A session for each lane of each process, counted twice while the lease of dead links runs."""
-    assert 2 * len(LANES) * len(stack_services()) <= MAX_SESSIONS / 2
 
 
 @pytest.mark.parametrize("knock", ["silent", "leaves"])

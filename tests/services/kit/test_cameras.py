@@ -7,7 +7,7 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.camera import CameraInfo
@@ -42,6 +42,7 @@ def test_a_camera_comes_back(
     assert 0.0 < back.field_deg <= 360.0
 
 
+@settings(max_examples=40)
 @given(
     st.lists(NUMBERS, min_size=9, max_size=9),
     st.lists(NUMBERS, max_size=14),

@@ -1,7 +1,5 @@
 """The queues of a node."""
 
-import threading
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -58,15 +56,6 @@ def test_inbox_gives_the_oldest_and_counts_drops(
         assert taken(inbox) == model.pop(0)[:2]
     assert taken(inbox) is None
     assert {name: inbox.dropped[name] for name in NAMES} == dropped
-
-
-def test_inbox_wakes_a_reader_from_another_thread() -> None:
-    inbox = Inbox()
-    inbox.open("queue", 1)
-    writer = threading.Timer(0.02, inbox.put, ("queue", "item", 1))
-    writer.start()
-    assert taken(inbox, timeout_s=100.0) == ("queue", "item")
-    writer.join()
 
 
 def test_inbox_tells_how_long_items_wait() -> None:

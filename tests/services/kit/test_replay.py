@@ -57,22 +57,6 @@ def test_all_samples_come_in_order_and_once(
     assert bench.asked == list("abc")[: len(sent)]
 
 
-def test_a_sender_is_asked_once_at_the_first_sign_of_it() -> None:
-    bench = Bench()
-    bench.live("a", 5)
-    bench.replay.met("a")
-    assert bench.asked == ["a"]
-    assert bench.passed == [], "what is live waits for what was kept"
-    bench.replayed("a", 3)
-    bench.replayed("a", 4)
-    assert bench.passed == [("a", 3), ("a", 4)]
-    bench.replay.ended("a")
-    assert bench.passed == [("a", 3), ("a", 4), ("a", 5)]
-    bench.live("a", 6)
-    assert bench.passed[-1] == ("a", 6), "and then passes at once"
-    assert bench.asked == ["a"]
-
-
 def test_silent_sender_delays_no_other() -> None:
     bench = Bench()
     bench.live("dead", 0)

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from smal import solve
-from smal.paper import working_set
-from smal.paper.newton import minimize
 from tests.smal.paper.matching import Problem
-from tests.smal.worlds import matching_problem, unit
+from tests.smal.worlds import unit
 
 NOISES = (0.0, 1e-5)
 TOLERANCE = 1e-3
@@ -57,18 +55,3 @@ def test_gap_is_true_and_small_when_rounding_is_large(lambda_: float) -> None:
         assert solution.duality_gap <= TOLERANCE + problem.length * RESIDUAL_ERROR / float(value), (
             noise
         )
-
-
-def test_dual_point_that_is_too_long_bounds_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-
-    def too_long(*arguments: object) -> tuple[object, ...]:
-        found, *rest = minimize(*arguments)
-        return found._replace(alpha=1.5 * found.alpha, B=1.5 * found.B), *rest
-
-    monkeypatch.setattr(working_set, "minimize", too_long)
-    X, Y = matching_problem(0, blocks=5, length=5)
-    solution = solve(X, Y, 5, 10.0, 10.0, tolerance=1e-7)
-    assert not solution.weights.any()
-    assert 0.0 <= solution.duality_gap <= 1e-7

@@ -69,15 +69,6 @@ RNG = np.random.default_rng(0)
 REFERENCES = RNG.normal(size=(40, SETTINGS.size)).astype(np.float32)
 
 
-def test_many_queries_are_centred_by_their_own_mean() -> None:
-    light = RNG.normal(size=SETTINGS.size)
-    queries = (RNG.normal(size=(400, SETTINGS.size)) + light).astype(np.float32)
-    references, seen = centre_traverses(REFERENCES, queries, SETTINGS)
-    np.testing.assert_array_equal(references, Centering.fit(REFERENCES, SETTINGS).apply(REFERENCES))
-    own = Centering.fit(queries, SETTINGS).apply(queries)
-    assert np.einsum("qm,qm->q", seen, own).min() > 0.999
-
-
 @pytest.mark.parametrize("count", [1, PRIOR_FRAMES, 3 * PRIOR_FRAMES])
 def test_the_prior_counts_as_some_frames(count: int) -> None:
     queries = RNG.normal(size=(count, SETTINGS.size)).astype(np.float32)
