@@ -20,7 +20,6 @@ from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import free_endpoint
 from services.kit.bus import Bus, Router, RpcError
 from services.robot.loop import STAND_WITHIN_S
-from tests.benchmarks.faults.proxy import link
 from tests.ros2.fake_turtlebot import now_s
 from tests.ros2.field import Field, Robot, robot_for, until
 from tests.services.waiting import collected
@@ -33,11 +32,9 @@ DIALECTS = (
     "rmw_zenoh of humble, stamped",
     "zenoh-bridge-ros2dds",
 )  # A day of rmw_zenoh of jazzy is another test.
-#: What is harmed, and how; most is the same in all dialects. A link that is down is a black hole, as a frozen one.
-HARMS = {
-    DIALECTS[0]: [*((part, harm) for part in ("robot", "router", "camera") for harm in ("kill", "freeze"))],
-    DIALECTS[1]: [("router", "freeze")],
-}  # fmt: skip
+#: The harmed part and the fault. Most is the same in all dialects.
+EVERY_HARM = [(part, harm) for part in ("robot", "router", "camera") for harm in FAULT_S]
+HARMS = {DIALECTS[0]: EVERY_HARM, DIALECTS[1]: [("router", "freeze")]}
 
 
 @dataclass
@@ -47,7 +44,6 @@ class Driven:
     place: Field
     bus: Bus
     endpoint: str
-    link_pid: int
     dialect: str
     robot: subprocess.Popen[bytes] | None = None
     drives: bool = True
@@ -119,13 +115,11 @@ def driven(
         robot = replace(robot, humble=True, encoding="yuv422", twist="TwistStamped")
     with ExitStack() as stacked:
         place = stacked.enter_context(robot_for(robot))
-        way = stacked.enter_context(link(place.endpoint))
-        config = place.config()
-        config.write_text(config.read_text().replace(place.endpoint, way.address))
+        place.config()
         endpoint = free_endpoint()
         stacked.callback(Router(endpoint).close)
         bus = stacked.enter_context(closing(Bus("fake", endpoint)))
-        one = Driven(place, bus, endpoint, way.pid, request.param)
+        one = Driven(place, bus, endpoint, request.param)
         bus.subscribe(topics.ODOMETRY, one.answer)
         one.start()
         try:
@@ -141,8 +135,7 @@ def test_the_base_stands_in_time_and_drives_again(
 ) -> None:
     for part, harm in HARMS[driven.dialect]:
         until(driven.moves)
-        pids = {"robot": driven.robot.pid, "link": driven.link_pid}
-        pid = pids.get(part) or driven.place.children[part].pid
+        pid = driven.robot.pid if part == "robot" else driven.place.children[part].pid
         began_s = now_s()
         os.kill(pid, signal.SIGKILL if harm == "kill" else signal.SIGSTOP)
         time.sleep(
