@@ -46,7 +46,7 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what lasts longest, so that no process is left alone with it."""
+    """Begin with the longest folders, so that no process ends alone with them."""
     items.sort(
         key=lambda item: next(
             (k for k, one in enumerate(FIRST) if item.nodeid.startswith(one)), len(FIRST)
@@ -56,7 +56,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Sharing:
-    """Have processes share the tests by folder and file, whatever ``--dist`` says."""
+    """Share the tests by folder and file, regardless of ``--dist``."""
     config.option.loadscopereorder = False
     return Sharing(config, log)
 
@@ -118,7 +118,7 @@ def taught_paper(taught: Path) -> Path:
 
 @pytest.fixture
 def lost_s() -> Iterator[Lost]:
-    """Give what a busy machine adds to a time, in all since another one; see `stalls`."""
+    """Give the time that a busy machine added since a moment; see `stalls`."""
     with stalls() as lost_s:
         yield lost_s
 

@@ -48,7 +48,7 @@ STARTED_S = 100.0
 
 @dataclass(frozen=True)
 class Robot:
-    """What the fake robot is."""
+    """The properties of the fake robot."""
 
     folder: Path
     world: str = "yard"
@@ -90,7 +90,7 @@ class Field:
             child.wait()
 
     def config(self) -> Path:
-        """Write what the service is told of this robot."""
+        """Write the configuration of this robot for the service."""
         robot = self.robot
         drive = self.world.robot.drive
         raw = robot.encoding != "jpeg"
@@ -111,7 +111,7 @@ class Field:
         return path
 
     def steps(self, since_s: float) -> list[list[float]]:
-        """Return what the wheels did: when, where, their velocities, and when the order came."""
+        """Return the steps of the wheels: time, position, velocities, and time of the order."""
         lines = self.log.read_text().splitlines()
         # The last line may be half written; of a day's work the end is enough.
         return [step for step in map(json.loads, lines[-4000:-1]) if step[0] >= since_s]
@@ -170,7 +170,7 @@ def robot_for(robot: Robot) -> Iterator[Field]:
 
 @dataclass
 class Person:
-    """Who carries the robot, drives it by the map, and says when it has found the victim."""
+    """A person that carries the robot, drives it by the map, and reports the victim."""
 
     place: Field
     client: EpisodeClient
@@ -252,7 +252,7 @@ class Person:
 
     @property
     def detail(self) -> Detail:
-        """What the robot tells of itself."""
+        """Return the status of the robot."""
         return self.client.node.bus.call("robot", "status", Nothing(), Status).detail
 
 

@@ -77,7 +77,7 @@ class Driven:
 
     @property
     def detail(self) -> dict[str, object]:
-        """What the service tells of itself; nothing while it does not answer."""
+        """Return the status of the service, empty while it does not answer."""
         try:
             return dict(self.bus.call("robot", "status", Nothing(), Status, timeout_s=1.0).detail)
         except RpcError:

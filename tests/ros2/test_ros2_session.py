@@ -46,7 +46,7 @@ class Place:
         self.robot: Ros | None = None
 
     def start_robot(self) -> Callable[[bool], None]:
-        """Start the robot's process; return what says whether its button is pressed."""
+        """Start the robot's process; return a function that presses or releases its button."""
         options = {"humble": False, "clock_offset": 0.0}
         robot = Ros(
             "robot", SimpleNamespace(endpoint=self.endpoint, dialect=self.dialect, **options)
@@ -64,7 +64,7 @@ class Place:
 
     @staticmethod
     def config(folder: Path, endpoint: str, dialect: str, velocity: str = velocity) -> Path:
-        """Write what the service is told of this robot."""
+        """Write the configuration of this robot for the service."""
         path = folder / "robot.yaml"
         path.write_text(
             f"preset: generic\nwatchdog_s: 0.2\nrouter: {endpoint}\ndialect: {dialect}\nodometry: null\n"
@@ -89,7 +89,7 @@ def stack() -> Iterator[ExitStack]:
 def make(
     request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack
 ) -> Callable[[bool], Place]:
-    """Return what makes a place, whose button's last word is kept or not."""
+    """Return a function that makes a place, with a latched button or not."""
     return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
 
 

@@ -84,7 +84,7 @@ def wheels(tick: int, pose: Pose | None = None, episode: str = "e") -> Odometry:
 
 
 def identity(model: Path) -> str:
-    """Return what states say of the model that they come from: the beginning of its file's checksum."""
+    """Return the model's name in states: the beginning of the checksum of its file."""
     return model.read_bytes()[-32:].hex()[:16]
 
 

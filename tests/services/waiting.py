@@ -91,7 +91,7 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
 
 
 def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "zenoh/bytes") -> None:
-    """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
+    """Send bytes that the schema of the topic does not know, and keep none of them."""
     key = topic.key(bus.robot)
     # One who does not let Zenoh drop anything of it.
     wait = zenoh.CongestionControl.BLOCK

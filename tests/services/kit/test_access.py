@@ -58,7 +58,7 @@ PATIENT: Final[dict[str, object]] = {
 
 
 def allowed(role: Role, verb: str, key: str) -> bool:
-    """Whether the tables say that a role may."""
+    """Whether the tables allow a role to do this."""
     if key in KEPT:
         topic = KEPT[key]
         if verb in {"put", "serve", "token"}:
@@ -78,7 +78,7 @@ def allowed(role: Role, verb: str, key: str) -> bool:
 
 
 class Trial:
-    """One session tries everything; another one, the router's own, sees what comes of it."""
+    """One session tries everything; the router's own session observes the effects."""
 
     def __init__(self, session: zenoh.Session, within: zenoh.Session) -> None:
         self._session = session
@@ -91,7 +91,7 @@ class Trial:
             self.done.add((verb, key))
 
     def settle(self, session: zenoh.Session) -> None:
-        """Wait until the router has handled all that a session has sent, and the session what it was sent."""
+        """Wait until router and session have handled all that was sent."""
         list(session.get(f"smal/{ROBOT}/rpc/nobody/nothing", timeout=100.0))
 
     def say(self) -> None:
@@ -137,7 +137,7 @@ class Trial:
             one.undeclare()
 
     def hear(self) -> None:
-        """Subscribe to each key by itself: two subscribers of one session hear what only one of them may."""
+        """Subscribe to each key alone: a session with two subscribers receives the keys of both."""
         for key in KEYS:
             heard = threading.Event()
             told = zenoh.handlers.Callback(lambda _sample, heard=heard: heard.set(), indirect=False)
@@ -182,7 +182,7 @@ def endpoint(free_endpoint: str) -> str:
 
 @pytest.fixture
 def within(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
-    """Run a router that knows who is who."""
+    """Run a router with certificates."""
     with secured_router(endpoint, keys) as session:
         yield session
 
@@ -307,7 +307,7 @@ def test_a_connection_ends_with_its_certificate(
 
 
 def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
-    """Return what sends a command of the policy and waits until the robot has it."""
+    """Return a function that sends a command of the policy and waits until the robot has it."""
     robot, policy = (stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role))))
                      for role in ("robot", "policy"))  # fmt: skip
     key = COMMANDS["policy"].key(ROBOT)

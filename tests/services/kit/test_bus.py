@@ -256,7 +256,7 @@ def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> No
 
 
 def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
-    """Subscribe with replay; return what gives the ticks that have come so far."""
+    """Subscribe with replay; return a function that gives the ticks received."""
     ticks: list[int] = []
     bus.subscribe(
         topic,

@@ -168,7 +168,7 @@ class Robots:
         }
 
     def served_by(self, service: str, many: int) -> dict[str, str]:
-        """Wait until all robots are served, by so many instances."""
+        """Wait until all robots are served by this number of instances."""
 
         def all_served() -> dict[str, str] | None:
             found = self.instances(service)
@@ -234,7 +234,7 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
 
 
 def nothing_seen(tick: int) -> Observation:
-    """Return the observation of a picture that is all grey: it tells nothing of where the robot is."""
+    """Return the observation of a grey picture, which tells nothing about the position."""
     vector = extract(
         np.full((corridor.HEIGHT, corridor.WIDTH, 3), 128, np.uint8), corridor.FEATURES
     )
@@ -445,7 +445,7 @@ def test_a_robot_that_no_instance_serves_is_reported(
 
 
 class FrozenBus(Bus):
-    """A bus whose router answers no question about tokens: the question ends with the bus."""
+    """A bus whose router answers no query for tokens until the bus is closed."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)

@@ -66,7 +66,7 @@ def get(node: Node, path: str) -> tuple[int, str]:
 
 
 def values(text: str) -> Iterator[tuple[tuple[str, str], float]]:
-    """Give every sample of the metrics by its name and its topic, or what else it is about."""
+    """Yield every sample of the metrics by its name and its topic or other label."""
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
             yield (

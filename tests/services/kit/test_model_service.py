@@ -45,7 +45,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(
     request: pytest.FixtureRequest, tmp_path: Path, other: Path
 ) -> tuple[Path, LoadRequest, str]:
-    """Give a root, a request that must be refused, and what the refusal says."""
+    """Give a root, a request that must be refused, and the reason."""
     name = request.param
     file, asked = {
         "missing": ("none.smal", {"scheme": "paper"}),

@@ -35,7 +35,7 @@ run_node("sample", ServiceSettings, serve)
 
 
 def ended(router: str, does: str) -> tuple[int, list[str]]:
-    """Run a service that does something before it waits for messages; return its status, and what it logged."""
+    """Run a service that executes a statement first; return its status and its log."""
     command = [sys.executable, "-c", _SERVICE.format(does=does), "--router", router]
     done = subprocess.run(
         command, cwd=ROOT, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False

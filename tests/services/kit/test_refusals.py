@@ -41,14 +41,14 @@ OTHERS = "tcp/0.0.0.0:7447"  # Where Eclipse's router listens, in its container.
 
 
 def bad(client: Bus, name: str, count: int) -> None:
-    """Wait until so many were counted, and no message with them."""
+    """Wait until this number of messages was refused on a topic, and none elsewhere."""
     eventually(lambda: status(client).bad.get(name, 0) >= count)
     assert status(client).bad == {name: count}
 
 
 @contextmanager
 def stranger(*endpoints: str, **settings: object) -> Iterator[zenoh.Session]:
-    """Connect as anybody can who has Zenoh; large messages on the link, as ours."""
+    """Connect as any program with Zenoh can."""
     config = zenoh.Config()
     facts = {
         "mode": "client",
@@ -389,7 +389,7 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
 
 
 def _called(bus: Bus, service: str) -> str:
-    """Return the answer, or the error; nothing while nobody serves it."""
+    """Return the answer or the error; an empty text while the service is missing."""
     try:
         return bus.call(service, "end", Nothing(), EndRequest, timeout_s=100.0).episode
     except RpcError as error:

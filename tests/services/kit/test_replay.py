@@ -10,7 +10,7 @@ from services.kit.replay import Budget, Replay
 
 
 class Bench:
-    """A replay, what it passed on, whom it asked, and of whom it held too much."""
+    """A replay, the samples that it passed on, and the senders that it asked or gave up."""
 
     def __init__(self, most_bytes: int = 1000) -> None:
         self.passed: list[tuple[str, int]] = []

@@ -47,7 +47,7 @@ def service(
 
 
 def refusal(call: Callable[[], object]) -> str:
-    """Return the line with which a call is refused, and not that nobody answers."""
+    """Return the line with which a running service refuses a call."""
     with pytest.raises(RpcError) as caught:
         call()
     line = str(caught.value)

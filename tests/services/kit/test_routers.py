@@ -31,7 +31,7 @@ def linked(folder: Path, *, secure: bool) -> Stack:
 
 
 class Stream:
-    """Odometry that is sent without end, heard as it comes and by who wants all of it; calls beside it."""
+    """Endless odometry with a live subscriber, a recording subscriber, and calls beside it."""
 
     def __init__(self, stack: Stack, *, apart: bool) -> None:
         own = ",".join(reversed(addresses(stack.plan.endpoint))) if apart else stack.plan.endpoint
@@ -80,7 +80,7 @@ class Stream:
             return False
 
     def goes_on(self) -> None:
-        """Wait until what is sent from now on is heard, recorded and answered."""
+        """Wait until new samples are received and recorded, and a call is answered."""
         sent = self.sent
         eventually(lambda: self.heard[-1] > sent and self.recorded[-1] > sent)
         eventually(self.answered)
@@ -97,7 +97,7 @@ def routers_of(bus: Bus) -> set[str]:
 
 
 def is_heard(settings: ServiceSettings) -> bool:
-    """Whether somebody who comes now hears the stream."""
+    """Whether a new subscriber receives the stream."""
     heard = threading.Event()
     with suppress(BusError), closing(settings.open_bus("console", patience_s=0.0)) as bus:
         bus.subscribe(topics.ODOMETRY, lambda *_sample: heard.set())

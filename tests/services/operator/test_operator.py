@@ -42,13 +42,13 @@ def misses_nobody(_now_s: float) -> None:
 
 @pytest.fixture
 def said() -> list[str]:
-    """Give what the operator is told."""
+    """Give the messages to the operator."""
     return []
 
 
 @pytest.fixture
 def operator(node: Node, said: list[str]) -> Operator:
-    """Give an operator who has heard of the robot, and of whom it has heard."""
+    """Give an operator that knows the robot."""
     operator = Operator(node, said.append)
     node.every(POLL_S, operator.poll)
     assert node.spin(lambda: operator.commands.to_release is not None, 100.0)

@@ -97,7 +97,7 @@ def command(
 
 
 def answer(runner: Runner, atom: Atom = "forward", **how: Any) -> list[Message]:
-    """Answer a frame with a ``command``; return what comes of it at once."""
+    """Answer a frame with a ``command``; return the messages that follow at once."""
     runner.offer(command(runner, atom, **how))
     return list(runner.poll())
 
@@ -113,7 +113,7 @@ def stepping(runner: Runner, clock: Clock, duration_s: float) -> Iterator[Messag
 
 
 def advance(runner: Runner, clock: Clock, duration_s: float) -> list[Message]:
-    """Let real time pass; return what is published meanwhile."""
+    """Let real time pass; return the messages published meanwhile."""
     return list(stepping(runner, clock, duration_s))
 
 

@@ -35,7 +35,7 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class LineView:
-    """What the robot on the line sees: how far along it is."""
+    """The view of the robot on the line: its position."""
 
     body: LineBody
     x: float

@@ -23,7 +23,7 @@ WORLDS = {name: load_world(name) for name in ("campus", "indoor")}
 
 
 class Shown(StubCamera):
-    """Remembers what it was told to show."""
+    """A camera that remembers the obstacles to show."""
 
     def obstruct(self, things: tuple[object, ...]) -> None:
         self.things = things
@@ -35,7 +35,7 @@ def simulated(world: str) -> Simulation:
 
 
 def passes(simulation: Simulation, room: float) -> bool:
-    """Tell whether a disc of so many radii of the robot gets from the first to the last part of the way beside it."""
+    """Whether a disc of this many robot radii passes along the way."""
     radius_m = simulation.world.robot.radius_m
     way = shapely.LineString(simulation.route())
     corridor = way.buffer(5 * radius_m)

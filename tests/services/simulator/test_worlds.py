@@ -112,7 +112,7 @@ def test_robot_stays_when_another_world_is_unusable(
 
 
 class EnoughError(Exception):
-    """What ends the opening of a world."""
+    """The end of opening a world."""
 
 
 def test_robot_stays_when_opening_a_world_is_cancelled(

@@ -27,7 +27,7 @@ class Road:
 
 
 class Walk:
-    """What is seen along a way of n frames: neighbours resemble each other, others do not."""
+    """Views along a way of n frames: neighbours resemble each other, others do not."""
 
     def __init__(self, rng: np.random.Generator, n: int, size: int = 96) -> None:
         steps = rng.normal(size=(n + 8, size))

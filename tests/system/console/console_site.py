@@ -36,7 +36,7 @@ AGAIN_S = 15.0  # After so long a person presses a button again.
 
 
 class Site:
-    """A stack with its page, and what the robot really does."""
+    """A stack with its page, and the robot's true motion."""
 
     def __init__(self, address: str, stack: Stack, bus: Bus, root: Path) -> None:
         self.address = address
@@ -76,7 +76,7 @@ class Site:
         return status.pid
 
     def robot(self, key: str) -> object:
-        """Return what the robot tells of itself."""
+        """Return an entry of the status of the robot."""
         with suppress(RpcError):
             return self.bus.call("robot", "status", Nothing(), Status).detail[key]
         return None
@@ -107,12 +107,12 @@ def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page
 
 
 def told(page: Page) -> str:
-    """Return the line that says how the robot is."""
+    """Return the line of the page with the robot's status."""
     return page.inner_text("#status")
 
 
 def data(page: Page, name: str) -> str:
-    """Return what the page notes of the episode."""
+    """Return an attribute of the episode on the page."""
     return page.get_attribute("body", f"data-{name}") or ""
 
 
