@@ -1,5 +1,6 @@
 """The map of taught ways: which frames it keeps, what it measures of views, and what it refuses."""
 
+import json
 import math
 import multiprocessing
 import threading
@@ -263,7 +264,7 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
 def test_the_content_makes_the_map_again() -> None:
     good = of_two_drives()
     numbers, arrays = good.content()
-    again = VisualMap(**numbers, **arrays)
+    again = VisualMap.of_content(json.loads(json.dumps(numbers)), arrays)
     assert not {*numbers} & {*arrays}
     assert again.content()[0] == numbers
     for name, array in arrays.items():
