@@ -3,11 +3,13 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.codec import decode, describe, encode, encoding_of
@@ -15,12 +17,11 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.state import MAX_PLACES, State
+from tests.places import places
 from tests.schemas import messages
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
 GOLDEN = json.loads(messages.GOLDEN.read_text())
-
-_PLACE = {"keyframe": 1, "ahead_m": 0.0, "left_m": 0.0, "turned_rad": 0.0, "weight": 0.5}
 
 
 def name_of(cls: type[Message]) -> str:
@@ -108,15 +109,23 @@ def features(shape: tuple[int, ...], data: str = "00000000", dtype: str = "float
         (Observation, "fingerprint: ", {"fingerprint": "xyz"}),
         (State, "a state is given exactly", {"status": "unknown", "state": 7}),
         (State, "a state is given exactly", {"state": 7}),
-        (State, "a state is given exactly", {"places": ()}),
+        (State, "a state is given exactly", {"places": places()}),
         (State, "the model is given exactly", {"model": None}),
         (State, "model: ", {"model": "ABCDEF01"}),
         (State, "the model is given exactly", {"status": "idle"}),
         (State, "score: ", {"score": -0.1}),
         (State, "lost: ", {"lost": 1.1}),
-        (State, "places.0.colour: ", {"places": (_PLACE | {"colour": "red"},)}),
-        (State, "places.0.turned_rad: ", {"places": (_PLACE | {"turned_rad": 3.3},)}),
-        (State, "places: ", {"places": (_PLACE,) * (MAX_PLACES + 1)}),
+        (State, "must be (n, 5)", {"places": Float32Array.from_numpy(np.zeros(5, np.float32))}),
+        (
+            State,
+            "must be (n, 5)",
+            {"places": Float32Array.from_numpy(np.zeros((1, 4), np.float32))},
+        ),
+        (State, "in range", {"places": places((0.5, 0.0, 0.0, 0.0, 1.0))}),
+        (State, "in range", {"places": places((-1.0, 0.0, 0.0, 0.0, 1.0))}),
+        (State, "in range", {"places": places((1.0, 0.0, 0.0, 3.3, 1.0))}),
+        (State, "the weights of places", {"places": places(*[(1.0, 0.0, 0.0, 0.0, 0.6)] * 2)}),
+        (State, "at most 100", {"places": places(*[(1.0, 0.0, 0.0, 0.0, 0.0)] * (MAX_PLACES + 1))}),
         (Episode, "outcome is given exactly", {"outcome": None}),
         (Episode, "outcome is given exactly", {"event": "started"}),
         (Episode, "world: ", {"world": ""}),

@@ -54,6 +54,6 @@ def test_belief_drives_the_robot(client: Bus, router_endpoint: str, tmp_path: Pa
     )
     assert {told[tick].status for tick in range(corridor.FRAMES)} == {"recognized"}
     assert (driven[5].atom, done[5].kind) == ("forward", "follow")
-    assert told[10].places[0].keyframe == done[10].state
+    assert told[10].keyframes[0] == done[10].state
     last = corridor.FRAMES - 1
     assert (done[last].kind, driven[last].atom) == ("goal", "stop")

@@ -1,6 +1,7 @@
 """The filter follows a robot through a painted room, finds it, and knows when it is lost."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from smal.filter import Belief, Filter
 from smal.map import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
-from smal.settings import SETTINGS
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,
@@ -251,7 +251,7 @@ def elsewhere(seed: int) -> tuple[list[float], Filter]:
 @pytest.mark.parametrize("turn_deg", [-90.0, 180.0])
 def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
     away = (
-        1.0 + 1.3 * SETTINGS.elsewhere * usual_map()[0].correlation_length
+        1.0 + 1.3 * usual_map()[0].config.elsewhere * usual_map()[0].correlation_length
     )  # It may first go back to the start.
     assert follow(drive(way=((1.0, 0.0), (0.0, turn_deg), (away, 0.0))))[-1].lost > 0.95
 
@@ -317,6 +317,15 @@ def test_invalid_frame_is_refused_and_changes_nothing(
         one.observe(raw, movement)
     good = extract(ROOM.look(seen.poses[-1]), COLOR)
     assert same(one.observe(good, Movement(0.05, 0.0)), other.observe(good, Movement(0.05, 0.0)))
+
+
+@pytest.mark.parametrize("to", [72, 115])
+def test_place_is_found_when_few_candidates_are_compared(to: int) -> None:
+    visual_map, centering = usual_map()
+    few = replace(visual_map, config=replace(visual_map.config, looked_at=20))
+    found = Filter(few, centering)
+    follow(drive(way=((1.0, 0.0),)), found)
+    arrives(to, found, 2.0)
 
 
 @pytest.mark.parametrize("start", [25, 75])

@@ -20,7 +20,7 @@ def noisy(views: np.ndarray, seed: int, noise: float = 0.3) -> np.ndarray:
 
 
 def learned(drives: list[np.ndarray], tau: float = 0.3, max_bytes: int | None = None) -> StateSpace:
-    return learn_state_space(drives, LENGTH, LAMBDA, LAMBDA, tau, max_bytes=max_bytes)
+    return learn_state_space(drives, LENGTH, (LAMBDA, LAMBDA), tau, max_bytes=max_bytes)
 
 
 def test_a_repeated_drive_shares_its_states() -> None:
@@ -43,8 +43,7 @@ def test_sequences_end_with_the_demonstration() -> None:
     space = learn_state_space(
         [frames, frames[:4]],
         LENGTH,
-        LAMBDA,
-        LAMBDA,
+        (LAMBDA, LAMBDA),
         1e9,
         progress=lambda done, every: seen.append((done, every)),
     )
