@@ -131,19 +131,20 @@ def test_process_waits_when_the_whole_router_is_gone(free_endpoint: str, soon: f
             bus.check()
 
 
-#: The recorder, for which a lane is deaf within 3 s.
-RECORDER = """
-import runpy
+#: Run a service for which a lane is deaf within 5 s.
+SOON_DEAF = """
+import runpy, sys
 from services.kit import echo
 echo.SILENT_S, echo.DEAF_S = 2.0, 3.0
-runpy.run_module("services.recorder", run_name="__main__")
+runpy.run_module(sys.argv.pop(1), run_name="__main__")
 """
 
 
 @pytest.mark.system
-def test_service_reports_and_fails_when_its_stop_lane_is_deaf(way: Link) -> None:
+@pytest.mark.parametrize("module", ["services.tracker", "services.recorder"])
+def test_service_reports_and_fails_when_its_stop_lane_is_deaf(way: Link, module: str) -> None:
     http = free_endpoint().removeprefix("tcp/")
-    command = [sys.executable, "-c", RECORDER, "--router", way.address, "--http", http]
+    command = [sys.executable, "-c", SOON_DEAF, module, "--router", way.address, "--http", http]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
         try:
             eventually(lambda: health(http) == "ok\n")

@@ -333,6 +333,16 @@ def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: st
     assert len(error.strip().splitlines()) == 1
 
 
+def test_unknown_flag_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["sample", "--colour", "red"])
+    with pytest.raises(SystemExit) as ended:
+        service_process.run_node("sample", ServiceSettings, lambda *_: None)
+    assert ended.value.code == 2
+    assert "--colour" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("error", [ServiceError("no such model"), BusError("no router")])
 def test_a_service_that_cannot_start_says_why(
     error: Exception,
