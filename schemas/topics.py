@@ -67,7 +67,8 @@ ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True)
 IMU: Final = Topic("imu", Imu, 10, 8, True)
 POSE: Final = Topic("pose/truth", Pose, 10, 8, True)
 TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
-OBSERVATION: Final = Topic("observation", Observation, 10, 8, True)
+#: Not recorded: a vector is larger than its image, from which learning computes it again.
+OBSERVATION: Final = Topic("observation", Observation, 10, 8, False)
 STATE: Final = Topic("state", State, 10, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
 #: By the service whose instances hand robots on by it; see `services.kit.group`.

@@ -131,7 +131,7 @@ Modalities = Annotated[
         parser=checked(FeatureSettings.parse),
         metavar="NAMES",
         help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
-        "[default: those of the model, the recordings or the method; else color,hog]",
+        "[default: those of the model or the method; else color,hog]",
     ),
 ]
 

@@ -197,7 +197,7 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
     seen: dict[tuple[str, str], Path] = {}
     for path in files:
         try:
-            recording = read_recording(path, None, allowance, topics=(*USUAL, IMU))
+            recording = read_recording(path, allowance, (*USUAL, IMU))
         except RecordingError as error:
             tally.say(str(error))
             continue

@@ -16,7 +16,6 @@ from schemas.codec import printable
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
-from schemas.observation import Observation
 from schemas.topics import JPEG, TOPICS, Topic
 from services.kit.cameras import camera_of
 from services.recordings.ledger import Ledger
@@ -83,7 +82,6 @@ class EpisodeContents:
     width: int | None = None
     height: int | None = None
     field_of_view_deg: float | None = None
-    modalities: tuple[str, ...] = ()
     odometry_m: float | None = None  # Way by the wheels.
 
     @property
@@ -205,8 +203,6 @@ class _Reading:
         """Whether a message says something about the episode as a whole; of large ones the first is enough."""
         if topic is JPEG:
             return self.episode.width is None
-        if topic.message is Observation:
-            return not self.episode.modalities
         return issubclass(topic.message, Episode | CommandApplied | CameraInfo | Odometry)
 
     def _note(self, message: Message) -> None:
@@ -228,8 +224,6 @@ class _Reading:
                 episode.height = message.height
             case CameraInfo():
                 episode.field_of_view_deg = camera_of(message).field_deg
-            case Observation():
-                episode.modalities = message.modalities
             case Odometry():
                 self._places[message.tick] = message.x_m, message.y_m
             case _:

@@ -9,11 +9,11 @@ from typing import Final, get_args
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName
-from schemas.topics import APPLIED, JPEG, OBSERVATION, POSE, STATE
+from schemas.topics import APPLIED, JPEG, POSE, STATE
 
-#: Topics with a message for every tick. At its end an episode has no command applied and perhaps no state any more.
-EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
-TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
+#: Topics with a message for every tick. The last tick has no applied command, and perhaps no state.
+EVERY_TICK: Final = (JPEG.name, POSE.name, STATE.name, APPLIED.name)
+TO_THE_END: Final = (JPEG.name, POSE.name)
 _EVENTS: Final = get_args(EventName)  # In the order in which they happen within a tick.
 
 #: Most messages of a topic within a tick, ten a second for a quarter of an hour; more are not recorded, for each takes
