@@ -64,7 +64,7 @@ SERVICES: Final = {
         Service(
             "features",
             "describes images",
-            (topics.JPEG, topics.DEPTH),
+            (topics.JPEG,),
             (topics.OBSERVATION,),
             grouped=True,
         ),
@@ -129,7 +129,7 @@ SERVICES: Final = {
         Service(
             "expert",
             "drives by the map, to demonstrate",
-            (topics.POSE, topics.OBSERVATION),
+            (topics.POSE,),
             (COMMANDS["expert"],),
             image=None,
             role="operator",

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
 def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> None:
     simulator = Simulator(CameraOptions(64, 48)).flags("indoor")
-    services = ("router", "robot", "features", "tracker")
+    services = ("router", "robot", "tracker")
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client = EpisodeClient("tracking", access.settings)
         expert = ExpertService()
@@ -27,14 +27,13 @@ def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> Non
 
         def see(pose: Pose) -> object:
             true[pose.tick] = pose
-            return expert.see(pose)
+            return expert.handle(pose)
 
         def follow(pose: TrackedPose) -> None:
             tracked[pose.tick] = pose
 
         client.node.subscribe(topics.POSE, see, depth=256)  # type: ignore[arg-type]
         client.node.subscribe(topics.TRACKED, follow, depth=256)
-        client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=25)
         record = client.run(request, expert.begin, lambda: expert.arrived, check=access.check)
         client.node.spin(until=lambda: record.ticks in tracked, timeout_s=100.0)
