@@ -168,31 +168,28 @@ class RecorderService:
         self._node.log.info("recording in %s", self._folder)
 
     def _seal_leftovers(self, folder: Path) -> list[Sealed]:
-        """Seal what a recorder left that was killed, and what there was no room to seal."""
-        done = []
-        for partial in leftovers(folder) - self._given_up:
-            try:
-                one = seal_leftover(partial)
-            except LeftoverError as error:
-                self._given_up.add(partial)
-                self._node.log.warning("%s stays as it is: %s", partial, error)
-            except BlockingIOError:
-                pass  # its recorder lives
-            except OSError as error:
-                self._complain(
-                    f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode"
-                )
-            else:
-                self._node.log.info(
-                    "%s, which was left behind",
-                    f"sealed {one.path}" if one.path else f"removed {partial}",
-                )
-                made = [] if one.path is None else [one.path]
-                self._files = [
-                    file for path in self._files for file in (made if path == partial else [path])
-                ]
-                done.append(one)
-        return done
+        """Seal the files of a killed recorder, and those that had no room to be sealed."""
+        partials = leftovers(folder) - self._given_up
+        return [sealed for sealed in map(self._seal_leftover, partials) if sealed is not None]
+
+    def _seal_leftover(self, partial: Path) -> Sealed | None:
+        try:
+            sealed = seal_leftover(partial)
+        except LeftoverError as error:
+            self._given_up.add(partial)
+            self._node.log.warning("%s stays as it is: %s", partial, error)
+            return None
+        except BlockingIOError:
+            return None  # Its recorder lives.
+        except OSError as error:
+            why = error.strerror or error
+            self._complain(f"cannot seal {partial}: {why}; tried again with the next episode")
+            return None
+        done = f"removed {partial}" if sealed.path is None else f"sealed {sealed.path}"
+        self._node.log.info("%s, which was left behind", done)
+        renamed = (sealed.path if file == partial else file for file in self._files)
+        self._files = [file for file in renamed if file is not None]
+        return sealed
 
     def _settled(self, folder: Path | None) -> RecordReply:
         """Go on recording until the grace of every ended episode is over, and what a kill cut off is sent again."""

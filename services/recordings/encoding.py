@@ -100,28 +100,34 @@ def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
 def plain_json_schema(message: type[Message]) -> dict[str, Any]:
     """Return a message's JSON Schema in the plain form that viewers read.
 
-    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf`` nor ``prefixItems``: references
-    are written out, a field that may be null has the type of its other values, as have the values of a tuple.
+    Foxglove needs a ``type`` in every field, and supports neither ``$ref`` nor ``anyOf`` nor
+    ``prefixItems``. References are written out. A field that may be null has the type of its other
+    values, and so have the values of a tuple.
     """
     schema = message.model_json_schema()
     definitions = schema.pop("$defs", {})
+    return cast("dict[str, Any]", _plain(schema, definitions))
 
-    def plain(node: Any) -> Any:  # noqa: ANN401 - any JSON value
-        if isinstance(node, list):
-            return [plain(item) for item in node]
-        if not isinstance(node, dict):
+
+def _plain(node: Any, definitions: dict[str, Any]) -> Any:  # noqa: ANN401 - any JSON value
+    if isinstance(node, list):
+        return [_plain(item, definitions) for item in node]
+    if not isinstance(node, dict):
+        return node
+    resolved = _resolved(node, definitions)
+    return {key: _plain(value, definitions) for key, value in resolved.items()}
+
+
+def _resolved(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return a node without ``anyOf``, ``$ref`` and ``prefixItems`` of its own."""
+    match node:
+        case {"anyOf": options, **rest}:
+            (other,) = [option for option in options if option.get("type") != "null"]
+            rest.pop("default", None)
+            return _resolved(other | rest, definitions)
+        case {"$ref": name, **rest}:
+            return _resolved(definitions[name.removeprefix("#/$defs/")] | rest, definitions)
+        case {"prefixItems": [first, *others], **rest} if others.count(first) == len(others):
+            return rest | {"items": first}
+        case _:
             return node
-        if "anyOf" in node:
-            (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
-            node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
-        if "$ref" in node:
-            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {
-                k: v for k, v in node.items() if k != "$ref"
-            }
-        if "prefixItems" in node:
-            first, *others = node["prefixItems"]
-            assert all(other == first for other in others)  # noqa: S101 - of our own messages
-            node = {k: v for k, v in node.items() if k != "prefixItems"} | {"items": first}
-        return {key: plain(value) for key, value in node.items()}
-
-    return cast("dict[str, Any]", plain(schema))

@@ -12,7 +12,7 @@ from schemas.motion import Imu, Odometry, Pose
 from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, mapped
-from services.recordings.stream import RecordingError, Stored, messages_of
+from services.recordings.stream import RecordingError, StoredMessage, messages_of
 
 USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, APPLIED)  # For teaching, and for plots.
 
@@ -65,7 +65,7 @@ def read_recording(
     return Recording(path, episodes, mapped(path)[-len(MAGIC) :] != MAGIC, bad)
 
 
-def _take(episode: RecordedEpisode, stored: Stored) -> None:
+def _take(episode: RecordedEpisode, stored: StoredMessage) -> None:
     """Add a message to its episode; the first of a tick counts, but the last applied command."""
     message = stored.message()
     tick = message.tick

@@ -11,7 +11,7 @@ from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import Topic
 from services.recordings.ledger import place_of
-from services.recordings.stream import RecordingError, Stored, messages_of
+from services.recordings.stream import RecordingError, StoredMessage, messages_of
 from services.table import SERVICES
 
 #: What can be replayed, in the order in which a robot publishes it within a tick: of what it gives, whatever is
@@ -41,12 +41,12 @@ class Track:
     robot: str
     episode: str
     bad: int = 0  # Messages so far that did not decode; they are left out.
-    _told: defaultdict[int, list[Stored]] = field(default_factory=lambda: defaultdict(list))
+    _told: defaultdict[int, list[StoredMessage]] = field(default_factory=lambda: defaultdict(list))
 
     def __len__(self) -> int:
         return len(self._told)
 
-    def add(self, stored: Stored) -> None:
+    def add(self, stored: StoredMessage) -> None:
         """Take a message."""
         self._told[stored.tick].append(stored)
 
@@ -71,7 +71,7 @@ class Track:
             )
             yield Tick(tick, since_ns / 1e9, tuple(told_anew))
 
-    def _said(self, stored: Stored, wanted: Mapping[str, Topic]) -> Iterator[Message]:
+    def _said(self, stored: StoredMessage, wanted: Mapping[str, Topic]) -> Iterator[Message]:
         if stored.topic not in wanted.values():
             return
         try:
