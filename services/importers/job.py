@@ -46,18 +46,19 @@ class ImportJob(Strict):
     episodes: tuple[str, ...] = ()
 
 
+OdometryOrigin = Literal["of the source", "reckoned from velocities", "none"]
+
+
 class ImportReport(Strict):
-    """What came of it: recordings, their ticks and atoms, how many drives reached the goal, nominal velocities."""
+    """Result of an import: recordings, ticks, atoms, successful drives, nominal velocities."""
 
     files: tuple[str, ...]
     ticks: int
     successes: int
-    odometry: Literal["of the source", "reckoned from velocities", "none"]
+    odometry: OdometryOrigin
     speed: float
     turn_rate: float
-    metric: (
-        bool  # Whether these are metres and radians a second, and not in units of the source's own.
-    )
+    metric: bool  # Whether these are metres and radians a second; else units of the source.
     atoms: dict[str, int]
 
 
