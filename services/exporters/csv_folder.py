@@ -23,15 +23,6 @@ def write(
                 image = f"{drive.name}/{moment.tick:06d}.jpg"
                 (folder / image).write_bytes(jpeg)
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
-                pose = moment.pose
-                way = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-                table.writerow(
-                    [
-                        drive.name,
-                        image,
-                        f"{seconds}.{rest_ns:09d}",
-                        *velocity,
-                        int(drive.success),
-                        *way,
-                    ]
-                )
+                time_s = f"{seconds}.{rest_ns:09d}"
+                way = moment.wheels or ("", "", "")
+                table.writerow([drive.name, image, time_s, *velocity, int(drive.success), *way])

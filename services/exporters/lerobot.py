@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import ExportedDrive, say_view
+from services.exporters.drives import ExportedDrive, Moment, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import (
     ACTION,
@@ -123,11 +123,25 @@ def _place(episode: int) -> dict[str, int]:
 def _usable(
     drives: Sequence[ExportedDrive], tally: Tally, advance: Callable[[], None]
 ) -> Iterator[tuple[int, str, _Frame, Pixels]]:
-    """Yield the ticks that can be in the data set: the episode that each is in, its goal, its row and its image."""
-    size: tuple[int, ...] | None = None
+    """Yield the ticks of the data set: number of the episode, goal, row and image."""
     episode = -1
+    last: tuple[ExportedDrive, int] | None = None
+    for drive, moment, velocity, pixels in _of_one_size(drives, tally, advance):
+        if last != (drive, moment.tick - 1):
+            episode += 1
+            is_gap = last is not None and last[0] == drive
+            tally.count("gaps are the end of an episode and the beginning of another", int(is_gap))
+        last = drive, moment.tick
+        arrived = drive.success and moment.tick == drive.episode.end_tick
+        yield episode, drive.episode.goal, _Frame(velocity, moment.wheels, arrived), pixels
+
+
+def _of_one_size(
+    drives: Sequence[ExportedDrive], tally: Tally, advance: Callable[[], None]
+) -> Iterator[tuple[ExportedDrive, Moment, tuple[float, float], Pixels]]:
+    """Yield the moments whose image has the size of the first, with velocity and pixels."""
+    size: tuple[int, ...] | None = None
     for drive in drives:
-        last: int | None = None
         for moment, jpeg, velocity in drive.usable(tally, advance):
             try:
                 pixels = decode_jpeg(jpeg)
@@ -135,23 +149,10 @@ def _usable(
                 tally.count("images are damaged")
                 continue
             size = size or pixels.shape
-            if pixels.shape != size:
+            if pixels.shape == size:
+                yield drive, moment, velocity, pixels
+            else:
                 tally.count("images have another size than the first, and are left out")
-                continue
-            if last is None or moment.tick != last + 1:
-                episode += 1
-                tally.count(
-                    "gaps are the end of an episode and the beginning of another",
-                    int(last is not None),
-                )
-            last = moment.tick
-            way = (
-                None
-                if moment.pose is None
-                else (moment.pose.x_m, moment.pose.y_m, moment.pose.heading_rad)
-            )
-            arrived = drive.success and moment.tick == drive.episode.end_tick
-            yield episode, drive.episode.goal, _Frame(velocity, way, arrived), pixels
 
 
 @contextmanager
