@@ -1,33 +1,36 @@
 """Where in what was taught the robot is."""
 
-import math
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from schemas.base import Message, Strict
+from schemas.array import Float32Array
+from schemas.base import Message
 
 MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
-_FAR_M = (
-    1e6  # Farther places are moved to this distance: no robot drives there, but odometry may jump.
+FAR_M = 1e6  # No robot drives farther from a keyframe, but odometry may jump.
+#: Least and greatest value of each column of `State.places`.
+_PLACE_RANGES = np.array(
+    [(0, 1_000_000), (-FAR_M, FAR_M), (-FAR_M, FAR_M), (-3.2, 3.2), (0, 1.001)], np.float32
 )
 
 
-class Place(Strict):
-    """A pose beside a taught keyframe, where the robot may be."""
+def _check_places(places: Float32Array) -> Float32Array:
+    if len(places.shape) != 2 or places.shape[0] > MAX_PLACES or places.shape[1] != 5:
+        raise ValueError(f"places must be (n, 5), n at most {MAX_PLACES}, got {places.shape}")
+    rows = places.to_numpy()
+    least, greatest = _PLACE_RANGES.T
+    if not ((least <= rows) & (rows <= greatest)).all() or (rows[:, 0] % 1).any():
+        raise ValueError("a place must be keyframe, ahead_m, left_m, turned_rad, weight in range")
+    if rows[:, 4].sum() > 1.01:
+        raise ValueError("the weights of places must sum to at most 1")
+    return places
 
-    keyframe: Annotated[int, Field(ge=0, le=1_000_000)]
-    """Its number in the model's map of views."""
-    ahead_m: Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
-    """How far ahead of the keyframe the robot is, along its heading."""
-    left_m: Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
-    """How far to the left of it."""
-    turned_rad: Annotated[float, Field(ge=-3.2, le=3.2)]
-    """How far the robot is turned against it, counter-clockwise."""
-    weight: Annotated[float, Field(ge=0, le=1.001)]
-    """Probability of being there, given that the robot is not lost."""
+
+#: A belief without a place.
+NO_PLACES = Float32Array(shape=(0, 5), data=b"")
 
 
 class State(Message):
@@ -43,14 +46,20 @@ class State(Message):
     no learned state has a weight."""
     model: Annotated[str | None, Field(pattern=r"^[0-9a-f]{8,64}$")] = None
     """Beginning of the checksum of the model that the state belongs to; a policy refuses another's. None when idle."""
-    places: Annotated[tuple[Place, ...], Field(max_length=MAX_PLACES)] = ()
-    """The filter's belief, heaviest first; empty in the paper's scheme."""
+    places: Annotated[Float32Array, AfterValidator(_check_places)] = NO_PLACES
+    """The filter's belief as rows, heaviest first; empty in the paper's scheme.
+
+    Columns: keyframe in the model's map; metres ahead of the keyframe and to its left; turn against it, radians
+    counter-clockwise; probability of being there, given that the robot is not lost.
+    """
     lost: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Probability that the robot is nowhere near what was taught; of the filter."""
     cosine: Annotated[float, Field(ge=-1.1, le=1.1)] = 0.0
     """Mean cosine between the view and those of the places; of the filter."""
     tracked_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Way that the robot was followed for without a jump; of the filter."""
+    evidence: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
+    """Log of how much likelier the last view was, after all before it, than a view elsewhere; of the filter."""
     unseen_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Way since a view last spoke for the robot's place; of the filter."""
     camera: Literal["sees", "blank", "frozen"] = "sees"
@@ -76,66 +85,21 @@ class State(Message):
     duality_gap: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """How far the weights are from the optimum of Eq. 7 at most, relative."""
 
-    @classmethod
-    def of_belief(
-        cls,
-        observation: Message,
-        model: str,
-        keyframes: NDArray[np.intp],
-        offsets: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        seen: tuple[float, float, float | None] | None = None,
-        strange_m: float = math.inf,
-        camera: Literal["sees", "blank", "frozen"] = "sees",
-        **of_all: float,
-    ) -> Self:
-        """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
+    @property
+    def keyframes(self) -> NDArray[np.intp]:
+        """The keyframe (n,) of each place."""
+        return self.places.to_numpy()[:, 0].astype(np.intp)
 
-        ``seen`` is the probability that what is sought is in view, how near it is, and how far to the left;
-        ``strange_m`` is how far ahead the ground looks strange; ``of_all`` are the other fields of the filter: lost,
-        cosine, tracked_m and unseen_m.
-        """
-        places = tuple(
-            Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
-            for keyframe, (ahead, left, turned), weight in zip(
-                keyframes.tolist(),
-                offsets.clip(-_FAR_M, _FAR_M).tolist(),
-                weights.tolist(),
-                strict=True,
-            )
-        )
-        lost = min(of_all.pop("lost"), 1.0)
-        status = "unknown" if lost > 0.5 else "recognized"
-        told = {} if seen is None else dict(zip(("seen", "near", "seen_left"), seen, strict=True))
-        told |= {"strange_m": strange_m} if math.isfinite(strange_m) else {}
-        return cls.after(
-            observation,
-            status=status,
-            model=model,
-            places=places,
-            lost=lost,
-            camera=camera,
-            **told,
-            **of_all,
-        )
-
-    def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """Return what `of_belief` was given: keyframes (p,), offsets (p, 3) and weights (p,)."""
-        return (
-            np.array([place.keyframe for place in self.places], dtype=np.intp),
-            np.array(
-                [(place.ahead_m, place.left_m, place.turned_rad) for place in self.places]
-            ).reshape(-1, 3),
-            np.array([place.weight for place in self.places]),
-        )
+    @property
+    def weights(self) -> NDArray[np.float32]:
+        """The weight (n,) of each place."""
+        return self.places.to_numpy()[:, 4]
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if sum(place.weight for place in self.places) > 1.01:
-            raise ValueError("the weights of places sum to 1 at most")
         if (self.model is None) != (self.status == "idle"):
             raise ValueError("the model is given exactly when the status is not 'idle'")
-        of_paper = self.status == "recognized" and not self.places
+        of_paper = self.status == "recognized" and not len(self.weights)
         if (self.state is not None) != of_paper:
             raise ValueError(
                 "a state is given exactly when the status is 'recognized' without places"

@@ -216,16 +216,23 @@ def _without_binary(value: object) -> object:
     return value
 
 
+def _array_text(dtype: str, shape: tuple[int, ...], data: bytes) -> str:
+    """Describe an array; of a matrix with few columns also its first row: of a belief the likeliest place."""
+    if len(shape) == 2 and shape[0] and shape[1] <= MOST_ITEMS:
+        first = np.frombuffer(data, dtype)[: shape[1]]
+        return f"({' '.join(f'{number:.4g}' for number in first)}),...({shape[0]})"
+    return f"<{dtype} {'x'.join(map(str, shape))}, {len(data)} bytes>"
+
+
 def _text(value: object) -> str:
     match value:
         case {"dtype": dtype, "shape": tuple(shape), "data": bytes(data)}:
-            return f"<{dtype} {'x'.join(map(str, shape))}, {len(data)} bytes>"
+            return _array_text(dtype, shape, data)
         case bytes():
             return f"<{len(value)} bytes>"
         case float():
             return f"{value:.6g}"
         case ({**first}, *more):
-            # Of a belief this is the likeliest place.
             shown = " ".join(f"{name}={_text(part)}" for name, part in first.items())
             return f"({shown})" + (f",...({1 + len(more)})" if more else "")
         case tuple() if len(value) > MOST_ITEMS:

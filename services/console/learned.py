@@ -57,24 +57,20 @@ class Learned:
 
     def belief(self, state: State) -> dict[str, object]:
         """Return where a state says that the robot is, most likely."""
-        known = all(place.keyframe < len(self.poses) for place in state.places)
-        if state.model != self.identity or not state.places or not known:
+        keyframes = state.keyframes
+        known = len(keyframes) > 0 and keyframes.max() < len(self.poses)
+        if state.model != self.identity or not known:
             return {}
-        first = state.places[0]
-        x, y, heading = placed(
-            np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe]
-        )
-        beside = np.abs(self.along_m - self.along_m[first.keyframe]) <= _NEAR_M
-        near = beside & (self.drives == self.drives[first.keyframe])
-        cost_s = float(self.cost_s[first.keyframe])
+        best = int(keyframes[0])
+        x, y, heading = placed(state.places.to_numpy()[0, 1:4].astype(np.float64), self.poses[best])
+        beside = np.abs(self.along_m - self.along_m[best]) <= _NEAR_M
+        near = beside & (self.drives == self.drives[best])
+        cost_s = float(self.cost_s[best])
         return {
-            "keyframe": first.keyframe,
+            "keyframe": best,
             "pose": [round(float(x), 2), round(float(y), 2), round(float(heading), 3)],
             "cost": round(cost_s, 1) if math.isfinite(cost_s) else None,
-            "sure": round(
-                (1.0 - state.lost) * sum(one.weight for one in state.places if near[one.keyframe]),
-                3,
-            ),
+            "sure": round((1.0 - state.lost) * float(state.weights[near[keyframes]].sum()), 3),
         }
 
 

@@ -167,9 +167,13 @@ class LiveContent:
             left=state.seen_left,
             gap=state.duality_gap,
             state=state.state,
-            places=[[place.keyframe, round(place.weight, 3)] for place in state.places]
-            if belief
-            else [],
+            places=[
+                [key, round(weight, 3)]
+                for key, weight in zip(
+                    state.keyframes.tolist(), state.weights.tolist(), strict=True
+                )
+                if belief
+            ],
             **belief,
         )
 

@@ -11,16 +11,15 @@ from schemas.base import Message, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
+from services.kit.belief import belief_of, glimpse_of
 from services.kit.model_service import LoadedModel, Wheels
 from services.kit.node import Detail
 from services.kit.sight import ObstacleSight
 from services.kit.throttle import Throttle
-from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
 from smal.paper.model import PaperModel
 from smal.planning import Planner
-from smal.sought.witness import Glimpse
 
 DELAYS_KEPT: Final = (
     10  # Reports of the actuator of whose delays the median is taken: those of a second.
@@ -135,9 +134,7 @@ class _ByFilter:
         self.reset()
 
     def understands(self, state: State) -> bool:
-        return bool(state.places) and all(
-            place.keyframe < self._keyframes for place in state.places
-        )
+        return len(state.keyframes) > 0 and state.keyframes.max() < self._keyframes
 
     def reset(self) -> None:
         self._planner.reset()
@@ -148,20 +145,13 @@ class _ByFilter:
             None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         )
         self._stamp_ns = state.stamp_ns
-        belief = Belief(
-            *state.belief(),
-            state.lost,
-            state.cosine,
-            state.tracked_m,
-            unseen=state.unseen_m,
-            camera=state.camera,
-        )
-        seen = None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
         around = sight.around(state.episode)
         strange = math.inf if state.strange_m is None else state.strange_m
-        decision = self._planner.decide(belief, elapsed_s, delay_s, seen, around, strange)
+        decision = self._planner.decide(
+            belief_of(state), elapsed_s, delay_s, glimpse_of(state), around, strange
+        )
         velocity = Velocity(*decision.motion)
-        known = state.places[0].keyframe if state.status == "recognized" else None
+        known = int(state.keyframes[0]) if state.status == "recognized" else None
         things = () if around is None else tuple(map(tuple, around.things(SHOWN).round(2).tolist()))
         return [
             Action.after(
@@ -185,7 +175,7 @@ class _ByPaper:
         self._states = model.states
 
     def understands(self, state: State) -> bool:
-        return not state.places and (state.state is None or state.state < self._states)
+        return not len(state.keyframes) and (state.state is None or state.state < self._states)
 
     def reset(self) -> None:
         self._maker.reset()

@@ -14,12 +14,12 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply
 from schemas.state import State
 from schemas.taught_map import TaughtMap
+from services.kit.belief import belief_of, fields_of
 from services.kit.model_service import AnyModel, LoadedModel, Wheels
 from services.kit.node import Detail, ServiceError
 from smal.features import FeaturesError
 from smal.features.detectors import Detection
 from smal.features.percept import Percept
-from smal.filter import Belief
 from smal.map import in_common_axes
 from smal.model import Model
 from smal.movement import Atom
@@ -218,12 +218,9 @@ class _ByFilter:
         self._stamp_ns: int | None = None
 
     def resume(self, state: State, wheels: Wheels | None) -> bool:
-        keyframes, offsets, weights = state.belief()
-        if not weights.any() or keyframes.max() >= len(self._mapped.keyframes):
+        if not state.weights.any() or state.keyframes.max() >= len(self._mapped.keyframes):
             return False
-        self._localizer.reset(
-            Belief(keyframes, offsets, weights, state.lost, state.cosine, state.tracked_m), wheels
-        )
+        self._localizer.reset(belief_of(state), wheels)
         self._stamp_ns = state.stamp_ns
         return True
 
@@ -244,12 +241,7 @@ class _ByFilter:
         percept = Percept(observation.features.to_numpy(), observation.small(), detected)
         located = self._localizer.locate(percept, odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
-        told = located.belief
-        return State.of_belief(
-            observation, self._identity, told.keyframes, told.offsets, told.weights,
-            located.seen, located.strange, told.camera,
-            lost=told.lost, cosine=told.cosine, tracked_m=told.tracked, unseen_m=told.unseen,
-        )  # fmt: skip
+        return State.after(observation, model=self._identity, **fields_of(located))
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
         """Yield where the keyframes are, as the fields of its message."""

@@ -175,15 +175,12 @@ class Views:
         yield from self._changed(
             state, "recognition", state.status, warns=state.status == "unknown"
         )
-        if (
-            self._keyframes is None
-            or not state.places
-            or state.places[0].keyframe >= len(self._keyframes)
-        ):
+        keyframes = state.keyframes
+        if self._keyframes is None or not (keyframes[:1] < len(self._keyframes)).any():
             return
-        known = [place for place in state.places if place.keyframe < len(self._keyframes)]
-        offsets = np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in known])
-        poses = placed(offsets, self._keyframes[[place.keyframe for place in known]])
+        known = keyframes < len(self._keyframes)
+        offsets = state.places.to_numpy()[known, 1:4].astype(np.float64)
+        poses = placed(offsets, self._keyframes[keyframes[known]])
         wheels = self._wheels.get(state.tick)
         # A robot that is lost goes by its wheels; without any, there is nothing else to go by.
         if wheels is not None and state.lost <= 0.5:
@@ -196,7 +193,7 @@ class Views:
         arrow = ArrowPrimitive(pose=_pose(poses[0]), color=color, **_ARROW)
         yield RecordedView("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
         # All places, each as high as it is likely.
-        points = np.column_stack([poses[:, :2], [place.weight for place in known]])
+        points = np.column_stack([poses[:, :2], state.weights[known]])
         yield RecordedView("places", _cloud(state, "map", points))
 
     @of.register

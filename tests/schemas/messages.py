@@ -25,9 +25,10 @@ from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
 from schemas.observation import Detected, Observation
 from schemas.rpc import LoadRequest
 from schemas.snapshot import Snapshot
-from schemas.state import Place, State
+from schemas.state import MAX_PLACES, NO_PLACES, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
+from tests.places import places
 
 HEADER = {
     "robot": "rescuebot",
@@ -94,10 +95,7 @@ EXAMPLES: dict[type[Message], Message] = {
         **HEADER,
         status="recognized",
         model="0123456789abcdef",
-        places=(
-            Place(keyframe=7, ahead_m=0.25, left_m=-0.125, turned_rad=0.5, weight=0.75),
-            Place(keyframe=3, ahead_m=-0.5, left_m=0.0, turned_rad=-0.25, weight=0.25),
-        ),
+        places=places((7, 0.25, -0.125, 0.5, 0.75), (3, -0.5, 0.0, -0.25, 0.25)),
         lost=0.125,
         cosine=0.625,
         tracked_m=12.5,
@@ -151,6 +149,15 @@ _floats32 = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False),
 _arrays = _floats32.map(lambda values: Float32Array.from_numpy(np.array(values, np.float32)))
 #: What is checked by a function of our own, of which no strategy can be derived.
 _OWN: dict[str, st.SearchStrategy[object]] = {
+    "places": st.lists(
+        st.tuples(
+            st.integers(0, 1_000_000),
+            *[st.floats(-1e6, 1e6, width=32)] * 2,
+            st.floats(-3.125, 3.125, width=32),
+            st.floats(0.0, 0.0078125, width=32),
+        ),
+        max_size=MAX_PLACES,
+    ).map(lambda rows: places(*rows)),
     "goal": st.from_regex(r"\w[\w .-]{0,63}", fullmatch=True),
     "box": st.none() | st.tuples(*[st.floats(0.0, 0.4)] * 2, *[st.floats(0.5, 1.0)] * 2),
 }
@@ -250,14 +257,10 @@ def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
         fields["box"] = fields["box"] if fields["judge"] == "operator" else None
     elif cls is State:
         if fields["status"] == "idle":
-            fields |= {"model": None, "places": ()}
+            fields |= {"model": None, "places": NO_PLACES}
         else:
             fields["model"] = fields["model"] or "0123456789abcdef"
-        total = max(sum(place.weight for place in fields["places"]), 1.0)
-        fields["places"] = tuple(
-            one.model_copy(update={"weight": one.weight / total}) for one in fields["places"]
-        )
-        of_paper = fields["status"] == "recognized" and not fields["places"]
+        of_paper = fields["status"] == "recognized" and not fields["places"].shape[0]
         fields["state"] = (fields["state"] or 0) if of_paper else None
     return fields
 

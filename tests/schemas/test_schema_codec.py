@@ -17,7 +17,8 @@ from schemas.command import Command
 from schemas.episode import Episode
 from schemas.motion import MAX_SAMPLES, Imu, ImuSample
 from schemas.observation import MOST_DETECTED, Detected, Observation
-from schemas.state import MAX_PLACES, Place, State
+from schemas.state import MAX_PLACES, State
+from tests.places import places
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
 LARGEST = CompressedImage
@@ -77,8 +78,7 @@ LARGEST_OF_EACH = [
         EXAMPLES[CompressedImage],
         status="recognized",
         model="f" * 64,
-        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.01),)
-        * MAX_PLACES,
+        places=places(*[(1_000_000, 0.1, 0.1, 0.1, 0.01)] * MAX_PLACES),
         lost=0.1,
         cosine=0.1,
         tracked_m=0.1,

@@ -3,11 +3,13 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.codec import decode, encode, encoding_of
@@ -15,12 +17,11 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.state import MAX_PLACES, State
+from tests.places import places
 from tests.schemas import messages
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
 GOLDEN = json.loads(messages.GOLDEN.read_text())
-
-_PLACE = {"keyframe": 1, "ahead_m": 0.0, "left_m": 0.0, "turned_rad": 0.0, "weight": 0.5}
 
 
 def name_of(cls: type[Message]) -> str:
@@ -103,15 +104,19 @@ def test_fields_that_lack_or_are_wrong_or_unknown_are_refused(cls: type[Message]
         (Observation, {"fingerprint": "xyz"}),
         (State, {"status": "unknown", "state": 7}),
         (State, {"state": 7}),
-        (State, {"places": ()}),
+        (State, {"places": places()}),
         (State, {"model": None}),
         (State, {"model": "ABCDEF01"}),
         (State, {"status": "idle"}),
         (State, {"score": -0.1}),
         (State, {"lost": 1.1}),
-        (State, {"places": (_PLACE | {"colour": "red"},)}),
-        (State, {"places": (_PLACE | {"turned_rad": 3.3},)}),
-        (State, {"places": (_PLACE,) * (MAX_PLACES + 1)}),
+        (State, {"places": Float32Array.from_numpy(np.zeros(5, np.float32))}),
+        (State, {"places": Float32Array.from_numpy(np.zeros((1, 4), np.float32))}),
+        (State, {"places": places((0.5, 0.0, 0.0, 0.0, 1.0))}),
+        (State, {"places": places((-1.0, 0.0, 0.0, 0.0, 1.0))}),
+        (State, {"places": places((1.0, 0.0, 0.0, 3.3, 1.0))}),
+        (State, {"places": places(*[(1.0, 0.0, 0.0, 0.0, 0.6)] * 2)}),
+        (State, {"places": places(*[(1.0, 0.0, 0.0, 0.0, 0.0)] * (MAX_PLACES + 1))}),
         (Episode, {"outcome": None}),
         (Episode, {"event": "started"}),
         (Episode, {"world": ""}),

@@ -222,7 +222,7 @@ def test_a_belief_drives_the_robot(
     assert {states[tick].status for tick in range(corridor.FRAMES)} == {"recognized"}
     assert commands[5].atom == "forward"
     assert actions[5].kind == "follow"
-    assert states[10].places[0].keyframe == actions[10].state
+    assert states[10].keyframes[0] == actions[10].state
     assert (actions[corridor.FRAMES - 1].kind, commands[corridor.FRAMES - 1].atom) == (
         "goal",
         "stop",

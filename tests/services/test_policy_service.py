@@ -8,10 +8,11 @@ import pytest
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
-from schemas.state import Place, State
+from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
+from tests.places import places
 from tests.services.chain import state
 
 
@@ -36,14 +37,13 @@ def policy(model: Path) -> PolicyService:
 
 def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, lost: float = 0.0,
            episode: str = "e", left_m: float = 0.0) -> State:  # fmt: skip
-    place = Place(keyframe=keyframe, ahead_m=0.0, left_m=left_m, turned_rad=turned_rad, weight=1.0)
     status = "unknown" if lost > 0.5 else "recognized"
     return state(
         tick,
         model,
         episode,
         status=status,
-        places=(place,),
+        places=places((keyframe, 0.0, left_m, turned_rad, 1.0)),
         lost=lost,
         cosine=0.8,
         tracked_m=1.0 + tick,

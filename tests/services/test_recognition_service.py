@@ -18,6 +18,7 @@ from smal.obstacles.strange import Ground
 from smal.sought.score import SCORES
 from smal.sought.word import Word
 from tests import corridor
+from tests.places import estimate
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels
 from tests.services.recordings.recorded_messages import applied
 
@@ -44,21 +45,14 @@ def at(
     return state
 
 
-def placed(state: State) -> tuple[float, float]:
-    """Return where along the corridor, and how far from its middle, a state says that the robot is."""
-    here = state.places[0]
-    keyframes = corridor.model().mapped.key_poses
-    return float(keyframes[here.keyframe, 0]) + here.ahead_m, here.left_m
-
-
 def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Path) -> None:
     for tick in range(8):
         state = at(service, tick, (0.2 * tick, 0.1, 0.0))
     assert (state.status, state.model, state.state, state.episode, state.tick) == (
         "recognized", identity(model), None, "e", 7,
     )  # fmt: skip
-    assert placed(state) == (pytest.approx(1.4, abs=0.1), pytest.approx(0.1, abs=0.1))
-    assert sum(place.weight for place in state.places) == pytest.approx(1.0)
+    assert estimate(state) == pytest.approx((1.4, 0.1), abs=0.1)
+    assert state.weights.sum() == pytest.approx(1.0)
     assert state.lost < 0.1
     assert state.cosine > 0.5
     assert state.tracked_m == pytest.approx(1.4, abs=0.01)
@@ -75,7 +69,7 @@ def test_a_renewed_map_goes_on_from_what_was_believed(
     state = service.handle(seen(8))
     assert state is not None
     assert (state.model, state.tracked_m) == (identity(renewed), pytest.approx(1.6, abs=0.05))
-    assert placed(state) == (pytest.approx(1.6, abs=0.1), pytest.approx(0.0, abs=0.1))
+    assert estimate(state) == pytest.approx((1.6, 0.0), abs=0.1)
 
 
 def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
@@ -86,7 +80,7 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
     assert state is not None
     assert state.status == "unknown"
     assert state.lost > 0.5
-    assert state.places
+    assert len(state.keyframes)
 
 
 def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
@@ -150,7 +144,7 @@ def test_a_frame_that_is_sent_again_has_the_same_answer(service: RecognitionServ
         assert service.handle(seen(tick)) is first
     # A view taken in twice would count as more evidence.
     fresh = at(service, 3)
-    assert placed(fresh)[0] == pytest.approx(0.6, abs=0.1)
+    assert estimate(fresh)[0] == pytest.approx(0.6, abs=0.1)
 
 
 def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
@@ -165,7 +159,7 @@ def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
     # The odometry that follows says how far the robot went in both frames.
     later = at(service, 4)
     assert later.tracked_m == pytest.approx(0.8, rel=0.02)
-    assert placed(later)[0] == pytest.approx(0.8, abs=0.1)
+    assert estimate(later)[0] == pytest.approx(0.8, abs=0.1)
 
 
 def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path) -> None:
@@ -186,10 +180,8 @@ def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path
     assert state is not None
     # In the unit of such a map, one atom ahead.
     assert state.tracked_m == pytest.approx(8.0, rel=0.05)
-    here = state.places[0]
-    assert corridor.model(odometry=False).mapped.key_poses[
-        here.keyframe, 0
-    ] + here.ahead_m == pytest.approx(8.0, abs=0.7)
+    x, _ = estimate(state, corridor.model(odometry=False))
+    assert x == pytest.approx(8.0, abs=0.7)
 
 
 def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) -> None:
@@ -201,7 +193,7 @@ def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) 
     service.behind = lambda: False
     state = at(service, 4)
     assert state.tracked_m == pytest.approx(0.8, abs=0.01)
-    assert placed(state)[0] == pytest.approx(0.8, abs=0.1)
+    assert estimate(state)[0] == pytest.approx(0.8, abs=0.1)
 
 
 def test_features_of_another_fingerprint_are_refused_in_one_line(
@@ -232,9 +224,9 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
         service.see(wheels(tick, (1e6, 1e6, 3.0) if far else (0.2 * (tick - 20), 0.0, 0.0)))
         state = service.handle(seen(tick, (0.2 * max(tick - 20, 0), 0.0, 0.0)))
         assert state is not None
-        assert all(abs(place.ahead_m) <= 1e6 for place in state.places)
+        assert np.abs(state.places.to_numpy()[:, 1]).max() <= 1e6
     assert state.status == "recognized"
-    assert placed(state) == (pytest.approx(3.8, abs=0.2), pytest.approx(0.0, abs=0.2))
+    assert estimate(state) == pytest.approx((3.8, 0.0), abs=0.2)
 
 
 @pytest.mark.parametrize(

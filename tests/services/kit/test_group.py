@@ -32,6 +32,7 @@ from services.kit.node import LOOK_S
 from services.kit.settings import MAX_ROBOTS, FleetSettings, fleet
 from smal.features import extract
 from tests import corridor
+from tests.places import estimate
 from tests.schemas.messages import EXAMPLES
 from tests.services.chain import image, process, seen, wheels
 from tests.services.waiting import eventually, stalls, status_of
@@ -296,11 +297,7 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
     for name in names:
         state = robots.newest[name]
         assert isinstance(state, State)
-        here = state.places[0]
-        x_m = corridor.model().mapped.key_poses[here.keyframe, 0] + here.ahead_m
-        assert (x_m, here.left_m) == (pytest.approx(2.2, abs=0.2), pytest.approx(0.0, abs=0.2)), (
-            name
-        )
+        assert estimate(state) == pytest.approx((2.2, 0.0), abs=0.2), name
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
 
 

@@ -156,8 +156,9 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
         assert (command.velocity, action.kind, tick) == (velocity, kind, tick)
         assert (command.episode, command.robot) == ("replay-1", ROBOT)
         places = belief.summary()
-        assert [place.keyframe for place in state.places] == places.keyframes.tolist()
-        np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
+        assert state.keyframes.tolist() == places.keyframes.tolist()
+        np.testing.assert_array_equal(state.weights, places.weights.astype(np.float32))
+        assert state.evidence == belief.evidence
         assert state.lost == min(belief.lost, 1.0)
     assert list(heard.said["map"]) == [0]
     return [velocity.atom() for velocity, _, _ in expected]

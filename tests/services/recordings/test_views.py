@@ -18,10 +18,11 @@ from mcap.reader import make_reader
 from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.motion import Pose
-from schemas.state import Place, State
+from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of
 from services.recordings.views import view_key
+from tests.places import places
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import MODEL, episode
 from tests.services.recordings.test_recorder_files import record
@@ -51,13 +52,10 @@ def drive() -> list[Message]:
                     here, model=MODEL, keyframes=Float32Array.from_numpy(KEYFRAMES), begins=(0, 3)
                 )
             )
-        places = (
-            Place(keyframe=1, ahead_m=0.0, left_m=0.5, turned_rad=0.0, weight=0.75),
-            Place(keyframe=3, ahead_m=0.25, left_m=0.0, turned_rad=1.0, weight=0.25),
-        )
+        where = places((1, 0.0, 0.5, 0.0, 0.75), (3, 0.25, 0.0, 1.0, 0.25))
         lost = 0.1 if tick < 3 else 0.9
         status = "recognized" if tick < 3 else "unknown"
-        told.append(State.after(here, status=status, model=MODEL, places=places, lost=lost))
+        told.append(State.after(here, status=status, model=MODEL, places=where, lost=lost))
     return [*told, driven_corridor.event(3, "ended", outcome="found", judge="operator")]
 
 

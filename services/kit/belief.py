@@ -1,0 +1,55 @@
+"""A belief of the filter on the wire."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from schemas.array import Float32Array
+from schemas.state import FAR_M, State
+from smal.filter import Belief
+from smal.robot import Located
+from smal.sought.witness import Glimpse
+
+
+def fields_of(located: Located) -> dict[str, Any]:
+    """Return where a robot is, and what it sees there, as fields of `State`."""
+    belief = located.belief
+    offsets = belief.offsets.clip(-FAR_M, FAR_M)
+    places = np.column_stack([belief.keyframes, offsets, belief.weights])
+    fields: dict[str, Any] = {
+        "status": "unknown" if belief.lost > 0.5 else "recognized",
+        "places": Float32Array.from_numpy(places.astype(np.float32)),
+        "lost": min(belief.lost, 1.0),
+        "cosine": belief.cosine,
+        "tracked_m": belief.tracked,
+        "evidence": belief.evidence,
+        "unseen_m": belief.unseen,
+        "camera": belief.camera,
+    }
+    if located.seen is not None:
+        fields |= dict(zip(("seen", "near", "seen_left"), located.seen, strict=True))
+    if math.isfinite(located.strange):
+        fields["strange_m"] = located.strange
+    return fields
+
+
+def belief_of(state: State) -> Belief:
+    """Return the belief of a state."""
+    rows = state.places.to_numpy().astype(np.float64)
+    return Belief(
+        keyframes=state.keyframes,
+        offsets=rows[:, 1:4],
+        weights=rows[:, 4],
+        lost=state.lost,
+        cosine=state.cosine,
+        tracked=state.tracked_m,
+        evidence=state.evidence,
+        unseen=state.unseen_m,
+        camera=state.camera,
+    )
+
+
+def glimpse_of(state: State) -> Glimpse | None:
+    """Return whether the target is in view; None where nothing can tell."""
+    return None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
