@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.base import KEYS, Atom, Velocity
 from schemas.command import Command
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 
@@ -111,7 +111,7 @@ class ExpertService:
         self._last = None
         self.arrived = False
 
-    def handle(self, pose: Pose) -> Command | None:
+    def handle(self, pose: TruePose) -> Command | None:
         """Return the command for the frame of this true pose; a frame sent again gets it again."""
         if self._driver is None or self.arrived or pose.episode != self._episode:
             return None

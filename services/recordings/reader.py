@@ -8,7 +8,7 @@ from typing import Final
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, mapped
@@ -87,7 +87,7 @@ def _take(episode: RecordedEpisode, stored: StoredMessage) -> None:
                 episode.applied[tick] = message
         case CameraInfo():
             episode.camera = message
-        case Pose():
+        case TruePose():
             episode.poses.setdefault(tick, message)
         case Odometry():
             episode.odometry.setdefault(tick, message)

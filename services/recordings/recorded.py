@@ -11,7 +11,7 @@ from schemas.base import Atom, Source
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Box, Outcome, Purpose
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 
 
 @dataclass(eq=False)
@@ -35,7 +35,7 @@ class RecordedEpisode:
     applied: dict[int, CommandApplied] = field(default_factory=dict)  # From this tick to the next.
     camera: CameraInfo | None = None
     #: True poses, for plots; learning must not use them.
-    poses: dict[int, Pose] = field(default_factory=dict)
+    poses: dict[int, TruePose] = field(default_factory=dict)
 
     @property
     def frames(self) -> int:

@@ -36,7 +36,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Odometry, Pose, TrackedPose
+from schemas.motion import Odometry, TrackedPose, TruePose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.topics import ROOT
@@ -119,7 +119,7 @@ class Views:
             self._step_m = 2.0 * self._step_m
 
     @of.register
-    def _pose(self, pose: Pose) -> Iterator[RecordedView]:
+    def _pose(self, pose: TruePose) -> Iterator[RecordedView]:
         here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
         yield RecordedView("pose", _in_world(pose, here))
         _keep(self._true, pose.tick, here)

@@ -18,7 +18,7 @@ import pytest
 from schemas import topics
 from schemas.base import Message
 from schemas.camera import CompressedImage
-from schemas.motion import Pose as PoseMessage
+from schemas.motion import TruePose
 from schemas.rpc import (
     ArmRequest,
     EndRequest,
@@ -183,9 +183,7 @@ class Person:
 
     def _drive(self, image: CompressedImage) -> Message | None:
         truth = self.place.truth
-        pose = PoseMessage.after(
-            image, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"]
-        )
+        pose = TruePose.after(image, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"])
         return self.expert.handle(pose)
 
     def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from schemas import topics
-from schemas.motion import Pose, TrackedPose
+from schemas.motion import TrackedPose, TruePose
 from schemas.rpc import ResetRequest
 from services.cli.episodes.client import EpisodeClient
 from services.cli.options import CameraOptions, Simulator
@@ -22,10 +22,10 @@ def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> Non
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client = EpisodeClient("tracking", access.settings)
         expert = ExpertService()
-        true: dict[int, Pose] = {}
+        true: dict[int, TruePose] = {}
         tracked: dict[int, TrackedPose] = {}
 
-        def see(pose: Pose) -> object:
+        def see(pose: TruePose) -> object:
             true[pose.tick] = pose
             return expert.handle(pose)
 

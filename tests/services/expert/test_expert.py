@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shapely import LineString, Point
 
 from schemas.base import Message
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.expert.driver import ExpertService, RouteDriver
 from services.robot.body import Kinematics
@@ -82,10 +82,10 @@ def test_driver_comes_back_from_beside_the_route() -> None:
 
 def frame(
     tick: int, x: float = 0.0, y: float = 0.0, heading: float = 0.0, episode: str = "e"
-) -> Pose:
+) -> TruePose:
     """Return the true pose of a frame."""
     cause = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
-    return Pose.after(cause, x_m=x, y_m=y, heading_rad=heading)
+    return TruePose.after(cause, x_m=x, y_m=y, heading_rad=heading)
 
 
 def begun(expert: ExpertService, episode: str = "e") -> ExpertService:

@@ -11,7 +11,7 @@ from schemas.base import ATOMS, KEYS, SOURCES, Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName, Outcome, Purpose
-from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
+from schemas.motion import Imu, ImuSample, Odometry, TrackedPose, TruePose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.jpeg import encode_jpeg
@@ -117,7 +117,7 @@ def frame(episode: str, tick: int) -> list[Message]:
     """Everything that descends from one camera frame, what the actuator then does excepted."""
     cause = header(episode, tick)
     return [
-        Pose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
+        TruePose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
         TrackedPose.after(
             cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25
         ),
