@@ -1,4 +1,4 @@
-"""The scripted expert: which of the four keys to hold, given where the robot is and where it should go."""
+"""The scripted expert: the key to hold, by the true pose and the route."""
 
 import math
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ class RouteDriver:
         return math.dist((x, y), self._points[-1]) <= self._arrived_m
 
     def velocity(self, x: float, y: float, heading: float) -> Velocity:
-        """Return what the key is at a pose."""
+        """Return the velocity of the key at a pose."""
         key = KEYS[self.key(x, y, heading)]
         return key._replace(linear=1.0) if self._car else key
 

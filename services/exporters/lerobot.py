@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0, as lerobot 0.4 reads it: where a tick is missing, an episode ends and another begins."""
+"""LeRobotDataset v3.0, as lerobot 0.4 reads it: a missing tick ends an episode."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -64,7 +64,7 @@ Statistics = dict[str, list[Any]]
 
 
 class _Frame(NamedTuple):
-    """A row, without what its place in the table says."""
+    """A row of the table, without its indices."""
 
     action: tuple[float, float]
     pose: tuple[float, float, float] | None
@@ -73,7 +73,7 @@ class _Frame(NamedTuple):
 
 @dataclass
 class _Episode:
-    """A piece of a drive without gaps, and how often each value is in each channel of its images, (3, 256)."""
+    """A piece of a drive without gaps, and the histogram of its images by channel, (3, 256)."""
 
     task: str
     frames: list[_Frame] = field(default_factory=list)
@@ -279,13 +279,13 @@ def _info(
 def _statistics(
     columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_Episode]
 ) -> dict[str, Statistics]:
-    """Return what a data set says of the values of each feature, for those who normalize them."""
+    """Return the statistics of each feature, for normalization."""
     images = sum((episode.counts for episode in episodes), np.zeros((3, 256), np.int64))
     found = {CAMERA: _of_images(images, sum(len(episode.frames) for episode in episodes))}
     for key, values in columns.items():
         part = values[rows].reshape(len(values[rows]), -1)
         exact = part.astype(np.float64)
-        # The extremes are of their own type, as lerobot has it.
+        # As in lerobot, extremes keep the type of the values.
         made = {
             "min": part.min(axis=0),
             "max": part.max(axis=0),
@@ -298,7 +298,7 @@ def _statistics(
 
 
 def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
-    """Return the statistics of images from the sum of their histograms; values are from 0 to 1, each (3, 1, 1)."""
+    """Return the statistics of images by their summed histograms; values of 0 to 1, (3, 1, 1)."""
     levels = np.arange(256) / 255.0
     below = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
     shares = np.diff(below, axis=1, prepend=0.0)
@@ -321,7 +321,7 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
 
 
 def _cells(values: NDArray[Any]) -> Any:  # noqa: ANN401 - of a package without types
-    """Return a column; a cell is a number or a list of as many numbers each."""
+    """Return a column; a cell is a number or a list of numbers."""
     import pyarrow as pa  # noqa: PLC0415 - as above
 
     flat = pa.array(values.ravel())

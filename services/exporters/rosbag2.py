@@ -1,4 +1,4 @@
-"""Bags of ROS 2 as ``ros2 bag record -s mcap`` writes them, one for each drive; images are copied to the byte.
+"""Bags of ROS 2 as ``ros2 bag record -s mcap`` writes them, one for each drive.
 
 Frames are those of REP 105: ``odom`` is the start of the episode, ``base_link`` the robot. Recordings
 have no mount of the camera: it is drawn at ``base_link`` and looks ahead, as those of our robots.
@@ -153,7 +153,7 @@ def _header(stamp_ns: int, frame: str) -> Fields:
 
 
 def _latched() -> Any:  # noqa: ANN401 - of a package without types
-    """Return the quality of service of what is said once, and told to whoever comes later."""
+    """Return the quality of service of a latched topic."""
     from rosbags import interfaces as ros  # noqa: PLC0415 - of the extra `formats`
 
     for_ever = ros.QosTime(*divmod(2**63 - 1, 1_000_000_000))

@@ -1,4 +1,4 @@
-"""LeRobotDataset, versions 2.0, 2.1 and 3.0, of bases: Parquet and MP4, by no names but those of the format."""
+"""LeRobotDataset, versions 2.0, 2.1 and 3.0, of wheeled bases: Parquet and MP4."""
 
 import math
 import re
@@ -24,13 +24,13 @@ from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 
-#: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
+#: Metres and radians a second; and the pose by the wheels, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION = "action"
 STATE = "observation.state"
 SUCCESS = "next.success"
 POSE: Final = ("x_m", "y_m", "heading_rad")
-#: What bases call their velocities, and what the angular one is in radians a second; LeKiwi has degrees.
+#: Names of velocities, and the unit of the angular one in radians a second; LeKiwi has degrees.
 _NAMES: Final[dict[tuple[str, ...], float]] = {
     ("x_vel", "theta_vel"): math.radians(1.0),
     VELOCITIES: 1.0,
@@ -54,7 +54,7 @@ _ROW: Final = (_EPISODE, "length", "data/chunk_index", "data/file_index")
 # Rows of numbers, and of images, that are read at a time.
 _ROWS = 4096
 _IMAGES = 16
-#: Most bytes, and entries, of a Parquet file's own description; that of ten million rows has a hundred thousand.
+#: Limits of a Parquet file's description: bytes and entries; ten million rows have 100,000.
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
 
@@ -80,7 +80,7 @@ class _Info(BaseModel):
     features: dict[str, _Feature]
 
     def names(self, feature: str) -> list[str]:
-        """Return the names of a feature's numbers; none where there is no such feature."""
+        """Return the names of a feature's numbers; none if there is no such feature."""
         return self.features[feature].names if feature in self.features else []
 
 
@@ -92,7 +92,7 @@ class _Line(BaseModel):
 
 
 class _Episode(NamedTuple):
-    """Where an episode is; without a video its images are in the data."""
+    """The files of an episode; without a video its images are in the data."""
 
     number: int
     length: int
@@ -102,7 +102,7 @@ class _Episode(NamedTuple):
 
 
 class _Velocity(NamedTuple):
-    """Where in the rows of a feature the velocities are, and what they are in metres and radians a second."""
+    """The columns of the velocities in a feature, and their units in metres and radians a second."""
 
     feature: str
     linear: int

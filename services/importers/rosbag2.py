@@ -1,4 +1,4 @@
-"""Bags of ROS 2, MCAP or SQLite: a folder or a bare file; times are those at which the bag received a message.
+"""Bags of ROS 2, MCAP or SQLite: a folder or a file; times are those of reception.
 
 Types are those of ROS, not the definitions in a bag. The command of the driver makes the atoms;
 odometry, if there is any, gives the pose. Our own reader of MCAP survives damage.
@@ -61,7 +61,7 @@ class Received(NamedTuple):
 
 
 def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator[Received]:
-    """Yield the messages of a bag, of one topic or of all; ImportFailure when there is none, or a file is damaged."""
+    """Yield the messages of a bag, of one topic or all; ImportFailure if it is damaged."""
     for name in _files(inside):
         path = inside.regular(name)
         messages = _of_sqlite(path, tally) if path.suffix == ".db3" else _of_mcap(path, tally)
@@ -137,7 +137,7 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
         ):
             if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
-        # In the order in which they were received; to sort them by time could take as much room as they do.
+        # In the order of reception: to sort by time could take as much memory as the messages.
         left = path.stat().st_size
         for number, stamp_ns, data in database.execute(
             "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"
@@ -150,7 +150,7 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
 
 
 def _check_plain(database: sqlite3.Connection, table: str) -> None:
-    """Refuse all but a table that holds what is read of it: a view or a generated column could compute for ever."""
+    """Reject a view, a virtual table or a generated column, which could compute for ever."""
     found = database.execute(
         "SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)
     ).fetchall()
@@ -173,7 +173,7 @@ def _is_cdr(encoding: object, tally: Tally) -> bool:
 
 
 def _unpacked(data: bytes | memoryview) -> bytes:
-    """Return a message; bags can have each packed by itself, and a packed one can claim to be of any size."""
+    """Return the bytes of a message, unpacked within a limit."""
     whole = bytes(data)
     if not whole.startswith(_ZSTD):
         return whole
@@ -191,16 +191,16 @@ def typestore() -> Any:  # noqa: ANN401 - of a package that may be missing
     """Return the types of ROS messages."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - of the extra `formats`
 
-    # The types read and written here are the same in every distribution from Foxy on.
+    # The types in use are the same in every distribution from Foxy on.
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _decoded(message: Received) -> Any:  # noqa: ANN401 - as above
-    """Return a message of a type that is known here; ValueError where its bytes are none."""
+    """Decode a message; ValueError if its bytes do not fit its type."""
     try:
         return typestore().deserialize_cdr(message.data, message.type)
     except Exception as error:  # noqa: BLE001
-        # What rosbags raises for bytes that are no message is many things, none of them its caller's business.
+        # rosbags raises many exceptions for malformed bytes.
         raise ValueError(type(error).__name__) from None
 
 
@@ -227,7 +227,7 @@ class _Found:
     topics: set[str] = field(default_factory=set)
 
     def take(self, message: Received) -> None:
-        """Take one message; ValueError where it is none of its type."""
+        """Add a message; ValueError if it does not fit its type."""
         topic, kind, time_s, _ = message
         self.topics.add(topic)
         if kind in (COMPRESSED, RAW):
@@ -339,7 +339,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:
-    """Return the topic that has the usual name; none where several have."""
+    """Return the topic with the usual name; nothing if several have it."""
     found = [topic for topic in topics if topic.rpartition("/")[2] == usual]
     return found if len(found) == 1 else []
 

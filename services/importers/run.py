@@ -1,4 +1,4 @@
-"""One import: it reads, resamples and writes.
+"""Run an import: read, resample and write.
 
 The libraries that decode Parquet, video and images are written in C and C++, so that ``smal import`` runs `work` in a
 process of its own (`smal.files.confined`).

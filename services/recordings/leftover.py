@@ -97,7 +97,7 @@ class _Look:
             whole = data[: self.size] == MAGIC and self._take_all()
         if not self.episode:
             raise LeftoverError("it is not the recording of an episode")
-        # What is not whole may be a chunk at the end, or zeros; what is damaged before hides what is whole.
+        # The last record may be cut off or zeros; earlier damage hides whole records.
         head = next(heads(data, self.size), None)
         is_last = head is None or head.end > len(data) or head.opcode in (0, Opcode.CHUNK)
         if not whole and not (

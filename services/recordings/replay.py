@@ -1,4 +1,4 @@
-"""A recorded episode as its robot told it: what to publish at each tick, and when."""
+"""Replay a recorded episode: the messages of each tick, and their times."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -27,16 +27,16 @@ REPLAYABLE: Final = {
 
 
 class Tick(NamedTuple):
-    """What is told at once."""
+    """The messages of one tick."""
 
     number: int  # As in the recording.
     since_s: float  # Time since the first tick.
-    messages: tuple[Message, ...]  # In the order in which the robot told them.
+    messages: tuple[Message, ...]  # In the order of their publication.
 
 
 @dataclass(eq=False)
 class Track:
-    """What a robot told in one episode; the ids are those in the recording."""
+    """The messages of a robot in one episode; the ids are those of the recording."""
 
     robot: str
     episode: str
@@ -81,7 +81,7 @@ class Track:
 
 
 def _place(message: Message) -> tuple[int, int]:
-    """Return where in a tick a message stands: `started` first, `ended` last."""
+    """Return the position of a message within its tick: `started` first, `ended` last."""
     order = [*REPLAYABLE].index(message.topic_name)
     if isinstance(message, Episode):
         return {"started": -1, "ended": len(REPLAYABLE)}.get(message.event, order), place_of(
@@ -91,13 +91,13 @@ def _place(message: Message) -> tuple[int, int]:
 
 
 def end_of(last: Message, started: Episode) -> Episode:
-    """Make what tells that an episode is over of which no end was recorded, or that is not told to its end."""
+    """Return the end of an episode whose end was not recorded, or is not replayed."""
     told = started.model_dump(include={"purpose", "driver", "world", "seed", "goal"})
     return Episode.after(last, event="ended", outcome="aborted", **told)
 
 
 def tracks_of(path: Path) -> tuple[Track, ...]:
-    """Read what robots told, by episode; RecordingError when it is unreadable, being recorded, empty or too much."""
+    """Read the messages of robots by episode; RecordingError if there are none."""
     tracks: dict[tuple[str, str], Track] = {}
     for stored in messages_of(path, REPLAYABLE.values()):
         ids = stored.robot, stored.episode
