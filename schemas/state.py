@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from schemas.array import Float32Array
 from schemas.base import Message
 
-MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.settings`).
+MAX_PLACES = 100  # Room for a belief; recognition sends fewer (`smal.filter.PLACES`).
 FAR_M = 1e6  # No robot drives farther from a keyframe, but odometry may jump.
 #: Least and greatest value of each column of `State.places`.
 _PLACE_RANGES = np.array(

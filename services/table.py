@@ -5,6 +5,7 @@ A new service is a folder and a row here. What the rows say is checked where all
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -171,13 +172,11 @@ def graph(
         for one in drawn
     }
     lines = ["flowchart LR", *(f'    {name}["{text}"]' for name, text in texts.items())]
-    for giver in drawn:
-        for taker in drawn:
-            shared = [topic.name for topic in giver.gives if topic in taker.takes]
-            if shared and taker.name == "recorder":
-                lines.append(f"    {giver.name} -.-> recorder")
-            elif shared:
-                lines.append(f'    {giver.name} -- "{"<br>".join(shared)}" --> {taker.name}')
+    for giver, taker in product(drawn, repeat=2):
+        shared = "<br>".join(topic.name for topic in giver.gives if topic in taker.takes)
+        if shared:
+            arrow = "-.->" if taker.name == "recorder" else f'-- "{shared}" -->'
+            lines.append(f"    {giver.name} {arrow} {taker.name}")
     return "\n".join(lines)
 
 
@@ -202,18 +201,17 @@ def role_of(name: str) -> str:
     return "operator" if service is None else service.role or name
 
 
+def _role(one: Service) -> Role:
+    serves = tuple(f"{one.name}/{verb}" for verb in ("status", *one.serves))
+    return Role(one.name, one.takes, one.gives, one.fetches, serves, one.calls, grouped=one.grouped)
+
+
 def roles() -> dict[str, Role]:
     """Return the roles by name: one for each service of a stack, and those of people.
 
     An operator drives, and calls whatever is served; so does the console, for whoever is at its page. A watcher looks.
     """
-    named: dict[str, Role] = {}
-    for one in SERVICES.values():
-        if one.image is not None:
-            serves = tuple(f"{one.name}/{verb}" for verb in ("status", *one.serves))
-            named[one.name] = Role(
-                one.name, one.takes, one.gives, one.fetches, serves, one.calls, grouped=one.grouped
-            )
+    named = {one.name: _role(one) for one in SERVICES.values() if one.image is not None}
     everything = tuple(TOPICS.values())
     own = [service for service in SERVICES.values() if service.role == "operator"]
     served = tuple(key for role in named.values() for key in role.serves)

@@ -18,11 +18,10 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.settings import SETTINGS
-
 Image = NDArray[np.uint8]  # RGB, uint8 (height, width, 3).
-#: Turns of the virtual views; how far apart they are, and which of them is not turned.
-TURNS_DEG: Final = np.array(SETTINGS.turns_deg)
+#: Turns of virtual views; how far apart they are; and which of them is not turned. 5 degrees are about twenty pixels,
+#: the width of a cell of HOG, within which a view stays alike; beyond 40 hardly anything of the taught image is left.
+TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])
 STRAIGHT: Final = TURNS_DEG.size // 2
 Maps = tuple[NDArray[Any], NDArray[Any]]

@@ -18,7 +18,7 @@ that look alike for longer than l frames are not told apart.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,14 @@ from smal.frozen import Frozen
 from smal.likelihood import scale
 from smal.map import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
-from smal.particles import HIDES, Particles, ViewEvidence, systematic
-from smal.settings import SETTINGS
+from smal.particles import FILTER_CONFIG, FilterConfig, Particles, ViewEvidence, systematic
 
 #: Whether the last picture showed anything: a picture without texture shows nothing, nor does one that stays the same
 #: while the wheels move.
 CameraState = Literal["sees", "blank", "frozen"]
+
+
+PLACES: Final = 64  # Places that a decision is made of, the heaviest.
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class Belief:
     unseen: float = 0.0  # Way since a view last spoke for the robot's place, in the map's unit.
     camera: CameraState = "sees"
 
-    def summary(self, most: int = SETTINGS.places) -> "Belief":
+    def summary(self, most: int = PLACES) -> "Belief":
         """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
         keys, where = np.unique(self.keyframes, return_inverse=True)
         weights = np.bincount(where, self.weights)
@@ -126,10 +128,18 @@ class Filter:
         Of the features.
     seed : int
         Of the particles' noise: the same frames and movements give the same belief.
+    config : FilterConfig
     """
 
-    def __init__(self, visual_map: VisualMap, centering: Centering, seed: int = 0) -> None:
+    def __init__(
+        self,
+        visual_map: VisualMap,
+        centering: Centering,
+        seed: int = 0,
+        config: FilterConfig = FILTER_CONFIG,
+    ) -> None:
         self._map = visual_map
+        self._config = config
         self._centering = centering
         self._seed = seed
         # Made here, and not while the first frame waits.
@@ -139,13 +149,13 @@ class Filter:
     def reset(self, belief: Belief | None = None) -> None:
         """Forget everything, for a new episode; or but a belief, which may be a summary."""
         self._rng = np.random.default_rng(self._seed)
-        keyframes = self._rng.choice(np.unique(self._map.key_range[0]), SETTINGS.particles)
-        aside = max(self._map.aside, SETTINGS.start_s * self._map.speed)
+        keyframes = self._rng.choice(np.unique(self._map.key_range[0]), self._config.particles)
+        aside = max(self._map.aside, self._config.start_s * self._map.speed)
         self._tracked = self._beside(
-            keyframes, np.zeros(keyframes.size), aside, SETTINGS.first_turn_deg
+            keyframes, np.zeros(keyframes.size), aside, self._config.first_turn_deg
         )
         self._jumped: Particles | None = None
-        at_start, anywhere, lost = SETTINGS.first
+        at_start, anywhere, lost = self._config.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
         self._newness = Newness(self._map)
         self._frozen = Frozen(self._map)
@@ -158,9 +168,9 @@ class Filter:
         #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
         self._sure: tuple[int, NDArray[np.float64], float] | None = None
         if belief is not None:
-            which = systematic(belief.weights, SETTINGS.particles, self._rng)
+            which = systematic(belief.weights, self._config.particles, self._rng)
             keyframes = belief.keyframes[which]
-            between = self._map.correlation_length / SETTINGS.views_a_length
+            between = self._map.correlation_length / self._map.config.views_a_length
             self._tracked = self._beside(
                 keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0
             )
@@ -259,7 +269,7 @@ class Filter:
         """
         tracked, jumped, sent, lost = self._odds
         if seen.spread == 0.0:
-            kept = 0.5 ** (self._map.lengths(movement) / SETTINGS.blind)
+            kept = 0.5 ** (self._map.lengths(movement) / self._config.blind)
             self._odds = _Odds(
                 kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped)
             )
@@ -269,14 +279,19 @@ class Filter:
         visible = 1.0 - float(self._tracked.shares[0])
         rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
         jump = (
-            SETTINGS.jump
+            self._config.jump
             * seen.newness
             * (1.0 + rise)
-            / (1.0 + (SETTINGS.jump + HIDES) * seen.newness * rise)
+            / (
+                1.0
+                + (self._config.jump + self._config.hides(self._map.config.hidden))
+                * seen.newness
+                * rise
+            )
         )
-        _, anywhere, nowhere = SETTINGS.first
+        _, anywhere, nowhere = self._config.first
         out = nowhere / (anywhere + nowhere)
-        back = SETTINGS.back * seen.newness
+        back = self._config.back * seen.newness
         gone = (tracked + jumped) * jump
         found = lost * back
         kept = 1.0 - jump
@@ -306,7 +321,7 @@ class Filter:
         """
         tracked, jumped, sent, lost = self._odds
         looks = float(self._tracked.weights @ self._tracked.looks())
-        seen = seen._replace(newness=seen.newness * (looks + (1.0 - looks) * SETTINGS.untaught))
+        seen = seen._replace(newness=seen.newness * (looks + (1.0 - looks) * self._config.untaught))
         # Scouts take the shares from before this view: that it is unlike the followed place says nothing of others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
@@ -340,13 +355,13 @@ class Filter:
         prior = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
         if self._sure is not None:
             drive, pose, way = self._sure
-            reach = self._map.correlation_length + SETTINGS.slip * way
+            reach = self._map.correlation_length + self._config.slip * way
             apart = np.hypot(*(self._map.key_poses[:, :2] - pose[:2]).T) / reach
             near = np.exp(-0.5 * np.square(apart)) * (self._map.key_drives == drive)
             near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
             prior = 0.5 * prior + 0.5 * near / TURNS_DEG.size
         weights = prior[:, None] * says
-        drawn = systematic(weights.ravel(), SETTINGS.particles, self._rng)
+        drawn = systematic(weights.ravel(), self._config.particles, self._rng)
         chosen, turns = np.divmod(drawn, TURNS_DEG.size)
         scouts = self._beside(
             seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0
@@ -371,7 +386,7 @@ class Filter:
             + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
         )
         poses[:, 2] += turns
-        made = Particles(self._map, keyframes, poses)
+        made = Particles(self._map, keyframes, poses, self._config)
         made.pace = self._rng.standard_normal(len(poses))
         return made
 
@@ -388,7 +403,7 @@ class Filter:
         pose = np.array([x, y, heading])
         scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
         if (
-            self._odds.tracked * float(there.sum()) > SETTINGS.located
+            self._odds.tracked * float(there.sum()) > self._config.located
             and scatter < self._map.correlation_length
         ):
             self._sure = (drive, pose, 0.0)

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.settings import SETTINGS
+from smal.keyframes import MAP_CONFIG, MapConfig
 
 GRID = np.arange(-6.0, 40.125, 0.25)  # What z is tabulated for; beyond it the ends hold.
 SHARES = np.linspace(0.0, 1.0, 5)  # Upper ends of the ranges of the share.
@@ -74,7 +74,12 @@ class Likelihood:
 
     @classmethod
     def fit(
-        cls, here: NDArray[Any], elsewhere: NDArray[Any], independent: float, gamma: float
+        cls,
+        here: NDArray[Any],
+        elsewhere: NDArray[Any],
+        independent: float,
+        gamma: float,
+        config: MapConfig = MAP_CONFIG,
     ) -> "Likelihood":
         """Measure it on z of neighbouring taught views, and of views of different places.
 
@@ -85,18 +90,15 @@ class Likelihood:
         # Too few views stand out by much to be counted. Excesses over a high threshold are exponential; what n of them
         # let expect of the next one, whose mean is not known, is a Pareto distribution (Lomax).
         elsewhere = np.minimum(elsewhere, GRID[-1])
-        threshold = float(np.quantile(elsewhere, SETTINGS.usual))
+        threshold = float(np.quantile(elsewhere, config.usual))
         above = elsewhere[elsewhere > threshold] - threshold
         mean = max(float(above.mean()), width) if above.size else 1.0
-        count = max((1.0 - SETTINGS.usual) * independent, 1.0)
+        count = max((1.0 - config.usual) * independent, 1.0)
         usual = np.histogram(elsewhere[elsewhere <= threshold], edges)[0].astype(np.float64)
         tail = (1.0 + np.maximum(GRID - threshold, 0.0) / (count * mean)) ** (-count - 1.0) * (
             threshold <= GRID
         )
-        p0 = (
-            SETTINGS.usual * usual / max(usual.sum(), 1.0)
-            + (1.0 - SETTINGS.usual) * tail / tail.sum()
-        )
+        p0 = config.usual * usual / max(usual.sum(), 1.0) + (1.0 - config.usual) * tail / tail.sum()
         p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
         zero = int(np.argmin(np.abs(GRID)))
         rows = np.zeros((SHARES.size, GRID.size))
@@ -108,7 +110,7 @@ class Likelihood:
             ]
             row[:] = log_ratio(p1, p0)
         # Any view may be hidden.
-        return cls(np.clip(rows, math.log(SETTINGS.hidden), 50.0), gamma)
+        return cls(np.clip(rows, math.log(config.hidden), 50.0), gamma)
 
     def of(self, z: NDArray[Any], share: int = -1) -> NDArray[np.float64]:
         """Return the log ratio of each z, for one of the shares."""

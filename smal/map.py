@@ -10,7 +10,7 @@ time. `smal.teaching.mapping` makes the map of drives.
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from typing import Any, Self, TypeVar
 
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
-from smal.files.packed import unit, unpacked
+from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
+from smal.keyframes import MAP_CONFIG, MapConfig, leads_on
 from smal.likelihood import GRID, SHARES, Likelihood, evenly
-from smal.movement import Atom, Movement, leads_on, placed, seen_from
-from smal.settings import SETTINGS
+from smal.movement import Atom, Movement, placed, seen_from
 
 _T = TypeVar("_T", bound=np.floating[Any])
 GOAL_NAME = r"\w[\w .-]{0,63}"  # Letters, digits, and what may stand between them.
@@ -91,6 +91,8 @@ class VisualMap:
     #: (e,) keyframe of each further look (`smal.teaching.living`), the oldest first.
     looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
+    config: MapConfig = MAP_CONFIG  # The numbers that shaped it.
+
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: a map cannot fail, or give a belief that is no number, later."""
         wrong = _unsound(self) or [name for name, fits in _fit(self).items() if not fits]
@@ -102,7 +104,7 @@ class VisualMap:
         each = {part.name: getattr(self, part.name) for part in fields(self)}
         arrays = {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
         numbers = {name: value for name, value in each.items() if name not in arrays}
-        return numbers, arrays
+        return numbers | {"config": asdict(self.config)}, arrays
 
     @classmethod
     def of_content(cls, numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -120,7 +122,12 @@ class VisualMap:
             )
         if not isinstance(size, list):
             raise TypeError("the size of the taught images must be a list")
-        told = {"goals": tuple(goals), "names": tuple(map(tuple, names)), "size": tuple(size)}
+        told = {
+            "goals": tuple(goals),
+            "names": tuple(map(tuple, names)),
+            "size": tuple(size),
+            "config": MapConfig(**numbers["config"]),
+        }
         return cls(**arrays | numbers | told)
 
     @cached_property
@@ -129,8 +136,8 @@ class VisualMap:
         count, places, turns, _ = self.views.shape
         by_turn = np.empty((count, places, turns - 1), dtype=np.float32)
         by_place = np.empty((count, places - 1, turns), dtype=np.float32)
-        for first in range(0, count, SETTINGS.compared_at_once):
-            some = slice(first, first + SETTINGS.compared_at_once)
+        for first in range(0, count, BATCH):
+            some = slice(first, first + BATCH)
             views = unpacked(self.views[some])
             by_turn[some] = (views[:, :, 1:] * views[:, :, :-1]).sum(axis=-1)
             by_place[some] = (views[:, 1:] * views[:, :-1]).sum(axis=-1)
@@ -165,7 +172,7 @@ class VisualMap:
     @cached_property
     def reference(self) -> NDArray[np.intp]:
         """Keyframes whose own views are the sample of elsewhere: evenly spread, so many whatever the map's size."""
-        return evenly(len(self.keyframes), SETTINGS.reference)
+        return evenly(len(self.keyframes), self.config.reference)
 
     @cached_property
     def sample(self) -> NDArray[np.float32]:
@@ -179,13 +186,13 @@ class VisualMap:
         Views change slowly along the way, and slowly with the turn: where these are alike is where to look closely.
         """
         middle = self.views[self._middles[0], 1, STRAIGHT % 2 :: 2]
-        return np.ascontiguousarray(unpacked(middle)[..., : SETTINGS.leading])
+        return np.ascontiguousarray(unpacked(middle)[..., : self.config.leading])
 
     @cached_property
     def _middles(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows of `views` in the overview, and which fifth keyframe each is a look of."""
-        step = SETTINGS.views_a_length
-        first = SETTINGS.views_a_length // 2
+        step = self.config.views_a_length
+        first = self.config.views_a_length // 2
         of = np.append(np.arange(len(self.keyframes)), self.looks).astype(np.intp)
         rows = np.flatnonzero(of % step == first)
         return rows, of[rows] // step
@@ -214,7 +221,7 @@ class VisualMap:
     @cached_property
     def arc(self) -> NDArray[np.float64]:
         """Way to drive until each frame, all drives one after the other, (f,): without what led nowhere."""
-        on = leads_on(self.poses, self.drives, self.correlation_length)
+        on = leads_on(self.poses, self.drives, self.correlation_length, self.config)
         steps = np.hypot(*np.diff(self.poses[on, :2], axis=0).T)
         way = np.concatenate(
             [[0.0], np.cumsum(np.where(np.diff(self.drives[on]) == 0, steps, 0.0))]
@@ -241,7 +248,7 @@ class VisualMap:
         """Turn in a taught tick, radians; where none of its drives turned, that of usual robots."""
         return (
             abs(float(self.movements[Atom.LEFT, 1]))
-            or math.radians(SETTINGS.usual_turn_deg_s) * self.tick_s
+            or math.radians(self.config.usual_turn_deg_s) * self.tick_s
         )
 
     @property
@@ -257,7 +264,7 @@ class VisualMap:
 
     def expected(self, step: NDArray[np.float64]) -> float:
         """Return how far two views that are a step (ahead, left, turned) apart should say the same, 0 to 1."""
-        way = SETTINGS.views_a_length * math.hypot(step[0], step[1]) / self.correlation_length
+        way = self.config.views_a_length * math.hypot(step[0], step[1]) / self.correlation_length
         turn = abs(math.remainder(step[2], math.tau)) / self.correlation_rad
         return math.exp(
             -math.hypot(way * math.log(self.next_correlation), turn * self.gamma * math.log(2.0))
@@ -296,13 +303,17 @@ class VisualMap:
         elsewhere.
         """
         count = len(self.keyframes)
-        step = SETTINGS.views_a_length
-        if count <= SETTINGS.looked_at:
+        step = self.config.views_a_length
+        if count <= self.config.looked_at:
             return np.arange(count), np.ones(count)
         _, middle = self._middles
         alike = np.full(middle.max() + 1, -np.inf, dtype=np.float32)
-        np.maximum.at(alike, middle, (self.overview @ components[: SETTINGS.leading]).max(axis=1))
-        best = np.argpartition(-alike, SETTINGS.looked_at // step)[: SETTINGS.looked_at // step]
+        np.maximum.at(
+            alike, middle, (self.overview @ components[: self.config.leading]).max(axis=1)
+        )
+        best = np.argpartition(-alike, self.config.looked_at // step)[
+            : self.config.looked_at // step
+        ]
         near = (best[:, None] * step + np.arange(step)).ravel()
         near = near[near < count]
         others = np.setdiff1d(self.reference, near)
@@ -347,10 +358,9 @@ def way_from(
     return seen_from(seen_from(mapped.poses[target], mapped.poses[key]), offset)[:, :2]
 
 
-def beside(mapped: VisualMap, keyframe: int) -> NDArray[np.intp]:
-    """Return the keyframes of the same drive that are about one, itself among them."""
+def beside(mapped: VisualMap, keyframe: int, count: int) -> NDArray[np.intp]:
+    """Return the keyframes of the same drive that are at most so many from one, itself among them."""
     first, last = (int(one[keyframe]) for one in mapped.key_range)
-    count = SETTINGS.strange_keyframes
     return np.arange(max(first, keyframe - count), min(last, keyframe + count) + 1)
 
 
@@ -370,45 +380,64 @@ def _unsound(one: VisualMap) -> list[str]:
 
 
 def _fit(one: VisualMap) -> dict[str, bool]:
+    return _ways_fit(one) | _views_fit(one) | _names_fit(one) | _stitches_fit(one)
+
+
+def _ways_fit(one: VisualMap) -> dict[str, bool]:
     frames = len(one.poses)
-    count = len(one.keyframes)
-    joined = len(one.stitched)
     ends = np.flatnonzero(np.diff(one.drives, prepend=-1, append=-1))
     keys = one.keyframes
-    offsets = one.stitch_offsets
     return {
-        "poses": one.poses.shape == (frames, 3) and bool((np.abs(one.poses) <= _LONGEST).all()),
+        "poses": one.poses.shape == (frames, 3) and _moderate(one.poses),
         "drives": one.drives.shape == (frames,)
         and bool(np.isin(np.diff(one.drives, prepend=0), (0, 1)).all()),
-        "keyframes": 0 < count <= _MOST_KEYFRAMES
+        "keyframes": 0 < len(keys) <= _MOST_KEYFRAMES
         and _within(keys, frames)
         and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
+        "movements": one.movements.shape == (len(Atom), 2) and _moderate(one.movements),
+        "scene": one.scene.shape == (3,) and _moderate(one.scene),
+        "size": _is_size(one.size),
+    }
+
+
+def _views_fit(one: VisualMap) -> dict[str, bool]:
+    components = one.basis.shape[1]
+    count = len(one.keyframes) + len(one.looks)
+    return {
         "views": one.views.dtype == np.int8
-        and one.views.shape == (count + len(one.looks), 3, TURNS_DEG.size, one.basis.shape[1]),
-        "blank": one.blank.shape == (one.basis.shape[1],)
-        and float(np.linalg.norm(one.blank)) < 1.01,
-        "components": 0 < one.basis.shape[1] <= len(one.basis)
-        and bool((np.abs(one.basis) <= _LONGEST).all()),
+        and one.views.shape == (count, 3, TURNS_DEG.size, components),
+        "blank": one.blank.shape == (components,) and float(np.linalg.norm(one.blank)) < 1.01,
+        "components": 0 < components <= len(one.basis) and _moderate(one.basis),
         "log_ratio": one.log_ratio.shape == (SHARES.size, GRID.size)
         and bool((np.abs(one.log_ratio) < 100.0).all()),
-        "movements": one.movements.shape == (len(Atom), 2)
-        and bool((np.abs(one.movements) <= _LONGEST).all()),
-        "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
+        "looks": _within(one.looks, len(one.keyframes))
+        and bool((np.bincount(one.looks) < one.config.looks).all()),
+    }
+
+
+def _names_fit(one: VisualMap) -> dict[str, bool]:
+    return {
         "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1
         and {*map(type, one.goals)} <= {str}
         and all(re.fullmatch(GOAL_NAME, name) for name in one.goals),
         "names": len(one.names) == len(one.goals)
         and all(parts and {*map(type, parts)} == {str} for parts in one.names),
-        "stitched": one.stitched.shape == (joined, 2)
-        and _within(one.stitched, count)
-        and len(np.unique(one.stitched, axis=0)) == joined,
-        "size": _is_size(one.size),
-        "looks": _within(one.looks, count)
-        and bool((np.bincount(one.looks) < SETTINGS.looks).all()),
-        "stitch_offsets": offsets.shape == (joined, 3)
-        and bool((np.abs(offsets) <= _LONGEST).all()),
     }
+
+
+def _stitches_fit(one: VisualMap) -> dict[str, bool]:
+    joined = len(one.stitched)
+    return {
+        "stitched": one.stitched.shape == (joined, 2)
+        and _within(one.stitched, len(one.keyframes))
+        and len(np.unique(one.stitched, axis=0)) == joined,
+        "stitch_offsets": one.stitch_offsets.shape == (joined, 3) and _moderate(one.stitch_offsets),
+    }
+
+
+def _moderate(numbers: NDArray[Any]) -> bool:
+    return bool((np.abs(numbers) <= _LONGEST).all())
 
 
 def _is_size(size: tuple[object, ...]) -> bool:

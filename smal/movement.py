@@ -9,8 +9,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.settings import SETTINGS
-
 #: What a robot is told: linear velocity, ahead, and angular velocity, to the left, as shares of its own, -1 to 1.
 Motion = tuple[float, float]
 STANDS: Final[Motion] = 0.0, 0.0
@@ -52,20 +50,21 @@ STILL = Movement(0.0, 0.0)
 
 
 class MotionNoise(NamedTuple):
-    """How far the robot's movement differs from what it is said to be, standard deviations.
+    """How far the robot's movement differs from the reported one: standard deviations."""
 
-    `ahead` is of the way after a correlation length, as a share of it, `turn` of a turn after a radian; both grow with
-    the square root. `pace` is of the logarithm of how much faster the robot is than said, which lasts for
-    `SETTINGS.pace` correlation lengths.
-    """
-
+    #: Of the way after a correlation length, as a share of it; grows with the square root of the way.
     ahead: float
-    turn: float
-    pace: float
+    turn: float  # Of a turn after a radian, radians; grows with the square root of the turn.
+    pace: float  # Of the logarithm of the true speed over the reported one.
+    pace_lengths: float = 10.0  # Way over which a pace lasts, correlation lengths.
+    #: Degrees of heading a correlation length: carpets and kerbs; grows with the square root of the way.
+    drift_deg: float = 1.5
 
 
-BY_ODOMETRY = MotionNoise(*SETTINGS.wheels)
-BY_ATOMS = MotionNoise(*SETTINGS.atoms)
+#: Wheels slip a little, and those of two robots disagree by a twentieth.
+BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05)
+#: Only the usual movement of an atom is known: people drive half as fast, or half as fast again.
+BY_ATOMS: Final = MotionNoise(ahead=0.1, turn=0.1, pace=0.5)
 
 
 def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
@@ -90,46 +89,6 @@ def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray
     return np.stack(
         [x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1
     )
-
-
-def shows_same(
-    poses: NDArray[np.float64], pose: NDArray[np.float64], length: float
-) -> NDArray[np.bool_]:
-    """Tell where a view is hardly another one than at a pose (3,): poses (f, 3), length that of correlation."""
-    moved = poses - pose
-    near = np.hypot(*moved[:, :2].T) < length / SETTINGS.views_a_length
-    return np.asarray(near & (np.abs(wrapped(moved[:, 2])) < math.radians(SETTINGS.spacing_deg)))
-
-
-def leads_on(
-    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
-) -> NDArray[np.bool_]:
-    """Tell which frames a robot is to pass, (f,).
-
-    Frames between two that show the same led nowhere: a wrong turn and its correction, or a way there and back. They
-    are kept where the second of the two is further from the first than half of the way between: it leads on.
-    """
-    # However long it stands: the time to tell grows with the square of the frames that are compared.
-    moved = np.append(True, np.diff(poses, axis=0).any(axis=1) | (np.diff(drives) != 0))
-    poses = poses[moved]
-    drives = drives[moved]
-    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
-    on = np.zeros(len(poses), dtype=np.bool_)
-    frame = 0
-    while frame < len(poses):
-        on[frame] = True
-        end = np.searchsorted(drives, drives[frame], "right")
-        end = min(end, np.searchsorted(way, way[frame] + SETTINGS.mended * length, "right"))
-        later = poses[frame + 1 : end]
-        since = way[frame + 1 : end] - way[frame]
-        apart = np.hypot(*(later - poses[frame])[:, :2].T)
-        # Who turns on the spot creeps ahead a little.
-        back = shows_same(later, poses[frame], length) & (
-            apart < np.maximum(since, 0.1 * length) / 2.0
-        )
-        last = int(np.flatnonzero(back).max(initial=-1))
-        frame += 1 if back[: last + 1].all() else last + 1
-    return np.asarray(on[np.cumsum(moved) - 1])
 
 
 def turns_ahead(movements: NDArray[np.float64]) -> bool:

@@ -1,6 +1,7 @@
 """Particles: poses beside taught keyframes, and how probable each of them is."""
 
 import math
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -10,7 +11,49 @@ from smal.camera import STEP_DEG, TURNS_DEG
 from smal.likelihood import ANY_DAY, SHARES, over
 from smal.map import VisualMap
 from smal.movement import MotionNoise, Movement, seen_from, wrapped
-from smal.settings import SETTINGS
+
+
+@dataclass(frozen=True)
+class FilterConfig:
+    """Numbers of the filter; lengths are in correlation lengths of the map."""
+
+    particles: int = 1000  # Of each set: more take longer and find no more.
+    #: First belief: at the start of a taught drive, beside any way, lost.
+    first: tuple[float, float, float] = (0.5, 0.35, 0.15)
+    first_turn_deg: float = 30.0  # How far the heading may be off at the start of a drive.
+    start_s: float = 0.5  # Starts scatter by what is driven in this time.
+    #: Probability, with each new view, that the robot was carried or the filter follows a wrong place; larger where the
+    #: view is unlike the one before.
+    jump: float = 5e-3
+    back: float = 0.05  # Probability, with each new view, that a lost robot is back beside the way.
+    #: Probability, with each new view, that something that hid the place has gone.
+    appears: float = 0.5
+    #: Probability, with each new view, that as much shows as in another light, which lasts for about fifty new views.
+    light: float = 0.02
+    jitter_deg: float = 1.0  # Heading at every new view: cameras shake.
+    #: How far a view counts that nobody taught. A robot that looks back sees 2 (campus) to 9 times (indoors) as much
+    #: evidence for other places as it should. Counted by 0.7, one such view would be none; but views of one turn
+    #: repeat each other.
+    untaught: float = 0.3
+    blind: float = 2.0  # Way without a view after which the wheels are believed half.
+    located: float = 0.9  # Probability from which scouts look near a place after a jump.
+    slip: float = 0.1  # Share of the way since then that the wheels may err.
+
+    def hides(self, hidden: float) -> float:
+        """Return the probability that something hides the next new view; in the long run a share is hidden."""
+        return self.appears * hidden / (1.0 - hidden)
+
+    def share_changes(self, hidden: float) -> NDArray[np.float64]:
+        """Return how the share that shows changes with a new view, (from, to)."""
+        hides = self.hides(hidden)
+        rows = (1.0 - hides - self.light) * np.eye(SHARES.size) + self.light * ANY_DAY
+        rows[:, 0] += hides
+        rows[0] = self.appears * ANY_DAY
+        rows[0, 0] = 1.0 - self.appears
+        return rows
+
+
+FILTER_CONFIG: Final = FilterConfig()
 
 
 class ViewEvidence(NamedTuple):
@@ -33,9 +76,14 @@ class Particles:
     """Poses in the axes of the drive of their keyframe, and weights that sum to 1."""
 
     def __init__(
-        self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]
+        self,
+        visual_map: VisualMap,
+        keyframes: NDArray[np.intp],
+        poses: NDArray[np.float64],
+        config: FilterConfig = FILTER_CONFIG,
     ) -> None:
         self._map = visual_map
+        self._config = config
         self.keyframes = keyframes
         self.poses = poses
         self.tracked = np.zeros(len(poses))
@@ -44,7 +92,8 @@ class Particles:
             len(poses)
         )  # By how many standard deviations the robot is faster than it is said to be.
         #: Probability of each share (`smal.likelihood.SHARES`) of what was taught that the next view shows.
-        self.shares = FIRST_SHARES
+        hidden = visual_map.config.hidden
+        self.shares = (1.0 - hidden) * ANY_DAY + hidden * (SHARES == 0.0)
         #: How much likelier the last view was here than elsewhere, if all of it was new and nothing hid it.
         self.speaks = 1.0
 
@@ -62,12 +111,12 @@ class Particles:
         lengths = abs(movement.ahead) / length
         # Errors of each moment are a diffusion: they grow with the square root of the way, whatever the rate of frames
         # and the speed. A wheel that is too large, or a driver in haste, stays so for a while.
-        kept = math.exp(-lengths / SETTINGS.pace)
+        kept = math.exp(-lengths / noise.pace_lengths)
         self.pace = kept * self.pace + math.sqrt(1.0 - kept**2) * pace_noise
         ahead = movement.ahead * np.exp(noise.pace * self.pace)
         ahead += noise.ahead * math.sqrt(lengths) * length * ahead_noise
         heading = math.hypot(
-            SETTINGS.drift_deg * math.sqrt(lengths), SETTINGS.jitter_deg * math.sqrt(newness)
+            noise.drift_deg * math.sqrt(lengths), self._config.jitter_deg * math.sqrt(newness)
         )
         turn = movement.turn_rad + math.radians(heading) * heading_noise
         turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
@@ -76,7 +125,8 @@ class Particles:
         self.tracked += abs(movement.ahead)
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         near = np.clip(
-            self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1),
+            self.keyframes[:, None]
+            + np.arange(-self._map.config.neighbours, self._map.config.neighbours + 1),
             first,
             last,
         )
@@ -87,7 +137,7 @@ class Particles:
         self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
         away = (
             np.hypot(*(self.poses - self._map.key_poses[self.keyframes])[:, :2].T)
-            > SETTINGS.elsewhere * length
+            > self._map.config.elsewhere * length
         )
         strayed = min(float(self.weights[away].sum()), 1.0 - 1e-6)
         self.weights[away] *= 1e-6
@@ -115,7 +165,8 @@ class Particles:
         total = float(joint.sum())
         self.weights = joint.sum(axis=0) / total
         shares = joint.sum(axis=1) / total
-        self.shares = shares + (shares @ _CHANGES - shares) * seen.newness
+        changes = self._config.share_changes(self._map.config.hidden)
+        self.shares = shares + (shares @ changes - shares) * seen.newness
         if (self.weights**2).sum() > 2.0 / len(self.weights):
             self.resampled(rng)
         return total
@@ -185,7 +236,7 @@ class Particles:
         keyframes, poses, tracked, pace = (
             np.concatenate([getattr(one, name) for one, _ in sets]) for name in names
         )
-        made = cls(sets[0][0]._map, keyframes, poses)
+        made = cls(sets[0][0]._map, keyframes, poses, sets[0][0]._config)
         made.tracked = tracked
         made.pace = pace
         made.weights = np.concatenate([one.weights * (share / total) for one, share in sets])
@@ -194,30 +245,13 @@ class Particles:
 
     def resampled(self, rng: np.random.Generator) -> Self:
         """Keep as many as usual, drawn by their weights, alike in weight."""
-        which = systematic(self.weights, SETTINGS.particles, rng)
+        which = systematic(self.weights, self._config.particles, rng)
         self.keyframes = self.keyframes[which]
         self.poses = self.poses[which]
         self.tracked = self.tracked[which]
         self.pace = self.pace[which]
         self.weights = np.full(which.size, 1.0 / which.size)
         return self
-
-
-#: Probability that something hides a new view, if it did not hide the one before.
-HIDES: Final = SETTINGS.appears * SETTINGS.hidden / (1.0 - SETTINGS.hidden)
-
-
-def _changes() -> NDArray[np.float64]:
-    """Return how the share that shows changes with a new view, (from, to); in the long run, a part is hidden."""
-    rows = (1.0 - HIDES - SETTINGS.light) * np.eye(SHARES.size) + SETTINGS.light * ANY_DAY
-    rows[:, 0] += HIDES
-    rows[0] = SETTINGS.appears * ANY_DAY
-    rows[0, 0] = 1.0 - SETTINGS.appears
-    return rows
-
-
-_CHANGES: Final = _changes()
-FIRST_SHARES: Final = (1.0 - SETTINGS.hidden) * ANY_DAY + SETTINGS.hidden * (SHARES == 0.0)
 
 
 def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:

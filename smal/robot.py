@@ -15,9 +15,10 @@ from smal.map import beside, way_from
 from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement
 from smal.obstacles.clearance import Mount, Surroundings
-from smal.obstacles.strange import swept
+from smal.obstacles.strange import GROUND_CONFIG, swept
+from smal.particles import FILTER_CONFIG, FilterConfig
 from smal.planning import Decision, Planner, Said, chosen_goal
-from smal.settings import SETTINGS
+from smal.sought.sight import TARGET_CONFIG
 from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = "the model does not know how the ground looks, which a robot that watches goes by; learn it again"
@@ -52,7 +53,12 @@ class Localizer:
     """
 
     def __init__(
-        self, model: Model, seed: int = 0, goal: str | None = None, watches: bool = False
+        self,
+        model: Model,
+        seed: int = 0,
+        goal: str | None = None,
+        watches: bool = False,
+        config: FilterConfig = FILTER_CONFIG,
     ) -> None:
         if watches and model.ground is None:
             raise ValueError(NO_GROUND)
@@ -60,14 +66,14 @@ class Localizer:
         self._map = mapped = model.mapped
         self.features = model.feature_settings  # That it goes by.
         self._ground = model.ground
-        self._filter = Filter(mapped, model.centering, seed)
+        self._filter = Filter(mapped, model.centering, seed, config)
         goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
         sight = model.sights.get(goal or "")
         word = model.words.get(goal or "")
         self._witness = Witness(sight, word) if sight or word else None
         to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
         self._near = (mapped.key_goals == goal) & (
-            np.hypot(*to_end.T) <= SETTINGS.approach_s * mapped.speed
+            np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
         )
         self.reset()
 
@@ -131,13 +137,15 @@ class Localizer:
         if self._ground is None or picture is None or belief.lost > 0.5:
             self._strange_s = 0.0
             self._strange = math.inf
-        elif abs(belief.offsets[best, 2]) < math.radians(SETTINGS.spacing_deg):
+        elif abs(belief.offsets[best, 2]) < math.radians(self._map.config.spacing_deg):
             key = int(belief.keyframes[best])
             way = way_from(self._map, key, belief.offsets[best], swept(self._map.speed))
-            far = self._ground.strange_m(picture, beside(self._map, key), way, self._map.scene)
+            far = self._ground.strange_m(
+                picture, beside(self._map, key, GROUND_CONFIG.keyframes), way, self._map.scene
+            )
             # What shows for a moment is none.
             self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
-            self._strange = far if self._strange_s >= SETTINGS.strange_s else math.inf
+            self._strange = far if self._strange_s >= GROUND_CONFIG.lasts_s else math.inf
         # Turned aside it sees what the taught views have not shown, and what it saw is still there.
         return self._strange
 
@@ -160,23 +168,16 @@ class Localizer:
             raise ValueError(
                 f"the time since the frame before must be finite and not negative, got {elapsed_s}"
             )
-        movement = STILL
-        noise = BY_ATOMS
         odometry = odometry if self._map.odometry else None
         if odometry is not None and not all(map(math.isfinite, odometry)):
             raise ValueError(f"the pose by the wheels must be finite, got {tuple(odometry)}")
+        movement = STILL
+        noise = BY_ATOMS
         if odometry is not None and self._pose is not None:
             movement = Movement.between(self._pose, odometry)
             noise = BY_ODOMETRY
         elif atoms:
-            ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
-            table = self._map.movements
-            full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
-            made = [
-                np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms
-            ]
-            ahead, turn = np.mean(made, axis=0) * ticks
-            movement = Movement(float(ahead), float(turn))
+            movement = self._usual_movement(atoms, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
         self._since_near += abs(movement.ahead)
         self._strange = max(self._strange - movement.ahead, 0.0)
@@ -186,6 +187,15 @@ class Localizer:
         if odometry is not None or atoms:
             self._pose = odometry
         return belief
+
+    def _usual_movement(self, atoms: Sequence[Atom | Motion], elapsed_s: float | None) -> Movement:
+        """Return the movement that atoms or motions, made for equal parts of a time, usually are."""
+        ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
+        table = self._map.movements
+        full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
+        made = [np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms]
+        ahead, turn = np.mean(made, axis=0) * ticks
+        return Movement(float(ahead), float(turn))
 
 
 class Robot:

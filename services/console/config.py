@@ -40,6 +40,20 @@ class ListenAddress(NamedTuple):
 def listen(settings: ConsoleSettings) -> ListenAddress:
     """Listen where the settings say; ServiceError where that cannot be, BusError when others can read the secrets."""
     host, _, port = settings.console.rpartition(":")
+    token = _token(settings, host)
+    try:
+        place = socket.create_server((host, int(port)))
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no such port"
+        raise ServiceError(
+            f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT"
+        ) from None
+    scheme = "http" if token is None else "https"
+    return ListenAddress(place, f"{scheme}://{host}:{place.getsockname()[1]}", token)
+
+
+def _token(settings: ConsoleSettings, host: str) -> str | None:
+    """Return the page's token; None for a page without one. Errors are as in `listen`."""
     given = (settings.console_cert, settings.console_key, settings.console_token)
     if others_reach(host) and not settings.insecure and None in given:
         raise ServiceError(
@@ -58,13 +72,4 @@ def listen(settings: ConsoleSettings) -> ListenAddress:
         raise ServiceError(
             f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}"
         )
-    try:
-        place = socket.create_server((host, int(port)))
-    except (OSError, OverflowError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "no such port"
-        raise ServiceError(
-            f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT"
-        ) from None
-    return ListenAddress(
-        place, f"{'http' if token is None else 'https'}://{host}:{place.getsockname()[1]}", token
-    )
+    return token

@@ -5,10 +5,10 @@ message is looked at where it comes into the router (ingress, what a role may sa
 role may hear); both must allow it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from schemas.topics import ROOT, echo_key, group_key, rpc_key
+from schemas.topics import ROOT, Topic, echo_key, group_key, rpc_key
 from services.table import Role, roles
 
 Rule = dict[str, object]
@@ -68,28 +68,28 @@ def _rules(role: Role, robots: Sequence[str]) -> Iterator[Rule]:
                 }
 
 
+def _is_recorded(topic: Topic) -> bool:
+    return topic.recorded
+
+
+def _keys(topics: Iterable[Topic], robots: Sequence[str]) -> set[str]:
+    return {topic.key(robot) for topic in topics for robot in robots}
+
+
+def _rpc_keys(names: Iterable[str], robots: Sequence[str]) -> set[str]:
+    return {rpc_key(robot, *name.split("/", 1)) for name in names for robot in robots}
+
+
 def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str], set[str]]]:
     """Yield each kind of message, and the keys with which a role may send it to the router, and be sent it."""
-    gives, takes, fetches, recorded = (
-        {topic.key(robot) for topic in topics for robot in robots}
-        for topics in (
-            role.gives,
-            role.takes,
-            role.fetches,
-            [topic for topic in role.gives if topic.recorded],
-        )
-    )
+    gives = _keys(role.gives, robots)
+    takes = _keys(role.takes, robots)
+    fetches = _keys(role.fetches, robots)
+    recorded = _keys(filter(_is_recorded, role.gives), robots)
     kept = {f"{key}/{KEPT_KEYS}" for key in recorded}
-    replayed = {
-        f"{topic.key(robot)}/{KEPT_KEYS}"
-        for topic in role.fetches
-        if topic.recorded
-        for robot in robots
-    }
-    serves, calls = (
-        {rpc_key(robot, *name.split("/", 1)) for name in names for robot in robots}
-        for names in (role.serves, role.calls)
-    )
+    replayed = {f"{key}/{KEPT_KEYS}" for key in _keys(filter(_is_recorded, role.fetches), robots)}
+    serves = _rpc_keys(role.serves, robots)
+    calls = _rpc_keys(role.calls, robots)
     listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
     #: An instance is seen by those of its own service, sees them, asks them and answers them.
     seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()

@@ -315,24 +315,32 @@ class Group(Generic[S]):
         self._elsewhere_s |= dict.fromkeys(others, time.monotonic())
         if here:
             self._others = len(seen.instances) > 1
-            wanted = share(self.instance, self.robots, seen.instances)
-        else:
-            # No other instance can be asked. One that was alone goes on: its robot does not wait for the router.
-            wanted = set() if self._others else set(self._served)
+        wanted = self._wanted(seen)
         for robot, served in [*self._served.items()]:
             if (robot not in wanted or served.leaving) and served.leave():
                 del self._served[robot]
         for robot in sorted(wanted - others):
-            mine = self._served.get(robot)
-            if mine is None:
-                self._served[robot] = _Served(
-                    self._bus.stand(f"{self._prefix}/{self.instance}/{robot}")
-                )
-            elif mine.thread is None and robot in seen.serving and self._handed_on(robot):
-                # An instance that is announced here and does not answer yet may serve the robot.
-                alone = announced.serving[robot] == {self.instance}
-                if alone or time.monotonic() - mine.since_s > ANSWER_S:
-                    self._open(robot, mine)
+            if robot not in self._served:
+                token = self._bus.stand(f"{self._prefix}/{self.instance}/{robot}")
+                self._served[robot] = _Served(token)
+            elif robot in seen.serving:
+                self._take(robot, announced.serving[robot] == {self.instance})
+
+    def _wanted(self, seen: Seen) -> set[str]:
+        """Return the robots that this instance serves, as far as the others release them."""
+        if self._here:
+            return share(self.instance, self.robots, seen.instances)
+        # No other instance can be asked. One that was alone goes on: its robot does not wait for the router.
+        return set() if self._others else set(self._served)
+
+    def _take(self, robot: str, alone: bool) -> None:
+        """Open a robot that the others have released."""
+        mine = self._served[robot]
+        if mine.thread is not None or not self._handed_on(robot):
+            return
+        # An instance that is announced here and does not answer yet may serve the robot.
+        if alone or time.monotonic() - mine.since_s > ANSWER_S:
+            self._open(robot, mine)
 
     def _open(self, robot: str, served: _Served) -> None:
         settings = self._settings.of_robot(robot)

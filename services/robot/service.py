@@ -1,7 +1,6 @@
 """The robot on the bus: calls and commands in, frames and episode events out."""
 
 import secrets
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from typing import Annotated, Final, TypeVar
@@ -30,7 +29,7 @@ from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot import radio
 from services.robot.body import Body, View
-from services.robot.clock import PULSE_S
+from services.robot.clock import CLOCKS, PULSE_S, Clocks
 from services.robot.gate import MAX_AGE_S, CommandGate
 from services.robot.loop import ECHO_S, PERIOD_S, check_stopping
 from services.robot.pace import Paces
@@ -226,7 +225,7 @@ def serve_robot(
     open_body: Callable[[Node], tuple[Body[V], Paces[V]]],
     task: Task[V],
     *,
-    wall_clock_ns: Callable[[], int] = time.time_ns,
+    clocks: Clocks = CLOCKS,
 ) -> None:
     """Drive a body until stopped; the task says that the goal is reached.
 
@@ -246,7 +245,7 @@ def serve_robot(
             # Episode ids stay unique when the robot is started again, whatever the wall clock says.
             secrets.token_hex(6),
             paces=paces,
-            wall_clock_ns=wall_clock_ns,
+            clocks=clocks,
         )
         runner.frame_s = 1.0 / settings.frames_hz
         runner.radio = settings.radio

@@ -6,7 +6,7 @@ from typing import Literal
 from services.simulator.base import Base
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
-from services.simulator.variation import variation_named
+from services.simulator.variation import Variation, variation_named
 from services.simulator.world import load_foreign_world
 from services.simulator.world.place import Pose
 from services.simulator.world.varying import vary
@@ -20,20 +20,26 @@ def open_simulation(
     *,
     base: BaseKind = "physics",
     shake: float | None = None,
-    variation: str = "day",
+    variation: str | Variation = "day",
     task: tuple[Pose, Pose] | None = None,
-    clouds_seed: int | None = None,
     depth: bool = False,
 ) -> Simulation:
     """Load a world by name or path, and put its robot into it.
 
-    The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass; `car` is
-    physics, too, and turns by no less than 1.5 m. `task` is a start
-    and where the victim lies, those of the world if not given; `clouds_seed` gives a day of the same light other
-    clouds. Without a `depth` camera nothing keeps the robot from running into things. Raises WorldError where the world
-    cannot be used, UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
+    The base `physics` has wheels driven in PhysX; `kinematic` goes along exact arcs, without mass; `car` is physics,
+    too, and its minimum turning radius is 1.5 m. `task` is a start and where the victim lies, by default those of the
+    world. Without a `depth` camera nothing keeps the robot from driving into things.
+
+    Raises
+    ------
+    WorldError
+        The world cannot be used.
+    UnavailableError
+        This machine lacks what is needed.
+    ValueError
+        The variation is unknown.
     """
-    conditions = variation_named(variation)
+    conditions = variation_named(variation) if isinstance(variation, str) else variation
     there = load_foreign_world(world)
     if task is not None:
         there = replace(there, start=task[0], victim=task[1])
@@ -45,11 +51,5 @@ def open_simulation(
         from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
         wheels = PhysicalBase(there.place, there.robot.drive)
-    light = (
-        conditions.light
-        if clouds_seed is None
-        else replace(conditions.light, clouds_seed=clouds_seed)
-    )
-    return Simulation(
-        there, replace(camera, light=light), wheels, shake=shake, variation=conditions, depth=depth
-    )
+    camera = replace(camera, light=conditions.light)
+    return Simulation(there, camera, wheels, shake=shake, variation=conditions, depth=depth)

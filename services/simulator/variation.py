@@ -1,7 +1,7 @@
 """Conditions other than those of teaching, by name: light by time of day, haze, façades, moved things, exposure."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from services.simulator.tables import table
@@ -70,6 +70,12 @@ VARIATIONS: Final[dict[str, Variation]] = {
     for name, said in _TABLE.variations.items()
 }
 DAY: Final = VARIATIONS["day"]
+
+
+def clouded(name: str, seed: int) -> Variation:
+    """Return a variation with other clouds."""
+    usual = variation_named(name)
+    return replace(usual, light=replace(usual.light, clouds_seed=seed))
 
 
 def variation_named(name: str) -> Variation:

@@ -130,15 +130,15 @@ class TeachAndRepeat:
             if distance >= LOOKAHEAD * self._spacing or abs(heading) >= TURNED_RAD:
                 arrived = distance < (LOOKAHEAD if turning else TURNING) * self._spacing
                 off = heading if arrived else math.atan2(y, x)
-                return (
-                    Atom.FORWARD
-                    if abs(off) <= self._turn
-                    else Atom.LEFT
-                    if off > 0.0
-                    else Atom.RIGHT
-                )
+                return self._towards(off)
             self._advance(route)
         return Atom.STOP
+
+    def _towards(self, off_rad: float) -> Atom:
+        """Return the atom that goes in a direction, from the heading to the left."""
+        if abs(off_rad) <= self._turn:
+            return Atom.FORWARD
+        return Atom.LEFT if off_rad > 0.0 else Atom.RIGHT
 
     def _route_of(
         self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]

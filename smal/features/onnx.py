@@ -288,13 +288,10 @@ def _network(file: str, session: "InferenceSession", mean: Channels, std: Channe
 
 def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple[int, int]:
     """Return rows and columns of the only input; a dimension that is no number may have any."""
-    if len(inputs) == 1:
-        kind, shape = inputs[0]
-        if kind == "tensor(float)" and len(shape) == 4:
-            batch, channels, rows, columns = (
-                length if isinstance(length, int) else None for length in shape
-            )
-            if batch in (None, 1) and channels == 3 and rows != 0 and columns != 0:
+    for kind, shape in inputs if len(inputs) == 1 else ():
+        lengths = [length if isinstance(length, int) else None for length in shape]
+        match (kind, lengths):
+            case ("tensor(float)", [1 | None, 3, rows, columns]) if 0 not in (rows, columns):
                 return rows or SIDE, columns or SIDE
     has = " and ".join(f"{kind} {tuple(shape)}" for kind, shape in inputs) or "no input"
     raise ValueError(

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+BATCH = 32  # Keyframes whose views are unpacked at once: memory.
+
 
 def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Scale vectors (..., r) to unit length; zero stays zero."""

@@ -18,7 +18,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from smal.movement import wrapped
 from smal.obstacles.clearance import Floats, Surroundings
-from smal.settings import SETTINGS
 
 
 def way_round(
@@ -36,7 +35,7 @@ def way_round(
     far_m = hit_m(around, way)
     if far_m < math.inf or around.free_m(ahead=True) == 0.0:
         round_rad = turn_round(around, way, turn_rad, step_m, known_m)
-        if round_rad is not None or far_m < SETTINGS.stands_before * around.radius_m:
+        if round_rad is not None or far_m < around.config.stands_before * around.radius_m:
             return round_rad
     return error_rad
 
@@ -55,7 +54,7 @@ def turn_round(
     Turns are so many times `turn_rad`, each of which takes as long as it takes to go `step_m`. Further aside of the way
     than `known_m` views have changed: a metre costs more the further aside it is.
     """
-    count = min(round(math.pi / turn_rad), SETTINGS.most_turns)
+    count = min(round(math.pi / turn_rad), around.config.most_turns)
     turns = np.array(sorted(range(-count, count + 1), key=abs))
     straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
     towards = np.stack([np.cos(turns * turn_rad), np.sin(turns * turn_rad)], axis=1)
@@ -64,7 +63,7 @@ def turn_round(
     to_go_m, following = _to_go_m(around, way, known_m)
     # Whoever has to turn back there may as well turn now, and would else put it off for ever.
     here = onwards = np.ravel_multi_index(cells, to_go_m.shape)
-    for _ in range(2 * SETTINGS.cells_radius):
+    for _ in range(2 * around.config.cells_radius):
         onwards = following[onwards]
     x, y = np.divmod(here, len(to_go_m))
     to_x, to_y = np.divmod(onwards, len(to_go_m))
@@ -105,18 +104,19 @@ def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats,
         clear_m >= clear_m[here] - 1e-3
     )
     may = ((clear_m >= body_m) | leaves) & (
-        aside_m <= max(SETTINGS.may_go_aside * around.radius_m, float(aside_m[here]))
+        aside_m <= max(around.config.may_go_aside * around.radius_m, float(aside_m[here]))
     )
     tight = np.clip(
-        (SETTINGS.room * around.radius_m - clear_m) / (SETTINGS.room * around.radius_m - body_m),
+        (around.config.room * around.radius_m - clear_m)
+        / (around.config.room * around.radius_m - body_m),
         0.0,
         1.0,
     )
     cost = (
         1.0
-        + SETTINGS.tight_cost * tight
-        + SETTINGS.aside_cost * aside_m / known_m
-        + SETTINGS.unknown_cost * around.unknown
+        + around.config.tight_cost * tight
+        + around.config.aside_cost * aside_m / known_m
+        + around.config.unknown_cost * around.unknown
     )
     ends = np.flatnonzero(may & (along >= len(dense) - 3))
     if not ends.size:

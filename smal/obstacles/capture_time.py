@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from smal.movement import placed, seen_from
-from smal.obstacles.clearance import Floats, Mount, above_ground
-from smal.settings import SETTINGS
+from smal.obstacles.clearance import GRID_CONFIG, Floats, Mount, above_ground
 
 #: Delays up to this one are hypotheses, seconds. A longer one counts as this: both are too old to drive by.
 LONGEST_S: Final = 1.0
@@ -92,7 +91,7 @@ class CaptureTime:
             self._last = depth_m.copy()
             self._delivered = at_s, here
             self._resume()
-            every = math.ceil(depth_m.shape[1] / SETTINGS.depth_columns)
+            every = math.ceil(depth_m.shape[1] / GRID_CONFIG.depth_columns)
             small_m = depth_m[every // 2 :: every, every // 2 :: every]
             self._weigh(small_m)
             self._taken = self._track[self._best()]

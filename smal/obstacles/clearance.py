@@ -10,16 +10,72 @@ Nothing is free because nothing was seen: a look without depth leaves everything
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, shift
 
-from smal.settings import SETTINGS
-
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """Numbers of the grid about the robot, and of the way round what stands in it; lengths in radii of the robot."""
+
+    depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
+    #: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
+    #: noise and of a floor that is not quite even. A wheel climbs less.
+    ground_m: float = 0.05
+    ground_slope: float = 0.02
+    tilt_deg: float = (
+        5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
+    )
+    least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
+    gap_rows: int = (
+        5  # Rows of a column that may show no ground before it ends: specks without texture.
+    )
+    least_shown: float = 0.5  # Share of columns that must show the ground, or a thing before it.
+    #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
+    #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
+    hit: int = 2
+    most_evidence: int = 5
+    least_evidence: int = -3
+    #: What has come where it was free moves until it was seen there in so many looks, half a second; not within so many
+    #: cells of what stands, since distances err by one, and edges with them. Out of view it is known for so many times
+    #: as long as it was seen there; for ever, once that was for so many looks, 3 s.
+    still: float = 5.0
+    edge: int = 3
+    lasts: float = 4.0
+    stays: float = 30.0
+    walks_m: float = (
+        0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
+    )
+    sways_m: float = (
+        0.1  # Who has come, and stands, is kept off so much further than things, metres.
+    )
+    deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
+    cells_radius: int = 4  # Cells a radius.
+    grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
+    margin: float = 0.25  # What stays between the robot and what it stops before.
+    slowest: float = 0.05  # Slower than this share of its speed a robot stands.
+    may_go_aside: float = (
+        6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
+    )
+    #: Distance from things beyond which more is of no use, and what a metre costs more right beside them.
+    room: float = 2.0
+    tight_cost: float = 2.0
+    #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
+    stands_before: float = 6.0
+    most_turns: int = 180  # Turns to each side that are tried: a degree apart.
+    #: What a metre costs more a correlation length beside the way, and over ground that nobody has seen.
+    aside_cost: float = 1.5
+    unknown_cost: float = 0.5
+
+
+GRID_CONFIG: Final = GridConfig()
 
 
 class Mount(NamedTuple):
@@ -42,21 +98,25 @@ class Scan(NamedTuple):
     falls: float  # How much the lowest rays fall a metre: what is nearer may lie below them.
 
 
-def above_ground(up_m: Floats, ahead_m: Floats) -> NDArray[np.bool_]:
+def above_ground(
+    up_m: Floats, ahead_m: Floats, config: GridConfig = GRID_CONFIG
+) -> NDArray[np.bool_]:
     """Return which points are no ground, by their height over its plane and their distance along the axis, metres."""
-    return up_m > SETTINGS.ground_m + SETTINGS.ground_slope * ahead_m
+    return up_m > config.ground_m + config.ground_slope * ahead_m
 
 
-def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
+def scan(
+    depth_m: NDArray[np.float32], mount: Mount, config: GridConfig = GRID_CONFIG
+) -> Scan | None:
     """Return what a depth image (h, w) shows, metres, 0 where it has none; None where it shows no ground.
 
     In every column the mount says which distance the ground has in the lowest rows. A column shows that ground, or a
     thing before it. If most columns show neither, the camera does not see, does not sit as the mount says, or looks
     over an edge.
     """
-    every = max(1, math.ceil(depth_m.shape[1] / SETTINGS.depth_columns))
+    every = max(1, math.ceil(depth_m.shape[1] / config.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
-    if ahead.shape[0] < max(SETTINGS.least_pixels, SETTINGS.gap_rows + 1) or ahead.shape[1] < 2:
+    if ahead.shape[0] < max(config.least_pixels, config.gap_rows + 1) or ahead.shape[1] < 2:
         return None  # Too few rows to tell ground from things.
     valid = np.isfinite(ahead) & (ahead > 0.0)
     below, across = (
@@ -66,39 +126,41 @@ def scan(depth_m: NDArray[np.float32], mount: Mount) -> Scan | None:
     ahead = np.where(valid, ahead, 0.0)
     left = -ahead * across
     up = mount.height_m - ahead * below[:, None]
-    pitch, roll = _tilt(ahead, -across, up, valid)
+    pitch, roll = _tilt(ahead, -across, up, valid, config)
     up -= pitch * ahead + roll * left
-    ground = valid & ~above_ground(np.abs(up), ahead)
+    ground = valid & ~above_ground(np.abs(up), ahead, config)
     # What hangs a little higher than the robot may hang lower beside what is seen of it.
-    thing = valid & above_ground(up, ahead) & (up < mount.top_m + mount.radius_m)
-    hit_m = np.partition(np.where(thing, ahead, np.inf), SETTINGS.least_pixels - 1, axis=0)[
-        SETTINGS.least_pixels - 1
+    thing = valid & above_ground(up, ahead, config) & (up < mount.top_m + mount.radius_m)
+    hit_m = np.partition(np.where(thing, ahead, np.inf), config.least_pixels - 1, axis=0)[
+        config.least_pixels - 1
     ]
     top_m = np.where(thing & (ahead < hit_m + 2.0 * mount.radius_m), up, 0.0).max(axis=0)
     # From below on as long as the ground goes on: what shows nothing may stand there.
-    goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= SETTINGS.gap_rows
+    goes_on = np.cumsum(~ground[::-1], axis=0)[::-1] <= config.gap_rows
     free_m = np.minimum(np.where(ground & goes_on, ahead, 0.0).max(axis=0), hit_m)
     # What stands nearer than the ground in the lowest rows hides all of it: up to there the rays met nothing. It has a
     # face, which does not recede from row to row as ground does, at whatever height that lies.
-    upper = -1 - SETTINGS.gap_rows
-    recedes = below[-1] / below[-1 - SETTINGS.gap_rows]
+    upper = -1 - config.gap_rows
+    recedes = below[-1] / below[-1 - config.gap_rows]
     hides = hit_m * (float(below[upper]) + pitch) <= mount.height_m
     hides &= valid[-1] & valid[upper] & (ahead[upper] < ahead[-1] * (1.0 + recedes) / 2.0)
     free_m = np.where(hides, hit_m, free_m)
-    if np.mean(free_m > 0.0) < SETTINGS.least_shown:
+    if np.mean(free_m > 0.0) < config.least_shown:
         return None
     return Scan(-across, free_m, hit_m, top_m, float(below[-1]) + pitch)
 
 
-def _tilt(ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_]) -> Floats:
+def _tilt(
+    ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_], config: GridConfig
+) -> Floats:
     """Return how much the ground rises a metre ahead and to the left, as it seems to a camera that is not level."""
     tilt = np.zeros(2)
-    most_tilt = math.tan(math.radians(SETTINGS.tilt_deg))
+    most_tilt = math.tan(math.radians(config.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
     for slope in (most_tilt, most_tilt / 3.0):
         flat = valid & (
             np.abs(up - (tilt[0] + tilt[1] * across) * ahead)
-            < SETTINGS.ground_m / 2.0 + slope * ahead
+            < config.ground_m / 2.0 + slope * ahead
         )
         if flat.sum() < valid.size // 50:
             break
@@ -117,14 +179,15 @@ class Surroundings:
     Its axes are those of the odometry. Cells are (x, y); the robot is in the middle one.
     """
 
-    def __init__(self, radius_m: float) -> None:
+    def __init__(self, radius_m: float, config: GridConfig = GRID_CONFIG) -> None:
+        self.config = config
         self.radius_m = radius_m
-        self.cell_m = radius_m / SETTINGS.cells_radius
-        self.reach_m = SETTINGS.grid * radius_m
+        self.cell_m = radius_m / self.config.cells_radius
+        self.reach_m = self.config.grid * radius_m
         #: How near it may come to the middle of a cell in which something stands: half a cell is that cell's, the other
         #: half is for wheels that slip.
         self.body_m = radius_m + self.cell_m
-        self._half = SETTINGS.cells_radius * SETTINGS.grid
+        self._half = self.config.cells_radius * self.config.grid
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Of each cell's middle, from that of the robot's cell, in the axes of the odometry.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
@@ -173,7 +236,7 @@ class Surroundings:
     ) -> bool:
         """Go where the wheels say, and add what a depth image shows; return whether it shows anything."""
         self.move(pose)
-        self.seen = seen = None if depth_m is None else scan(depth_m, mount)
+        self.seen = seen = None if depth_m is None else scan(depth_m, mount, self.config)
         if seen is None:
             return False
         self._mount = mount
@@ -186,8 +249,8 @@ class Surroundings:
         lowest = mount.height_m - ahead * seen.falls
         evidence = self._evidence
         # What lies below the rays is not seen through; where nothing is known they say at least that nothing rises.
-        cleared = through & ((lowest <= SETTINGS.ground_m) | (self._top_m > lowest))
-        evidence[cleared] = np.maximum(evidence[cleared] - 1, SETTINGS.least_evidence)
+        cleared = through & ((lowest <= self.config.ground_m) | (self._top_m > lowest))
+        evidence[cleared] = np.maximum(evidence[cleared] - 1, self.config.least_evidence)
         evidence[through & (evidence == 0)] = -1
         near = np.isfinite(seen.hit_m)
         hit_m = np.where(near, seen.hit_m, 0.0)
@@ -196,7 +259,10 @@ class Surroundings:
         # Behind its face, where nobody has looked, a thing goes on: who passes it does not see its side.
         behind_m = ahead - seen.hit_m[column]
         hidden = (
-            inside & (behind_m > 0.0) & (behind_m < SETTINGS.deep * self.radius_m) & (evidence == 0)
+            inside
+            & (behind_m > 0.0)
+            & (behind_m < self.config.deep * self.radius_m)
+            & (evidence == 0)
         )
         evidence[hidden] = 1
         self._top_m[hidden] = seen.top_m[column[hidden]]
@@ -204,7 +270,7 @@ class Surroundings:
         cells = cells[0][near], cells[1][near]
         # Through and hit in one look: at its edges a thing is both.
         evidence[cells] = np.minimum(
-            np.maximum(evidence[cells], 0) + SETTINGS.hit, SETTINGS.most_evidence
+            np.maximum(evidence[cells], 0) + self.config.hit, self.config.most_evidence
         )
         np.maximum.at(self._top_m, cells, seen.top_m[near].astype(np.float32))
         hit = np.zeros_like(self._freed)
@@ -221,9 +287,11 @@ class Surroundings:
         What is so near that a camera does not see beside its robot is not forgotten.
         """
         leaves = (
-            self._freed & (self._lasts >= 0.0) & (self._lasts < SETTINGS.lasts * SETTINGS.stays)
+            self._freed
+            & (self._lasts >= 0.0)
+            & (self._lasts < self.config.lasts * self.config.stays)
         )
-        self._lasts += np.where(seen, SETTINGS.lasts, np.where(leaves, -1.0, 0.0))
+        self._lasts += np.where(seen, self.config.lasts, np.where(leaves, -1.0, 0.0))
         self._evidence[(self._lasts < 0.0) & ~self._beside_view & self._walks] = 0
 
     @property
@@ -242,12 +310,14 @@ class Surroundings:
     @property
     def _walks(self) -> NDArray[np.bool_]:
         """In which cells stands what has just come where it was free, and is no edge of what stood there."""
-        return self._apart(self._freed & (self._lasts <= SETTINGS.lasts * SETTINGS.still))
+        return self._apart(self._freed & (self._lasts <= self.config.lasts * self.config.still))
 
     def _apart(self, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the occupied ones of some cells that are no edge of what stands in others."""
         return (
-            self.occupied & new & ~binary_dilation(self.occupied & ~new, iterations=SETTINGS.edge)
+            self.occupied
+            & new
+            & ~binary_dilation(self.occupied & ~new, iterations=self.config.edge)
         )
 
     def has_come(self, turn_rad: float) -> bool:
@@ -292,7 +362,7 @@ class Surroundings:
         """Whether somebody who has come, ahead or to a side, is nearer than one keeps off who moves."""
         come = self._kinds[1][0]
         ahead, left = (one[come] for one in self.seen_from(0.0))
-        return bool((np.hypot(ahead, left)[ahead > 0.0] < self.body_m + SETTINGS.walks_m).any())
+        return bool((np.hypot(ahead, left)[ahead > 0.0] < self.body_m + self.config.walks_m).any())
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
@@ -322,7 +392,7 @@ class Surroundings:
     def _kinds(self) -> tuple[tuple[NDArray[np.bool_], float], ...]:
         """Cells in which things stand, and in which somebody has come; and how far these sway, metres."""
         come = self._apart(self._freed)
-        return (self.occupied & ~come, 0.0), (come, SETTINGS.sways_m)
+        return (self.occupied & ~come, 0.0), (come, self.config.sways_m)
 
     @cached_property
     def _wide_m(self) -> NDArray[np.float64]:
@@ -359,7 +429,8 @@ class Surroundings:
         touches_m[(aside >= wide_m - 1e-6) | (along <= 0.0)] = math.inf
         return np.asarray(
             np.maximum(
-                touches_m.min(axis=1, initial=self.reach_m) - SETTINGS.margin * self.radius_m, 0.0
+                touches_m.min(axis=1, initial=self.reach_m) - self.config.margin * self.radius_m,
+                0.0,
             )
         )
 
@@ -372,7 +443,7 @@ class Surroundings:
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
         moves_m = (
-            np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - SETTINGS.walks_m
+            np.hypot(along, left)[self.moving & (along > 0.0)] - self.body_m - self.config.walks_m
         )
         aside = left
         circle_m = math.inf
@@ -394,7 +465,7 @@ class Surroundings:
         touches_m = (along - half)[touches]
         unseen_m = along[unseen] - self.radius_m
         free_m = np.concatenate([touches_m, unseen_m, moves_m]).min(initial=self.reach_m)
-        return max(0.0, float(free_m) - SETTINGS.margin * self.radius_m)
+        return max(0.0, float(free_m) - self.config.margin * self.radius_m)
 
 
 def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float) -> float:
@@ -406,4 +477,4 @@ def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float)
     waits = speed_m_s * wait_s
     brakes = speed_m_s * braking_s / 2.0
     share = 2.0 * free_m / (waits + math.sqrt(waits**2 + 4.0 * brakes * max(free_m, 0.0)))
-    return min(share, 1.0) if share >= SETTINGS.slowest else 0.0
+    return min(share, 1.0) if share >= GRID_CONFIG.slowest else 0.0

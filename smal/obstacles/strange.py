@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from smal.camera import Camera, Image
 from smal.features.resizing import SHAPE
 from smal.obstacles.clearance import Floats
-from smal.settings import SETTINGS
 from smal.sought.sight import cells_of
 
 _HORIZON: Final = SHAPE[0] // 2 + 3  # Row from which on there is ground; what is higher is too far.
@@ -25,6 +24,25 @@ _STEP: Final = 2  # Rows and columns from one cell to the next; a patch is three
 _KEPT: Final = 3  # And of the cells that a keyframe keeps.
 LOOKS_S: Final = 3.0  # Time of driving, seconds, within which the ground ahead is looked at.
 _FINE: Final = 200.0  # Values of a byte for a colour of 1; the brightest is 1.22.
+
+
+@dataclass(frozen=True)
+class GroundConfig:
+    """Numbers by which ground is unexpected."""
+
+    #: Half the width of what a robot sweeps, in heights of its camera: robots are about as wide as that is high.
+    swept: float = 0.7
+    lasts_s: float = 0.2  # For so long, at least, it must be seen.
+    keyframes: int = 3  # To either side whose ground is known here.
+    views: float = (
+        1e4  # One of so many views is mistaken for unexpected: a kilometre of keyframes indoors.
+    )
+    #: Colours that are less apart are alike: a twelfth of the brightness, by light, exposure and compression.
+    least: float = 0.03
+    patch_known: int = 6  # Of the nine cells of a patch that must lie on the swept ground.
+
+
+GROUND_CONFIG: Final = GroundConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +83,18 @@ def colours_of(picture: Image) -> NDArray[np.uint8]:
 
 
 def patches(
-    picture: Image, colours: NDArray[np.uint8], way: Floats, scene: Floats
+    picture: Image,
+    colours: NDArray[np.uint8],
+    way: Floats,
+    scene: Floats,
+    config: GroundConfig = GROUND_CONFIG,
 ) -> tuple[Floats, Floats]:
     """Return of each patch of the swept ground how far along the way it is, and how unlike all colours."""
     ahead, left = _ground(float(scene[0]), float(scene[1]))
     reach = np.hypot(*way.T).max(initial=0.0)
     near = np.flatnonzero((ahead < reach) & (np.abs(left) < reach))
     apart = np.hypot(ahead.ravel()[near, None] - way[:, 0], left.ravel()[near, None] - way[:, 1])
-    near = near[apart.min(axis=1, initial=math.inf) < SETTINGS.swept * scene[1]]
+    near = near[apart.min(axis=1, initial=math.inf) < config.swept * scene[1]]
     at = ahead.ravel()
     if not near.size:
         return np.empty(0), np.empty(0)
@@ -86,15 +108,15 @@ def patches(
     count.flat[near] = 1.0
     sums = _in_patches(sums)
     count = _in_patches(count)
-    whole = np.flatnonzero(count >= SETTINGS.patch_known)
+    whole = np.flatnonzero(count >= config.patch_known)
     return at[whole], sums.flat[whole] / count.flat[whole]
 
 
-def extreme(scores: Sequence[float]) -> float:
-    """Return what one of `Settings.strange_views` exceeds, by an exponential tail of the highest tenth of scores."""
+def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> float:
+    """Return what one of `GroundConfig.views` exceeds, by an exponential tail of the highest tenth of scores."""
     usual = float(np.quantile(scores, 0.9))
     beyond = [score - usual for score in scores if score > usual]
-    return usual + float(np.mean(beyond or [usual])) * math.log(0.1 * SETTINGS.strange_views)
+    return usual + float(np.mean(beyond or [usual])) * math.log(0.1 * config.views)
 
 
 def _mean_colours(picture: Image, step: int) -> NDArray[np.float32]:

@@ -75,7 +75,7 @@ def learn(
     frames = [centering.apply(each) for each in raw]
     progress("centering", 1, 1)
     space = learn_state_space(
-        frames, length, *lambdas, settings.tau,
+        frames, length, lambdas, settings.tau,
         max_bytes=settings.max_bytes, progress=lambda done, total: progress("states", done, total),
     )  # fmt: skip
     actions = learn_action_space(atoms, length)

@@ -47,36 +47,41 @@ class PaperModel(Stored):
     gamma: float  # Discount factor.
 
     def __post_init__(self) -> None:
-        l = self.sequence_length  # noqa: E741
-        states = self.transitions.states
-        checks = {
-            # Centred features are of unit length at most.
-            "templates": self.templates.shape == (self.feature_settings.size, states * l)
-            and self.templates.dtype.kind == "f"
-            and bool((np.abs(self.templates) <= 1.01).all()),
-            "mean": self.mean.shape == (self.feature_settings.size,),
-            "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
-            "reward": self.reward.shape == (states,),
-            "policy": self.policy.shape == (states,)
-            and _within(self.policy, -1, len(self.actions) - 1),
-            "transitions": self.transitions.sound,
-            "value": self.value.shape == (states,),
-            "names": len(self.names)
-            == len(self.atoms)
-            == len(self.successful)
-            == len(self.recovery)
-            and all(isinstance(name, str) for name in self.names),
-            "state_streams": [len(s) for s in self.state_streams]
-            == [len(a) // l for a in self.atoms]
-            and all(_within(stream, 0, states - 1) for stream in self.state_streams),
-            "atoms": all(
-                _within(atoms, min(Atom), max(Atom)) for atoms in (*self.atoms, self.actions)
-            ),
-            "finite": bool(np.isfinite(self.reward).all() and np.isfinite(self.value).all()),
-        }
+        checks = self._arrays_fit() | self._drives_fit()
         wrong = [name for name, fits in checks.items() if not fits]
         if wrong:
             raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
+
+    def _arrays_fit(self) -> dict[str, bool]:
+        states = self.transitions.states
+        length = self.sequence_length
+        size = self.feature_settings.size
+        return {
+            # Centred features are of unit length at most.
+            "templates": self.templates.shape == (size, states * length)
+            and self.templates.dtype.kind == "f"
+            and bool((np.abs(self.templates) <= 1.01).all()),
+            "mean": self.mean.shape == (size,),
+            "actions": self.actions.ndim == 2 and self.actions.shape[1] == length,
+            "transitions": self.transitions.sound,
+            "reward": self.reward.shape == (states,),
+            "value": self.value.shape == (states,),
+            "finite": bool(np.isfinite(self.reward).all() and np.isfinite(self.value).all()),
+            "policy": self.policy.shape == (states,)
+            and _within(self.policy, -1, len(self.actions) - 1),
+        }
+
+    def _drives_fit(self) -> dict[str, bool]:
+        sequences = [len(atoms) // self.sequence_length for atoms in self.atoms]
+        streams = self.state_streams
+        counts = {*map(len, (self.names, self.atoms, self.successful, self.recovery))}
+        every = (*self.atoms, self.actions)
+        return {
+            "names": len(counts) == 1 and all(isinstance(name, str) for name in self.names),
+            "state_streams": [*map(len, streams)] == sequences
+            and all(_within(stream, 0, self.transitions.states - 1) for stream in streams),
+            "atoms": all(_within(atoms, min(Atom), max(Atom)) for atoms in every),
+        }
 
     @property
     def states(self) -> int:

@@ -34,17 +34,33 @@ class StateSpace:
 def learn_state_space(
     demonstrations: Sequence[NDArray[np.float32]],
     sequence_length: int,
-    lambda1: float,
-    lambda2: float,
+    lambdas: tuple[float, float],
     tau: float,
     tolerance: float = 1e-3,
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> StateSpace:
-    """Cut demonstrations, centred features (f, m) of unit length, into sequences and build the states from them.
+    """Cut demonstrations into sequences of l frames and build the states from them (Section III-B).
 
-    The lambdas are of Eq. 7, tau of Eq. 8, per query frame, the tolerance that of each match. ValueError where no
-    demonstration has l frames; MemoryBoundError where n template frames, 4 n m bytes, take more than `max_bytes`.
+    Parameters
+    ----------
+    demonstrations
+        Centred features (f, m) of unit length.
+    lambdas
+        Weights of the two regularizers of Eq. 7.
+    tau
+        Threshold of Eq. 8, per query frame.
+    tolerance
+        Relative duality gap of each match.
+    max_bytes
+        Bound on the templates: n frames of m features take 4 n m bytes.
+
+    Raises
+    ------
+    ValueError
+        No demonstration has l frames.
+    MemoryBoundError
+        The templates need more than `max_bytes`.
     """
     l = sequence_length  # noqa: E741
     sequences = [
@@ -54,21 +70,16 @@ def learn_state_space(
     ]
     if not sequences:
         raise ValueError(f"no demonstration has {l} frames")
-    # As many rows as there could be states; memory is taken when a row is written.
+    # There are at most as many states as sequences; memory is taken when a row is written.
     rows = np.empty((len(sequences) * l, sequences[0].shape[1]), dtype=np.float32)
     stream: list[int] = []
     states = 0
     for frames in sequences:
-        state = None
         templates = rows[: states * l].T
-        if states:
-            match = describe_match(
-                solve(templates, frames.T, l, lambda1, lambda2, tolerance), templates, frames
-            )
-            state = None if match.is_novel(tau) else match.state
+        state = _known_state(templates, frames, lambdas, tau, tolerance)
         if state is None:
             state = states
-            states = states + 1
+            states += 1
             if max_bytes is not None and states * frames.nbytes > max_bytes:
                 raise MemoryBoundError(
                     f"the templates need more than {max_bytes / 2**20:.1f} MiB allowed; "
@@ -82,3 +93,18 @@ def learn_state_space(
     return StateSpace(
         rows[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l
     )
+
+
+def _known_state(
+    templates: NDArray[np.float32],
+    frames: NDArray[np.float32],
+    lambdas: tuple[float, float],
+    tau: float,
+    tolerance: float,
+) -> int | None:
+    """Return the state that a sequence (l, m) shows; None if it is novel (Eq. 8)."""
+    if not templates.size:
+        return None
+    solution = solve(templates, frames.T, len(frames), *lambdas, tolerance)
+    match = describe_match(solution, templates, frames)
+    return None if match.is_novel(tau) else match.state

@@ -19,7 +19,6 @@ from smal.obstacles.avoidance import way_round
 from smal.obstacles.clearance import Surroundings
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
-from smal.settings import SETTINGS
 from smal.sought.witness import Glimpse
 
 Floats = NDArray[np.float64]
@@ -197,7 +196,7 @@ class Search(Behaviour):
         self._came_s = max(self._came_s - now.elapsed_s, 0.0)
         left = None if now.seen is None else now.seen.left
         if left is not None and now.around is not None and now.around.has_come(self._off_rad(left)):
-            self._came_s = SETTINGS.same_moment_s
+            self._came_s = self._config.target.same_moment_s
 
     def propose(self, now: Situation) -> Intent | None:
         """Say what it is sure of, or go up to what it sees, or look on."""
@@ -225,7 +224,7 @@ class Search(Behaviour):
         if seen is None:
             return self._say("found") if self.arrived else None
         # From where nobody drove, less of it may show.
-        about_as_near = seen.near > 1.0 / SETTINGS.as_near
+        about_as_near = seen.near > 1.0 / self._config.as_near
         beside = sure and about_as_near
         if (self.arrived and about_as_near) or (beside and seen.near > 1.0):
             return self._say("found")
@@ -251,7 +250,8 @@ class Search(Behaviour):
 
     def _in_view(self, seen: Glimpse | None) -> bool:
         """Return whether what is sought is in view; without a way to tell it is taken to be."""
-        least = SETTINGS.false_seen / (1.0 + SETTINGS.false_seen)
+        cost = self._config.target.false_seen
+        least = cost / (1.0 + cost)
         return seen is None or (seen.probability > least and not self._came_s)
 
     def _off_rad(self, left: float) -> float:
@@ -426,7 +426,7 @@ class Wait:
         if now.strange < self._config.stops_s * self._chassis.speed:
             # It turns to its way, and looks there before it waits.
             aside = (
-                abs(intent.heading_rad) > math.radians(SETTINGS.spacing_deg)
+                abs(intent.heading_rad) > math.radians(self._taught.config.spacing_deg)
                 and not self._chassis.car
             )
             return replace(intent, pace=0.0) if aside else self._wait(now)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from smal.obstacles.strange import LOOKS_S
+from smal.sought.sight import TARGET_CONFIG, TargetConfig
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class PlannerConfig:
     slows_s: float = LOOKS_S
     slowly: float = 0.5
     stops_s: float = 2.0
+    #: A target that is seen is found nearer than this many times how near the taught ways ended.
+    as_near: float = 1.3
+    target: TargetConfig = TARGET_CONFIG
     #: Time, by the clock, after which a robot without a decision stands: it has not gone on turning since.
     stands_after_s: float = 0.5
 

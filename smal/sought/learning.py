@@ -20,10 +20,18 @@ from smal.camera import Image
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
+from smal.keyframes import MAP_CONFIG
 from smal.likelihood import evenly, log_ratio
-from smal.settings import SETTINGS
 from smal.sought.score import SCORES
-from smal.sought.sight import NUMBERS, Sight, best_window, cells_of, nearest, speaking
+from smal.sought.sight import (
+    NUMBERS,
+    TARGET_CONFIG,
+    Sight,
+    best_window,
+    cells_of,
+    nearest,
+    speaking,
+)
 from smal.sought.word import Word, area, best
 
 #: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
@@ -69,13 +77,13 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
         for k in range(len(one.pictures))
         if k not in _approach(one)
     ]
-    way = [way[k] for k in evenly(len(way), SETTINGS.explaining)]
+    way = [way[k] for k in evenly(len(way), TARGET_CONFIG.explaining)]
     if len(way) < 4:
         return None
     codes, of = _codes([drives[d].pictures[k] for d, k in way])
     pictures = [drives[d].pictures[k] for d, k in way]
     times = np.array([1e6 * d + drives[d].left_s[k] for d, k in way])
-    beside = np.abs(times[:, None] - times[None, :]) < SETTINGS.beside_s
+    beside = np.abs(times[:, None] - times[None, :]) < TARGET_CONFIG.beside_s
 
     def elsewhere(number: int) -> NDArray[np.bool_]:
         """Codes of the way that are not of the neighbourhood of one of its views."""
@@ -88,12 +96,14 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     new = new[np.isfinite(new)]
     if not new.size:
         return None
-    stands_out, far = (float(one) for one in np.quantile(new, (SETTINGS.stands_out, SETTINGS.far)))
+    stands_out, far = (
+        float(one) for one in np.quantile(new, (TARGET_CONFIG.stands_out, TARGET_CONFIG.far))
+    )
     each = in_parallel(
         lambda one: list(_patches(one, codes, stands_out)), [one for one in drives if one.ends]
     )
     patches = [patch for some in each for patch in some]
-    patches = _lasting([patches[k] for k in evenly(len(patches), SETTINGS.explaining)])
+    patches = _lasting([patches[k] for k in evenly(len(patches), TARGET_CONFIG.explaining)])
     if not patches:
         return None
     others = np.concatenate(
@@ -103,7 +113,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
     sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, mask, _ in patches]) // 2
     sizes = np.maximum(sizes, _LEAST)
-    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SETTINGS.sizes)]
+    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), TARGET_CONFIG.sizes)]
     windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
     rest = [
         np.concatenate([*sought[:k], *sought[k + 1 :]])
@@ -137,7 +147,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     far_off = lows / (low or 1.0)
     small = (large > 0.0) & (large < 0.5)
     if (
-        abs(low) < SETTINGS.low
+        abs(low) < TARGET_CONFIG.low
         or not small.any()
         or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean()
     ):
@@ -155,7 +165,7 @@ def learn_word(drives: Sequence[Taught]) -> Word | None:
         [
             found
             for k in _approach(one)
-            if one.left_s[k] <= SETTINGS.same_moment_s
+            if one.left_s[k] <= TARGET_CONFIG.same_moment_s
             for found in one.detected[k]
             if area(found) > 0.0 and (one.box is None or _middle_in(found, one.box))
         ]
@@ -190,7 +200,7 @@ def _shows(one: Taught, scores: NDArray[np.float64], least: float) -> int:
     for k in reversed(range(first)):
         if scores[k] >= least:
             first = k
-        elif one.left_s[k] - one.left_s[first] > SETTINGS.beside_s:
+        elif one.left_s[k] - one.left_s[first] > TARGET_CONFIG.beside_s:
             break
     return first
 
@@ -226,7 +236,7 @@ def _approach(one: Taught) -> range:
     count = len(one.pictures)
     if not one.ends:
         return range(count, count)
-    within = int((one.left_s <= SETTINGS.approach_s).sum())
+    within = int((one.left_s <= TARGET_CONFIG.approach_s).sum())
     return range(count - min(within, count // 3), count)
 
 
@@ -249,10 +259,10 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
         else:
             away = nearest(cells, known)
             # Where it is drawn, what stands beside it is not of it, whatever piece it makes with it.
-            of_it = (new > stands_out) & ((one.box is None) | (away <= SETTINGS.like * new))
+            of_it = (new > stands_out) & ((one.box is None) | (away <= TARGET_CONFIG.like * new))
             mask = _piece(of_it, np.maximum(new - away, 0.0), middle)
             # What stands out and is not like what has been followed so far is something else.
-            if mask is None or (away[mask] > SETTINGS.like * new[mask]).mean() > 0.5:
+            if mask is None or (away[mask] > TARGET_CONFIG.like * new[mask]).mean() > 0.5:
                 continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
@@ -316,13 +326,15 @@ def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray
     """
     if len(here) < 2:
         return None
-    mean = max(float(elsewhere.mean()), SETTINGS.least_score * float(here.max()))
+    mean = max(float(elsewhere.mean()), TARGET_CONFIG.least_score * float(here.max()))
     count = len(elsewhere)
     shares = np.linspace(0.0, 1.0, 51)[1:]
     edges = np.append(SCORES, 1.0 + SCORES[1]) - SCORES[1] / 2.0
     p1 = np.histogram(np.multiply.outer(shares, here), edges)[0] / (shares.size * len(here))
     p0 = (1.0 + SCORES / (count * mean)) ** (-count - 1.0)
     ratio = log_ratio(p1, p0 / p0.sum())
-    least = math.log(SETTINGS.false_seen * (1.0 - SETTINGS.in_view) / SETTINGS.in_view)
+    least = math.log(
+        TARGET_CONFIG.false_seen * (1.0 - TARGET_CONFIG.in_view) / TARGET_CONFIG.in_view
+    )
     tells = float(np.interp(here.max(), SCORES, ratio)) > least
-    return np.clip(ratio, math.log(SETTINGS.hidden), 50.0) if tells else None
+    return np.clip(ratio, math.log(MAP_CONFIG.hidden), 50.0) if tells else None

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from smal.camera import Image
 from smal.features.resizing import SHAPE
-from smal.settings import SETTINGS
 from smal.sought.score import SCORES, Said
 
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
@@ -54,6 +53,34 @@ class Window(NamedTuple):
     low: float  # Below the middle what speaks is, as a share of the height, -0.5 to 0.5.
 
 
+@dataclass(frozen=True)
+class TargetConfig:
+    """Numbers by which the target is learned and seen."""
+
+    #: Time of driving before the end of a drive in which the target may be seen well.
+    approach_s: float = 4.0
+    beside_s: float = 3.0  # Time of driving within which views show the same things.
+    explaining: int = 60  # Views of the way that explain others.
+    #: Share of the cells of the way that are nearer to the rest of it: a cell that is less near stands out.
+    stands_out: float = 0.98
+    far: float = 0.999  # The same, for a cell that is not alike.
+    #: Share of how far a cell is from the way within which it is like what is followed.
+    like: float = 0.7
+    sizes: int = 4  # Windows of different sizes.
+    plain: float = 4.0  # Contrast of a picture, of 255, below which it shows nothing.
+    #: Mean score without the target in view, at least, as a share of the best one of the approach: round the end there
+    #: are things that the way does not show.
+    least_score: float = 0.025
+    same_moment_s: float = 0.5  # Views of so long a time count together as one.
+    #: Probability that the target is in view of a robot that has arrived and looks around.
+    in_view: float = 0.2
+    false_seen: float = 40.0  # How much worse a false report of the target is than to look on.
+    low: float = 0.1  # How low in the view it is shows how near it is, where that is so much at the end of the way.
+
+
+TARGET_CONFIG: Final = TargetConfig()
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is sought, what else there is, and what a score says."""
@@ -84,7 +111,7 @@ class Sight:
             and self.windows.shape[1:] == (2,)
             and self.windows.dtype.kind == "i"
             and bool(((self.windows > 0) & (self.windows <= np.array(SHAPE) // 2)).all())
-            and 0 < len(self.windows) <= SETTINGS.sizes,
+            and 0 < len(self.windows) <= TARGET_CONFIG.sizes,
             "far": 1e-6 < self.far < 1e3,
             "size": 0.0 < self.size < 1e4,
             "low": -0.5 <= self.low <= 0.5,
@@ -101,7 +128,7 @@ class Sight:
 
     def says(self, picture: Image) -> Said | None:
         """Return what a small picture says; None where nothing shows."""
-        if float(picture.std()) < SETTINGS.plain:
+        if float(picture.std()) < TARGET_CONFIG.plain:
             return None
         speaks = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
         found = best_window(speaks, self.windows)

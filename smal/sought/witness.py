@@ -9,9 +9,8 @@ import numpy as np
 
 from smal.camera import Image
 from smal.features.detectors import Detection
-from smal.settings import SETTINGS
 from smal.sought.score import Said
-from smal.sought.sight import Sight
+from smal.sought.sight import TARGET_CONFIG, Sight
 from smal.sought.word import Word
 
 
@@ -46,19 +45,19 @@ class Witness:
         left = None
         if said is not None:
             self._said.append((time_s, said))
-            while self._said[0][0] < time_s - 0.99 * SETTINGS.same_moment_s:
+            while self._said[0][0] < time_s - 0.99 * TARGET_CONFIG.same_moment_s:
                 self._said.popleft()
             near = float(np.mean([one.near for _, one in self._said]))
             left = said.left if said.log_ratio > 0.0 else None
         # Views of one moment are no independent witnesses: together they say what one says.
         mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
-        odds = SETTINGS.in_view / (1.0 - SETTINGS.in_view) * math.exp(min(mean, 50.0))
+        odds = TARGET_CONFIG.in_view / (1.0 - TARGET_CONFIG.in_view) * math.exp(min(mean, 50.0))
         return Glimpse(odds / (1.0 + odds), near, left)
 
     def _says(self, picture: Image, detected: Iterable[Detection]) -> Said | None:
         """Return what both say together: their log ratios add up, and where it is tells the one that says most."""
         if self._sight is None:
-            patch = None if float(picture.std()) < SETTINGS.plain else Said(0.0, 0.0, 0.0)
+            patch = None if float(picture.std()) < TARGET_CONFIG.plain else Said(0.0, 0.0, 0.0)
         else:
             patch = self._sight.says(picture)
         if patch is None or self._word is None:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,41 @@ from scipy.optimize import isotonic_regression
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.files.packed import unpacked
-from smal.likelihood import Likelihood, evenly, over, scale, standing_out
+from smal.keyframes import MapConfig
+from smal.likelihood import Likelihood, evenly, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
-from smal.settings import SETTINGS
 
 Describe = Callable[[Iterable[Image]], NDArray[np.float32]]  # Centred features (n, m) of n images.
-#: Turns from one view to another that a fit tries: those over which views overlap.
-_TURNS_RAD = np.radians(np.geomspace(1.0, SETTINGS.overlap_deg, 23)).tolist()
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """Numbers by which views of drives measure the camera, the scene and how alike views are."""
+
+    #: Fields of view that are tried, of rectilinear and of equidistant lenses: those of cameras on robots.
+    fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
+    wide_fields_deg: tuple[float, ...] = tuple(range(80, 205, 5))
+    #: Heights of the camera that are tried, in correlation lengths, and distances of the scene in heights.
+    heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
+    distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
+    pairs: int = 24  # Pairs of views that a fit looks at: more change nothing that is seen.
+    most_apart: int = 100  # Frames between the two views of a pair.
+    tells_camera_deg: float = 9.0  # A larger turn shows the camera.
+    tells_scene_deg: float = 25.0  # A step with a smaller turn shows the scene.
+    tells_turn_deg: float = 15.0  # Atoms that turn by so much together show how far one turns.
+    same_deg: float = 3.0  # Turned by less, a view is the same.
+    reach: float = 0.2  # Views of one place are looked for over this share of the longest way.
+    most_frames: int = (
+        1000  # Frames of a drive that are compared: time grows with the square; a millisecond each.
+    )
+
+
+CALIBRATION: Final = CalibrationConfig()
 #: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.
-USUAL_CAMERAS = (
-    Camera.of_field(SETTINGS.usual_field_deg),
-    Camera.of_field(SETTINGS.usual_wide_field_deg, "equidistant"),
-)
+USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
+#: Turns from one view to another that a fit tries: those over which views overlap.
+_OVERLAP_DEG: Final = float(TURNS_DEG[-1])
+_TURNS_RAD: Final = np.radians(np.geomspace(1.0, _OVERLAP_DEG, 23)).tolist()
 
 
 class _Pair(NamedTuple):
@@ -58,6 +81,7 @@ class TaughtFrames:
     movements: NDArray[np.float64]
     odometry: bool = True
     camera: Camera | None = None
+    config: CalibrationConfig = CALIBRATION
 
     @cached_property
     def car(self) -> bool:
@@ -83,7 +107,7 @@ class TaughtFrames:
         """Find for each frame the next one of its drive whose way and turn from it are wanted."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
-            last = frame + 1 + SETTINGS.most_apart
+            last = frame + 1 + self.config.most_apart
             after = np.flatnonzero(self.drives[frame + 1 : last] == self.drives[frame]) + frame + 1
             steps = seen_from(self.poses[after], self.poses[frame])
             good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
@@ -93,7 +117,9 @@ class TaughtFrames:
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene under which the first views of pairs predict the second ones best."""
-        return _best(self.images, self.describe, [(scene, 1.0) for scene in scenes], pairs)[0]
+        return _best(
+            self.images, self.describe, [(scene, 1.0) for scene in scenes], pairs, self.config
+        )[0]
 
 
 def _best(
@@ -101,9 +127,10 @@ def _best(
     describe: Describe,
     guesses: Sequence[tuple[Scene, float]],
     pairs: Sequence[_Pair],
+    config: CalibrationConfig,
 ) -> tuple[Scene, float]:
     """Return the scene and the length of the steps' unit by which first views of pairs predict the second ones best."""
-    some = [pairs[k] for k in evenly(len(pairs), SETTINGS.pairs)]
+    some = [pairs[k] for k in evenly(len(pairs), config.pairs)]
     seen = [(images[pair.frame], describe([images[pair.other]])[0], pair.step) for pair in some]
 
     def score(guess: tuple[Scene, float]) -> float:
@@ -124,29 +151,29 @@ def _far(camera: Camera) -> Scene:
 
 def fit_camera(frames: TaughtFrames) -> Camera:
     """Find the camera by how turns, those with the least way, move what it sees; without any it is a usual one."""
-    turns = frames.pairs(lambda _, turn: turn > math.radians(SETTINGS.tells_camera_deg))
+    turns = frames.pairs(lambda _, turn: turn > math.radians(frames.config.tells_camera_deg))
     if not turns:
         return USUAL_CAMERAS[0]
     turns.sort(key=lambda pair: math.hypot(*pair.step[:2]))
-    least = turns[: max(SETTINGS.pairs, len(turns) // 10)]
-    cameras = [Camera.of_field(field) for field in SETTINGS.fields_deg]
-    cameras += [Camera.of_field(field, "equidistant") for field in SETTINGS.wide_fields_deg]
-    return frames.best(
-        [_far(one) for one in cameras],
-        [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least],
-    ).camera
+    least = turns[: max(frames.config.pairs, len(turns) // 10)]
+    cameras = [Camera.of_field(field) for field in frames.config.fields_deg]
+    cameras += [Camera.of_field(field, "equidistant") for field in frames.config.wide_fields_deg]
+    steps = [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least]
+    return frames.best([_far(one) for one in cameras], steps).camera
 
 
 def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
     """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best."""
     steps = frames.pairs(
-        lambda way, turn: (way > 0.5 * length) & (turn < math.radians(SETTINGS.tells_scene_deg))
+        lambda way, turn: (
+            (way > 0.5 * length) & (turn < math.radians(frames.config.tells_scene_deg))
+        )
     )
     if not steps:
         return Scene(camera, length / 3.0, length * 4.0)
-    heights = [length * share for share in SETTINGS.heights]
+    heights = [length * share for share in frames.config.heights]
     scene = frames.best(
-        [Scene(camera, h, h * far) for h in heights for far in SETTINGS.distances], steps
+        [Scene(camera, h, h * far) for h in heights for far in frames.config.distances], steps
     )
     return frames.best(
         [replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps
@@ -158,6 +185,7 @@ def turn_of_views(
     atoms: Sequence[NDArray[np.int8]],
     cameras: Sequence[Camera],
     describe: Describe,
+    config: CalibrationConfig = CALIBRATION,
 ) -> tuple[Camera, float] | None:
     """Measure how far an atom of turning turns, by the turn under which views predict each other best.
 
@@ -174,7 +202,7 @@ def turn_of_views(
     found = None
     for _ in range(2):
         count = (
-            1 if found is None else max(1, round(math.radians(SETTINGS.tells_turn_deg) / found[1]))
+            1 if found is None else max(1, round(math.radians(config.tells_turn_deg) / found[1]))
         )
         same = np.flatnonzero(
             np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count
@@ -182,7 +210,7 @@ def turn_of_views(
         if not same.size:
             break
         turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
-        scene, turn_rad = _best(images, describe, guesses, turns)
+        scene, turn_rad = _best(images, describe, guesses, turns, config)
         found = scene.camera, turn_rad / count
     return found
 
@@ -199,20 +227,20 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     blind = True
     for drive in np.unique(frames.drives):
         every = np.flatnonzero(frames.drives == drive)
-        some = every[_near_and_far(every.size, SETTINGS.most_frames)]
+        some = every[_near_and_far(every.size, frames.config.most_frames)]
         apart, turned = frames.apart(some)
         if not apart.any():
             continue
         centred = frames.centred(some)
         alike = centred @ centred.T
         blind &= not centred.any()
-        near = apart < SETTINGS.reach * apart.max()
-        same = near & (turned < math.radians(SETTINGS.same_deg))
+        near = apart < frames.config.reach * apart.max()
+        same = near & (turned < math.radians(frames.config.same_deg))
         ways.append(apart[same])
         cosines.append(alike[same])
         distant.append(alike[apart >= 0.1 * apart.max()])
         curves.append(
-            some[np.argwhere(np.triu(near & ~same & (turned < math.radians(SETTINGS.overlap_deg))))]
+            some[np.argwhere(np.triu(near & ~same & (turned < math.radians(_OVERLAP_DEG))))]
         )
     if not ways:
         raise ValueError("the robot does not move in any demonstration")
@@ -262,7 +290,7 @@ def _turns_undone(
     frames: TaughtFrames, camera: Camera, pairs: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compare frames, the first as it would have been seen with the second's heading: distances, cosines."""
-    first, second = pairs[evenly(len(pairs), SETTINGS.most_pairs)].T
+    first, second = pairs[evenly(len(pairs), frames.config.most_frames // 2)].T
     steps = frames.poses[second] - frames.poses[first]
 
     def cosine(pair: tuple[int, int, float]) -> float:
@@ -276,7 +304,7 @@ def _turns_undone(
 
 def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> float:
     """Measure the turn (radians) after which a view is half way from itself to the mean cosine of unrelated views."""
-    some = evenly(len(frames.images), SETTINGS.pairs).tolist()
+    some = evenly(len(frames.images), frames.config.pairs).tolist()
     own = frames.centred(some)
     images = [frames.images[k] for k in some]
 
@@ -306,13 +334,57 @@ def _half_way(
     return float(np.interp(-(best + unrelated) / 2.0, -falling.x[firsts], middles))
 
 
+@dataclass(frozen=True, eq=False)
+class _Looks:
+    """The views of k keyframes as a robot at each of them sees them."""
+
+    poses: NDArray[np.float64]  # (k, 3)
+    drives: NDArray[np.int32]  # (k,)
+    views: NDArray[np.int8]  # (k, 3, turns, r)
+    own: NDArray[np.float32]  # (k, r) straight ahead from the keyframe itself.
+    sample: NDArray[np.float32]  # Views that are the sample of elsewhere.
+
+    def stands_out(self, cosines: NDArray[Any], key: int) -> NDArray[Any]:
+        """Return by how much cosines with the view of a keyframe stand out."""
+        return standing_out(cosines, self.sample @ self.own[key])
+
+    def neighbours(self, key: int) -> list[int]:
+        """Return the keyframes before and after one on its drive."""
+        near = range(max(key - 1, 0), min(key + 2, len(self.drives)))
+        return [other for other in near if other != key and self.drives[other] == self.drives[key]]
+
+    def far(self, key: int, least: float) -> NDArray[np.bool_]:
+        """Return which keyframes of the same drive are further away than this."""
+        apart = np.hypot(*(self.poses - self.poses[key])[:, :2].T)
+        return np.asarray((self.drives == self.drives[key]) & (apart > least))
+
+    def beside(self, key: int, other: int) -> float | None:
+        """Return by how much a neighbour's view, turned as the robot is, stands out; None beyond all its views."""
+        turned = math.degrees(seen_from(self.poses[other], self.poses[key])[2])
+        turn = STRAIGHT - round(turned / STEP_DEG)
+        if not 0 <= turn < TURNS_DEG.size:
+            return None
+        cosine = unpacked(self.views[other, 1, turn]) @ self.own[key]
+        return float(self.stands_out(cosine, key))
+
+    def both(self, key: int, far: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return what a keyframe and the next say of places far away and of the next ones there, (2, n)."""
+        on = np.flatnonzero(far[:-1] & far[1:] & (np.diff(self.drives) == 0))
+        here, after = (self.stands_out(self.own @ self.own[k], k) for k in (key, key + 1))
+        return np.stack([here[on], after[on + 1]])
+
+
 def likelihood_of_views(
-    frames: TaughtFrames, keyframes: NDArray[np.int32], views: NDArray[np.int8], length: float
+    frames: TaughtFrames,
+    keyframes: NDArray[np.int32],
+    views: NDArray[np.int8],
+    length: float,
+    config: MapConfig,
 ) -> tuple[Likelihood, float]:
     """Measure on keyframes (k,) and their views (k, 3, turns, r) what views say, and how far neighbours say the same.
 
     Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is
-    `Settings.elsewhere` away on the same drive another one. Without such places (a short drive in one room)
+    `MapConfig.elsewhere` away on the same drive another one. Without such places (a short drive in one room)
     elsewhere is what a normal distribution says. What a keyframe and the next say of such places correlates by the
     second value. ValueError if no keyframe has a neighbour.
     """
@@ -320,35 +392,24 @@ def likelihood_of_views(
     drives = frames.drives[keyframes]
     count = len(views)
     own = unpacked(views[:, 1, STRAIGHT])
-    sample = own[evenly(count, SETTINGS.reference)]
-    some = evenly(count, SETTINGS.most_frames)
+    looks = _Looks(poses, drives, views, own, own[evenly(count, config.reference)])
+    some = evenly(count, frames.config.most_frames)
     places = unpacked(views[some])
-    here = []
+    here: list[float | None] = []
     elsewhere = []
     alike = []
     chains: list[NDArray[Any]] = [np.empty((2, 0))]
-    for k in evenly(count, SETTINGS.most_frames // 4).tolist():
-        compared = scale(sample @ own[k])
-        steps = seen_from(poses, poses[k])
-        far = (drives == drives[k]) & (
-            np.hypot(steps[:, 0], steps[:, 1]) > SETTINGS.elsewhere * length
-        )
-        elsewhere.append(over(places[far[some]] @ own[k], *compared).ravel())
-        beside = [
-            other for other in (k - 1, k + 1) if 0 <= other < count and drives[other] == drives[k]
-        ]
-        for other in beside:
-            turn = STRAIGHT - round(math.degrees(steps[other, 2]) / STEP_DEG)
-            if 0 <= turn < TURNS_DEG.size:
-                cosine = unpacked(views[other, 1, turn]) @ own[k]
-                here.append(float(over(cosine, *compared)))
-        if k + 1 in beside:
-            first, second = frames.centred(keyframes[k : k + 2])
+    for key in evenly(count, frames.config.most_frames // 4).tolist():
+        far = looks.far(key, config.elsewhere * length)
+        elsewhere.append(looks.stands_out(places[far[some]] @ own[key], key).ravel())
+        neighbours = looks.neighbours(key)
+        here += [looks.beside(key, other) for other in neighbours]
+        if key + 1 in neighbours:
+            first, second = frames.centred(keyframes[key : key + 2])
             alike.append(float(first @ second))
-            after = standing_out(own @ own[k + 1], sample @ own[k + 1])
-            on = np.flatnonzero(far[:-1] & far[1:] & (drives[:-1] == drives[1:]))
-            chains.append(np.stack([over(own @ own[k], *compared)[on], after[on + 1]]))
-    if not here:
+            chains.append(looks.both(key, far))
+    shown = [z for z in here if z is not None]
+    if not shown:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
@@ -364,7 +425,7 @@ def likelihood_of_views(
     told = pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all())
     correlation = min(max(float(np.corrcoef(pairs)[0, 1]) if told else 0.5, 0.01), 0.99)
     gamma = gamma_of(float(np.mean(alike)), correlation)
-    return Likelihood.fit(np.array(here), apart, independent, gamma), correlation
+    return Likelihood.fit(np.array(shown), apart, independent, gamma, config), correlation
 
 
 def gamma_of(cosine: float, correlation: float) -> float:

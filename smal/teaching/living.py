@@ -11,7 +11,7 @@ The new map is taken only if runs that it has not learned from are no less proba
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,14 @@ from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.settings import SETTINGS
+from smal.teaching.calibration import CALIBRATION
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
 from smal.teaching.mapping import virtual_poses
+
+#: By so much, natural logarithms, a new map may make a view less likely: a hundredth of what views tell.
+_MAY_LOSE: Final = 0.05
+#: A further look is warped from a frame that is nearer to its keyframe than this, in correlation lengths.
+_LOOK_FROM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,7 @@ class Verdict:
     @property
     def better(self) -> bool:
         """Whether the new map is to be taken."""
-        return self.stretches > 0 and self.least > -SETTINGS.may_lose and not self.false_goals
+        return self.stretches > 0 and self.least > -_MAY_LOSE and not self.false_goals
 
 
 def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
@@ -119,17 +124,14 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
                 taught.described(model.centering.apply(run.features[frame]))
             )
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
-            if (
-                followed.says[frame] < usual / 2.0
-                and off < nearest.get(key, (SETTINGS.look_from,))[0]
-            ):
+            if followed.says[frame] < usual / 2.0 and off < nearest.get(key, (_LOOK_FROM,))[0]:
                 nearest[key] = off, run, frame, offset
     if not nearest:
         return model
     looks = in_parallel(lambda key: _look(model, *nearest[key][1:]), sorted(nearest))
     views = np.concatenate([taught.views, np.stack(list(looks))])
     of = np.append(taught.looks, sorted(nearest))
-    full = np.flatnonzero(np.bincount(of) == SETTINGS.looks).tolist()
+    full = np.flatnonzero(np.bincount(of) == taught.config.looks).tolist()
     rows = [
         _least(views, np.append(key, len(taught.keyframes) + np.flatnonzero(of == key)), seen[key])
         for key in full
@@ -145,7 +147,7 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
 def _usually_says(taught: VisualMap) -> float:
     """Return the log ratio by which the view of a keyframe speaks for the one before it, the median."""
     some = np.flatnonzero(np.diff(taught.key_drives) == 0)
-    some = some[evenly(some.size, SETTINGS.most_frames)]
+    some = some[evenly(some.size, CALIBRATION.most_frames)]
     views, after = (unpacked(taught.views[keys, 1, STRAIGHT]) for keys in (some, some + 1))
     z = [
         over(one @ other, *scale(taught.sample @ other))
@@ -190,7 +192,7 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
             dead_reckoning(run.atoms, taught.movements) if run.odometry is None else run.odometry
         )
         way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
-        parts = max(int(way / (SETTINGS.mended * taught.correlation_length)), 1)
+        parts = max(int(way / (taught.config.mended * taught.correlation_length)), 1)
         gains += [
             float(part.mean()) for part in np.array_split(after.evidence - before.evidence, parts)
         ]

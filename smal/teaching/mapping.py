@@ -18,12 +18,12 @@ from smal.features.detectors import Detection
 from smal.features.extraction import Parallel, detect, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
+from smal.keyframes import MAP_CONFIG, MapConfig, leads_on, shows_same
 from smal.likelihood import evenly
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
-from smal.movement import Atom, dead_reckoning, leads_on, shows_same
-from smal.obstacles.strange import Ground, colours_of, extreme, patches, swept
-from smal.settings import SETTINGS
+from smal.movement import Atom, dead_reckoning
+from smal.obstacles.strange import GROUND_CONFIG, Ground, colours_of, extreme, patches, swept
 from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
 from smal.sought.word import Word
@@ -61,6 +61,7 @@ def learn(
     tick_s: float = 0.1,
     progress: Progress = lambda _stage, _done, _total: None,
     parallel: Parallel = in_parallel,
+    config: MapConfig = MAP_CONFIG,
 ) -> Model:
     """Make a map of those drives of one robot that reached the goal and have images.
 
@@ -69,41 +70,27 @@ def learn(
 
     `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with the
     stage ("frames", "views" of keyframes), done and total. What takes long of each image is done by `parallel`, by
-    threads if not given.
+    threads if not given. The model keeps the `config`.
     ValueError where there is no such drive, or none that goes anywhere, or features do not fit, or need depth.
     """
     features = FeatureSettings() if features is None else features
-    check_features(demonstrations, features.size)
-    if features.needs != {"color"}:
-        raise ValueError(
-            "views from where nobody drove have no depth: a map is of color images alone"
-        )
-    if not (math.isfinite(tick_s) and tick_s > 0.0):
-        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
-    whole = drives_to_goals(demonstrations)
-    if not whole:
-        raise ValueError("no drive reached the goal and has images")
+    whole = _drives_to_map(demonstrations, features, tick_s)
     taught = [drive for _, drive in whole]
     rows = (row[None] for one in taught for row in every(one.features, parallel))
     centering = Centering.fit(
         _told(progress, "frames", rows, sum(len(one.atoms) for one in taught)), features
     )
-    frames = _frames(taught, centering, tick_s)
+    frames = _frames(taught, centering, tick_s, config)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
-    for drive, (names, _) in enumerate(whole):
-        extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
-        if np.hypot(*extent) < length / SETTINGS.views_a_length:
-            raise ValueError(
-                f"demonstration {names[0]}: the robot hardly moves in it; leave it out"
-            )
-    aside = SETTINGS.aside * length
+    _check_extent(frames, [names[0] for names, _ in whole], length / config.views_a_length)
+    aside = config.aside * length
     scene = fit_scene(frames, camera, length)
-    keyframes = _choose_keyframes(frames.poses, frames.drives, length)
+    keyframes = _choose_keyframes(frames.poses, frames.drives, length, config)
     views, basis = _make_views(
-        frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel
+        frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel, config
     )
-    likelihood, correlation = likelihood_of_views(frames, keyframes, views, length)
+    likelihood, correlation = likelihood_of_views(frames, keyframes, views, length, config)
     visual_map = VisualMap(
         poses=frames.poses,
         drives=frames.drives,
@@ -124,10 +111,36 @@ def learn(
         goals=tuple(one.goal for one in taught),
         names=tuple(names for names, _ in whole),
         size=(frames.images[0].shape[1], frames.images[0].shape[0]),
+        config=config,
     )
     boxes = [one.box for one in taught]
     visual_map = stitched(visual_map)
     return Model(centering, visual_map, *_seen(frames.images, visual_map, boxes, features))
+
+
+def _drives_to_map(
+    demonstrations: Sequence[Demonstration], features: FeatureSettings, tick_s: float
+) -> list[tuple[tuple[str, ...], Demonstration]]:
+    """Return the drives that a map is made of, each with its names; ValueError as `learn`."""
+    check_features(demonstrations, features.size)
+    if features.needs != {"color"}:
+        raise ValueError(
+            "views from where nobody drove have no depth: a map is of color images alone"
+        )
+    if not (math.isfinite(tick_s) and tick_s > 0.0):
+        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
+    whole = drives_to_goals(demonstrations)
+    if not whole:
+        raise ValueError("no drive reached the goal and has images")
+    return whole
+
+
+def _check_extent(frames: TaughtFrames, names: Sequence[str], least: float) -> None:
+    """ValueError for a drive in which the robot moves less far."""
+    for drive, name in enumerate(names):
+        extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
+        if np.hypot(*extent) < least:
+            raise ValueError(f"demonstration {name}: the robot hardly moves in it; leave it out")
 
 
 def fit(
@@ -181,27 +194,32 @@ def _described(centering: Centering, views: Iterable[Image]) -> NDArray[np.float
     return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
 
 
-def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float) -> TaughtFrames:
+def _centred(
+    centering: Centering, features: Sequence[NDArray[np.float32]], some: Iterable[int]
+) -> NDArray[np.float32]:
+    return centering.apply(np.stack([features[frame] for frame in some]))
+
+
+def _frames(
+    taught: Sequence[Demonstration], centering: Centering, tick_s: float, config: MapConfig
+) -> TaughtFrames:
     """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
-    images = chained([one.images for one in taught if one.images is not None])
+    images = chained(list(_known(one.images for one in taught)))
     features = chained([one.features for one in taught])
-    camera = next((one.camera for one in taught if one.camera is not None), None)
+    cameras = list(_known(one.camera for one in taught))
+    camera = cameras[0] if cameras else None
     atoms = [one.atoms for one in taught]
 
-    def centred(some: Iterable[int]) -> NDArray[np.float32]:
-        return centering.apply(np.stack([features[frame] for frame in some]))
-
+    centred = partial(_centred, centering, features)
     describe = partial(_described, centering)
-    ways = [
-        np.asarray(one.odometry, dtype=np.float64) for one in taught if one.odometry is not None
-    ]
+    ways = [np.asarray(way, dtype=np.float64) for way in _known(one.odometry for one in taught)]
     odometry = len(ways) == len(taught)
     if odometry:
         movements = atom_movements(ways, atoms)
     else:
-        cameras = USUAL_CAMERAS if camera is None else (camera,)
-        usual = cameras[0], math.radians(SETTINGS.usual_turn_deg_s) * tick_s
-        camera, turn_rad = turn_of_views(images, atoms, cameras, describe) or usual
+        tried = tuple(cameras[:1]) or USUAL_CAMERAS
+        usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
+        camera, turn_rad = turn_of_views(images, atoms, tried, describe) or usual
         ahead = _ahead_in_turns(taught)
         movements = np.array(
             [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
@@ -211,6 +229,10 @@ def _frames(taught: Sequence[Demonstration], centering: Centering, tick_s: float
     return TaughtFrames(
         images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera
     )
+
+
+def _known(each: Iterable[T | None]) -> Iterator[T]:
+    return (one for one in each if one is not None)
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
@@ -274,27 +296,27 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     colours = np.stack([colours_of(one) for one in pictures])
 
     def strangest(key: int) -> float:
-        others = np.setdiff1d(beside(mapped, key), key)
+        others = np.setdiff1d(beside(mapped, key, GROUND_CONFIG.keyframes), key)
         way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
         return float(patches(pictures[key], colours[others], way, mapped.scene)[1].max(initial=0.0))
 
     # Of a drive of one keyframe nothing is left.
     alone = mapped.key_range[0] == mapped.key_range[1]
     scores = list(in_parallel(strangest, np.flatnonzero(~alone).tolist()))
-    return Ground(colours, max(extreme(scores), SETTINGS.least_strange))
+    return Ground(colours, max(extreme(scores), GROUND_CONFIG.least))
 
 
 def _choose_keyframes(
-    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float, config: MapConfig
 ) -> NDArray[np.int32]:
     """Take the first and last frame of each drive, and all that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
-    for frame in np.flatnonzero(leads_on(poses, drives, length)):
+    for frame in np.flatnonzero(leads_on(poses, drives, length, config)):
         if (
             ends[frame]
             or ends[frame + 1]
-            or not shows_same(poses[frame, None], poses[chosen[-1]], length)[0]
+            or not shows_same(poses[frame, None], poses[chosen[-1]], length, config)[0]
         ):
             chosen.append(int(frame))
     return np.array(chosen, dtype=np.int32)
@@ -338,14 +360,15 @@ def _make_views(
     views_of: Callable[[Task], NDArray[np.float32]],
     progress: Progress,
     parallel: Parallel,
+    config: MapConfig,
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     each = len(virtual_poses(0.0))
-    sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
+    sample = keyframes[evenly(keyframes.size, max(1, config.sampled_views // each))].tolist()
     first = parallel(views_of, tasks_of(frames.images, sample))
     made = dict(zip(sample, _told(progress, "views", first, keyframes.size), strict=True))
-    basis = _components(np.concatenate(list(made.values())))
+    basis = _components(np.concatenate(list(made.values())), config)
     others = [frame for frame in keyframes.tolist() if frame not in made]
     further = parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others))
     further = _told(progress, "views", further, keyframes.size, len(made))
@@ -358,18 +381,18 @@ def _make_views(
     return views, basis
 
 
-def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
+def _components(sample: NDArray[np.float32], config: MapConfig) -> NDArray[np.float32]:
     """Return the leading principal components of rows (s, m), (m, r), those of much variance made smaller."""
     products = sample @ sample.T
     # All components take three times as long.
     values, vectors = eigh(
-        products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1]
+        products, subset_by_index=[max(0, len(sample) - config.most_components), len(sample) - 1]
     )
     kept = values > 1e-6 * values[-1]
     values = values[kept][::-1]
     vectors = vectors[:, kept][:, ::-1]
     # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
-    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + SETTINGS.whitened)).astype(
+    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + config.whitened)).astype(
         np.float32
     )
     return basis

@@ -2,11 +2,20 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.movement import Atom, Movement
+
+#: The opposite of each atom, and how the way ahead and the turn of the two compare.
+_MIRRORED: Final = {
+    Atom.LEFT: (Atom.RIGHT, (1.0, -1.0)),
+    Atom.RIGHT: (Atom.LEFT, (1.0, -1.0)),
+    Atom.FORWARD: (Atom.BACKWARD, (-1.0, -1.0)),
+    Atom.BACKWARD: (Atom.FORWARD, (-1.0, -1.0)),
+}
 
 
 def atom_movements(
@@ -48,11 +57,7 @@ def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[
     if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
         found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]
         table[Atom.FORWARD, 0] = np.median(bends[:, 0]) if len(bends) else 0.0
-    for one, other, mirror in (
-        (Atom.LEFT, Atom.RIGHT, (1.0, -1.0)),
-        (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0)),
-    ):
-        for this, opposite in ((one, other), (other, one)):
-            if not len(found[this]) and len(found[opposite]):
-                table[this] = table[opposite] * mirror
+    for this, (opposite, mirror) in _MIRRORED.items():
+        if not len(found[this]) and len(found[opposite]):
+            table[this] = table[opposite] * mirror
     return table

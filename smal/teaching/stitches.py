@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from smal.camera import STEP_DEG, STRAIGHT
 from smal.features.extraction import in_parallel
-from smal.files.packed import unpacked
+from smal.files.packed import BATCH, unpacked
 from smal.likelihood import ANY_DAY, standing_out
 from smal.map import VisualMap
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
-from smal.settings import SETTINGS
 
 #: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
 _Stitch = tuple[int, int, list[float]]
@@ -60,7 +59,7 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
     offsets = np.zeros((count, goals, 3))
 
     def compare(start: int) -> None:
-        own = unpacked(visual_map.views[start : start + SETTINGS.compared_at_once, 1, STRAIGHT])
+        own = unpacked(visual_map.views[start : start + BATCH, 1, STRAIGHT])
         some = np.unique(np.concatenate([visual_map.likely(view)[0] for view in own]))
         views = unpacked(visual_map.views[some])
         together = (views.reshape(-1, own.shape[1]) @ own.T).reshape(*views.shape[:3], -1)
@@ -80,7 +79,7 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
                     turned = math.radians((_peak(there[k, p], t) - STRAIGHT) * STEP_DEG)
                     offsets[here, drive] = 0.0, left, turned
 
-    for _ in in_parallel(compare, range(0, count, SETTINGS.compared_at_once)):
+    for _ in in_parallel(compare, range(0, count, BATCH)):
         pass
     return best, offsets
 
@@ -100,12 +99,15 @@ def _runs(visual_map: VisualMap, best: _Indices, one: int, other: int) -> list[_
     here = np.flatnonzero(visual_map.key_drives == one)
     there = best[here, other]
     back = np.where(there >= 0, best[there, one], -1)
-    mutual = (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
+    mutual = (back >= 0) & (np.abs(back - here) <= visual_map.config.advance)
     goes_on = (
-        mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= SETTINGS.advance)
+        mutual[:-1]
+        & mutual[1:]
+        & (np.diff(there) >= 0)
+        & (np.diff(there) <= visual_map.config.advance)
     )
     runs = np.split(here, np.flatnonzero(~goes_on) + 1)
-    return [run for run in runs if run.size > SETTINGS.views_a_length]
+    return [run for run in runs if run.size > visual_map.config.views_a_length]
 
 
 def _reachable(
@@ -122,7 +124,7 @@ def _reachable(
         ]
         apart = [_off(visual_map, there, robot, *pair) for pair in pairs]
         # From the nearest stretch, where the least of drifting has happened.
-        if not apart or min(apart)[1] < SETTINGS.trusted:
+        if not apart or min(apart)[1] < visual_map.config.trusted:
             kept.append(run)
     return kept
 
@@ -146,7 +148,7 @@ def _off(
         turns += float(np.abs(wrapped(steps[:, 2])).sum())
     # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
     heading = math.sqrt(
-        math.radians(SETTINGS.drift_deg) ** 2 * way / length
+        math.radians(noise.drift_deg) ** 2 * way / length
         + (noise.turn * turns) ** 2
         + math.radians(STEP_DEG) ** 2
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from smal.settings import SETTINGS
+from smal.keyframes import MapConfig
 from tests.benchmarks.bus import benchmark as bus
 from tests.benchmarks.places import benchmark as places
 from tests.benchmarks.recognition import benchmark as recognition
@@ -68,7 +68,7 @@ def test_recognition_is_measured(
 
 
 def test_the_way_is_followed_and_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route, "SETTINGS", SETTINGS.__class__(most_components=200))
+    monkeypatch.setattr(route, "MAP_CONFIG", MapConfig(most_components=200))
     monkeypatch.setattr(route, "IMAGE", (ROWS, COLUMNS))
     monkeypatch.setattr(route, "_FEATURES", COLOR)
     file = tmp_path / "results.json"

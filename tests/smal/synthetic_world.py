@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from unittest.mock import patch
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from smal.camera import Camera, Scene
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
+from smal.keyframes import MapConfig
 from smal.map import VisualMap
 from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
-from smal.settings import SETTINGS
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
@@ -212,9 +212,6 @@ def taught(
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     with ExitStack() as changed:
-        changed.enter_context(
-            patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
-        )
         if scene is not None:
             changed.enter_context(
                 patch("smal.teaching.mapping.fit_camera", lambda *_: scene.camera)
@@ -234,6 +231,7 @@ def taught(
             ],
             settings,
             1.0 / rate_hz,
+            config=MapConfig(sampled_views=500),
         )
     return found.mapped, found.centering
 

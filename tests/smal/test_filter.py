@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from smal.filter import Belief, Filter
 from smal.map import VisualMap
 from smal.movement import STILL, Movement, placed
 from smal.particles import Particles
-from smal.settings import SETTINGS
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,
@@ -269,7 +267,7 @@ def elsewhere(seed: int) -> tuple[list[float], Filter]:
 @pytest.mark.parametrize("turn_deg", [-90.0, 180.0])
 def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
     away = (
-        1.0 + 1.3 * SETTINGS.elsewhere * usual_map()[0].correlation_length
+        1.0 + 1.3 * usual_map()[0].config.elsewhere * usual_map()[0].correlation_length
     )  # It may first go back to the start.
     assert follow(drive(way=((1.0, 0.0), (0.0, turn_deg), (away, 0.0))))[-1].lost > 0.95
 
@@ -340,10 +338,11 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(
 
 @pytest.mark.parametrize("to", [72, 115])
 def test_of_a_long_way_the_place_is_found_among_a_few(to: int) -> None:
-    with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
-        found = Filter(*usual_map())
-        follow(drive(way=((1.0, 0.0),)), found)
-        arrives(to, found, 2.0)
+    visual_map, centering = usual_map()
+    few = replace(visual_map, config=replace(visual_map.config, looked_at=20))
+    found = Filter(few, centering)
+    follow(drive(way=((1.0, 0.0),)), found)
+    arrives(to, found, 2.0)
 
 
 @pytest.mark.parametrize("start", [25, 75])

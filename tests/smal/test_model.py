@@ -1,6 +1,8 @@
 """A model survives its file, and a damaged file is refused."""
 
 import dataclasses
+import json
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +14,12 @@ import pytest
 from smal.files import container
 from smal.files.container import ModelError, replacing
 from smal.files.stored import FORMAT_VERSION
+from smal.keyframes import MapConfig
+from smal.map import VisualMap
+from smal.model import Model
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import PaperModel
+from tests import corridor as visual_corridor
 from tests.smal.worlds import COLOR, corridor, drive
 
 
@@ -184,3 +190,29 @@ def test_what_would_be_too_large_to_read_is_not_written(
     with pytest.raises(ModelError, match="learn fewer drives"):
         model.save(saved)
     assert saved.read_bytes() == before
+
+
+def test_model_file_keeps_the_map_config(tmp_path: Path) -> None:
+    taught = visual_corridor.model()
+    config = MapConfig(looks=2, hidden=0.2)
+    path = tmp_path / "map.smal"
+    dataclasses.replace(taught, mapped=dataclasses.replace(taught.mapped, config=config)).save(path)
+    assert Model.load(path).mapped.config == config
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("looks", 0), ("looks", 2.5), ("hidden", math.nan), ("reference", 10**9), ("leading", "64")],
+)
+def test_map_config_refuses_numbers_that_shape_no_map(name: str, number: object) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} must be above 0, at most [0-9.e+]+, got "):
+        MapConfig(**{name: number})  # type: ignore[arg-type]
+
+
+def test_model_file_with_an_unknown_config_is_refused() -> None:
+    numbers, arrays = visual_corridor.model().mapped.content()
+    read: dict[str, Any] = json.loads(json.dumps(numbers))
+    assert VisualMap.of_content(read, arrays).config == MapConfig()
+    read["config"]["unknown_number"] = 1
+    with pytest.raises(TypeError, match="unknown_number"):
+        VisualMap.of_content(read, arrays)

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.filter import Filter
-from smal.movement import Atom, dead_reckoning, leads_on, shows_same
+from smal.keyframes import leads_on, shows_same
+from smal.movement import Atom, dead_reckoning
 from smal.planning import Planner
 from tests.smal.synthetic_world import SCENE, START, Drive, Room, drive, driven, taught
 

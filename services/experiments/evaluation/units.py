@@ -41,6 +41,7 @@ from services.kit.jpeg import encode_jpeg
 from services.simulator.opening import BaseKind, open_simulation
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.simulation import Simulation
+from services.simulator.variation import clouded
 from smal.evaluation.teach_and_repeat import TeachAndRepeat
 from smal.features import Centering, FeatureSettings
 from smal.model import Model
@@ -140,8 +141,7 @@ def simulation_in(
         camera,
         base=site.base,
         shake=shake,
-        variation=variation,
-        clouds_seed=clouds_seed,
+        variation=variation if clouds_seed is None else clouded(variation, clouds_seed),
         depth=depth,
     )
 

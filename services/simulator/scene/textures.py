@@ -110,15 +110,15 @@ def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
 def _paving(
     rng: np.random.Generator,
     colour: Rgb,
-    rows: int,
-    columns: int,
+    grid: tuple[int, int],
     joint_px: int,
     *,
     running: bool = True,
     contrast: float = 0.05,
     upright: bool = False,
 ) -> Picture:
-    """Paint slabs, each a little different, with dark joints; `running` shifts every other row, `upright` turns all."""
+    """Paint slabs in rows and columns, with dark joints; `running` shifts every other row, `upright` turns all."""
+    rows, columns = grid
     height = _SHAPE[0] // rows
     width = _SHAPE[1] // columns
     tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))

@@ -48,17 +48,8 @@ def compose(
     outlines: Sequence[Outline], parts: Sequence[Outline]
 ) -> tuple[list[Building], Counter[str]]:
     """Return all buildings, those that parts cover to 70 % as parts; and how many parts are "used", or why not."""
-    counts: Counter[str] = Counter()
-    tree = STRtree([outline.shape for outline in outlines])
-    own: list[list[Outline]] = [[] for _ in outlines]
-    for part in parts:
-        hits = tree.query(part.shape, "intersects")
-        within = [(outlines[hit].shape.intersection(part.shape).area, int(hit)) for hit in hits]
-        area, index = max(within, default=(0.0, 0))
-        if area >= _WITHIN * part.shape.area:
-            own[index].append(part)
-        else:
-            counts["it is in no building"] += 1
+    own = _by_outline(outlines, parts)
+    counts = Counter({"it is in no building": len(parts) - sum(map(len, own))})
     found: list[Building] = []
     for outline, mine in zip(outlines, own, strict=True):
         covered = shapely.union_all([part.shape for part in mine])
@@ -71,6 +62,19 @@ def compose(
             counts["they cover too little of their building"] += len(mine)
             found += _buildings(outline.id, outline.shape, outline.tags)
     return found, +counts
+
+
+def _by_outline(outlines: Sequence[Outline], parts: Sequence[Outline]) -> list[list[Outline]]:
+    """Return the parts within each outline."""
+    tree = STRtree([outline.shape for outline in outlines])
+    own: list[list[Outline]] = [[] for _ in outlines]
+    for part in parts:
+        hits = tree.query(part.shape, "intersects")
+        within = [(outlines[hit].shape.intersection(part.shape).area, int(hit)) for hit in hits]
+        area, index = max(within, default=(0.0, 0))
+        if area >= _WITHIN * part.shape.area:
+            own[index].append(part)
+    return own
 
 
 def _buildings(number: int, shape: BaseGeometry, tags: Tags) -> Iterator[Building]:

@@ -128,23 +128,26 @@ class _Found:
         for element in processor:
             tags = dict(element.tags) if len(element.tags) else {}
             if isinstance(element, osmium.osm.Node):
-                if tags and element.location.valid():
-                    self._nodes.append(
-                        (element.id, (element.location.lon, element.location.lat), tags)
-                    )
+                self._node(element, tags)
             elif isinstance(element, osmium.osm.Way):
                 self._way(element, tags)
-            elif isinstance(element, osmium.osm.Relation) and tags.get("type") == "multipolygon":
-                roles = {
-                    member.ref: member.role for member in element.members if member.type == "w"
-                }
-                self._relations.append((element.id, roles, tags))
-                self._points += len(element.members)
+            elif isinstance(element, osmium.osm.Relation):
+                self._relation(element, tags)
             if self._points > MOST_POINTS:
                 raise WorldError(f"more than {MOST_POINTS:,} points; cut it smaller")
             if len(self._nodes) + len(self._ways) + len(self._relations) > MOST_ELEMENTS:
                 raise WorldError(f"more than {MOST_ELEMENTS:,} nodes and ways; cut it smaller")
         return processor.header.box()
+
+    def _node(self, node: osmium.osm.Node, tags: Tags) -> None:
+        if tags and node.location.valid():
+            self._nodes.append((node.id, (node.location.lon, node.location.lat), tags))
+
+    def _relation(self, relation: osmium.osm.Relation, tags: Tags) -> None:
+        if tags.get("type") == "multipolygon":
+            roles = {member.ref: member.role for member in relation.members if member.type == "w"}
+            self._relations.append((relation.id, roles, tags))
+            self._points += len(relation.members)
 
     def _way(self, way: osmium.osm.Way, tags: Tags) -> None:
         size = len(way.nodes)
@@ -188,23 +191,7 @@ class _Found:
         scale = metres_per_degree(float(origin[1]))
         x_min, y_min, x_max, y_max = ((degrees - origin) * scale).ravel().tolist()
         lines = {number: (points - origin) * scale for number, (points, _) in self._ways.items()}
-        relations: list[Element[BaseGeometry]] = []
-        drawn: set[int] = set()
-        points = 0
-        for number, roles, tags in self._relations:
-            points += sum(len(lines[ref]) for ref in roles if ref in lines)
-            try:
-                if points > MOST_POINTS:
-                    raise OutlineError("the file's relations have too many points")
-                relations.append(Element(number, self._area(lines, roles), tags))
-            except OutlineError as error:
-                self._broken.append(Unread(tags, str(error)))
-            else:
-                for ref in (ref for ref in roles if roles[ref] != "inner"):
-                    # It is another drawing of the relation where it is of the same kind of thing, or of nothing else.
-                    of = self._ways[ref][1]
-                    if of and (of == tags or _KIND_KEYS & of.keys() & tags.keys()):
-                        drawn.add(ref)
+        relations, drawn = self._put_together(lines)
         return Extract(
             bounds=(x_min, y_min, x_max, y_max),
             latitude_deg=float(origin[1]),
@@ -225,6 +212,26 @@ class _Found:
             ],
         )
 
+    def _put_together(
+        self, lines: Mapping[int, NDArray[np.float64]]
+    ) -> tuple[list[Element[BaseGeometry]], set[int]]:
+        """Return the relations, and which ways are drawn with them."""
+        relations: list[Element[BaseGeometry]] = []
+        drawn: set[int] = set()
+        points = 0
+        for number, roles, tags in self._relations:
+            points += sum(len(lines[ref]) for ref in roles if ref in lines)
+            try:
+                if points > MOST_POINTS:
+                    raise OutlineError("the file's relations have too many points")
+                relations.append(Element(number, self._area(lines, roles), tags))
+            except OutlineError as error:
+                self._broken.append(Unread(tags, str(error)))
+            else:
+                outer = {ref for ref, role in roles.items() if role != "inner"}
+                drawn |= {ref for ref in outer if _draws_again(self._ways[ref][1], tags)}
+        return relations, drawn
+
     def _area(
         self, lines: Mapping[int, NDArray[np.float64]], roles: Mapping[int, str]
     ) -> BaseGeometry:
@@ -237,6 +244,11 @@ class _Found:
             for hole in (False, True)
         )
         return _area_of_rings(outer, inner)
+
+
+def _draws_again(way: Tags, relation: Tags) -> bool:
+    """Return whether a tagged way draws a relation again: it is of the same kind of thing, or of nothing else."""
+    return bool(way) and (way == relation or bool(_KIND_KEYS & way.keys() & relation.keys()))
 
 
 def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> BaseGeometry:

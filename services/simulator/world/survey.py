@@ -1,6 +1,7 @@
 """From tagged nodes, ways and relations to the things of a terrain."""
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,15 @@ from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
-from services.simulator.world.osm import OPEN, Element, Extract, OutlineError, Points, only_areas
+from services.simulator.world.osm import (
+    OPEN,
+    Element,
+    Extract,
+    OutlineError,
+    Points,
+    Tags,
+    only_areas,
+)
 from services.simulator.world.place import polygons
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Planting, planted
 from services.simulator.world.roads import (
@@ -171,19 +180,21 @@ class _Survey:
             outlines = self._outlines if kind == "building" else self._parts
             outlines.append(Outline(element.id, MultiPolygon(parts), tags))
         else:
-            cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
-            self._areas += [Area(**plan(part), kind=cover) for part in parts]
-            if kind == "square":
-                self._squares += parts
-            trees_m = meaning.trees_on(tags)
-            if kind == "wood" and trees_m is not None:
-                leaves = tags.get("leaf_type", "")
-                self._plantings += [
-                    Planting(element.id, part, leaves, trees_m or None) for part in parts
-                ]
+            self._ground(kind, element.id, parts, tags)
         if kind != "building part":  # whether a part is used is known only when all are there
             self._used[kind] += 1
         return True
+
+    def _ground(self, kind: Kind, number: int, parts: Sequence[Polygon], tags: Tags) -> None:
+        """Take an area that covers the ground."""
+        cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
+        self._areas += [Area(**plan(part), kind=cover) for part in parts]
+        if kind == "square":
+            self._squares += parts
+        trees_m = meaning.trees_on(tags) if kind == "wood" else None
+        if trees_m is not None:
+            leaves = tags.get("leaf_type", "")
+            self._plantings += [Planting(number, part, leaves, trees_m or None) for part in parts]
 
     def terrain(self, extract: Extract, name: str, file: str) -> Terrain:
         composed, parts = compose(self._outlines, self._parts)

@@ -21,8 +21,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-import smal.filter
-import smal.particles
 from schemas.episode import Purpose
 from services.cli import options
 from services.experiments.drawing import draw_reliability, styled
@@ -37,6 +35,7 @@ from services.experiments.evaluation.plan import (
 )
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
+from services.simulator.variation import clouded
 from smal.camera import STRAIGHT
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import wilson_interval
@@ -45,10 +44,9 @@ from smal.features import FeatureSettings
 from smal.filter import Belief, Filter, Newness
 from smal.model import Model
 from smal.movement import Atom, placed, seen_from
-from smal.particles import ViewEvidence
+from smal.particles import FILTER_CONFIG, FilterConfig, ViewEvidence
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.settings import SETTINGS
 from smal.teaching.mapping import learn
 from tests.benchmarks.reporting import Parser, Record, say, table, verdict
 
@@ -65,7 +63,7 @@ ERROR: Final = 0.05
 class Variant:
     """A filter with a part left out: of its settings, of its map's views, of its code, or of what it is told."""
 
-    settings: dict[str, Any]
+    config: FilterConfig = FILTER_CONFIG
     views: Callable[[NDArray[np.int8]], NDArray[np.int8]] = lambda views: views
     scouts: bool = True
     tempered: bool = True
@@ -75,10 +73,6 @@ class Variant:
     def in_place(self) -> Iterator[None]:
         """Have the filter use it."""
         with ExitStack() as stack:
-            for module in (smal.filter, smal.particles):
-                stack.enter_context(
-                    patch.object(module, "SETTINGS", replace(SETTINGS, **self.settings))
-                )
             if not self.scouts:
                 stack.enter_context(patch.object(Filter, "_weigh", _without_scouts))
             if not self.tempered:
@@ -103,15 +97,17 @@ def _straight(views: NDArray[np.int8]) -> NDArray[np.int8]:
     return np.ascontiguousarray(np.broadcast_to(views[:, :, STRAIGHT : STRAIGHT + 1], views.shape))
 
 
-_AT_START, _ANYWHERE, _LOST = SETTINGS.first
+_AT_START, _ANYWHERE, _LOST = FILTER_CONFIG.first
 VARIANTS: Final = {
-    "as it is": Variant({}),
-    "without views from aside": Variant({}, views=_middle),
-    "without turned views": Variant({}, views=_straight),
-    "without scouts": Variant({}, scouts=False),
-    "every view counts in full": Variant({}, tempered=False),
-    "lost only far from every way": Variant({"first": (_AT_START, _ANYWHERE + _LOST, 0.0)}),
-    "atoms for odometry": Variant({}, odometry=False),
+    "as it is": Variant(),
+    "without views from aside": Variant(views=_middle),
+    "without turned views": Variant(views=_straight),
+    "without scouts": Variant(scouts=False),
+    "every view counts in full": Variant(tempered=False),
+    "lost only far from every way": Variant(
+        FilterConfig(first=(_AT_START, _ANYWHERE + _LOST, 0.0))
+    ),
+    "atoms for odometry": Variant(odometry=False),
 }
 
 
@@ -194,7 +190,7 @@ def run(judge: Judge, variant: Variant, drives: list[Asked], away: Asked, number
     pieces += [away] if number % _AWAY_EVERY == 0 else []
     model = judge.model
     with variant.in_place():
-        robot = Localizer(model, seed=number)
+        robot = Localizer(model, seed=number, config=variant.config)
         found = []
         pose = np.zeros(3)
         for piece in pieces:
@@ -277,7 +273,7 @@ def benchmark(
     asked = []
     purposes: list[Purpose] = ["drive", "recovery"]
     days = [
-        open_simulation(world, camera, variation=day, clouds_seed=CLOUDS_SEED)
+        open_simulation(world, camera, variation=clouded(day, CLOUDS_SEED))
         for day in ("day", "other-day")
     ]
     for there, number in tqdm(

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from schemas.base import STANDING, Velocity
 from schemas.topics import Topic
 from services.kit.process import configure_logging, read_settings, run_service
+from services.robot.clock import Clocks, now_s
 from services.robot.service import ROBOT, serve_robot
 from services.simulator.base import STEP_S
 from services.simulator.body import SimulatedBody
@@ -57,7 +58,7 @@ def serve() -> None:
         lambda node: (FarBody(simulation, base, node.bus.has_listeners), {}),
         FindVictim(),
         # The stamps of its frames are of the clock that the base's log has, so that the two compare exactly.
-        wall_clock_ns=lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME),
+        clocks=Clocks(now_s, lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME)),
     )
 
 

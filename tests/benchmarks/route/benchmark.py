@@ -17,15 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from smal.camera import STRAIGHT
+from smal.camera import STRAIGHT, TURNS_DEG
 from smal.features import Centering, FeatureSettings
 from smal.files.packed import packed, unpacked
+from smal.keyframes import MAP_CONFIG
 from smal.likelihood import GRID, SHARES
 from smal.map import VisualMap
 from smal.model import Model
 from smal.planning import Planner
 from smal.robot import Localizer
-from smal.settings import SETTINGS
 from smal.teaching.mapping import demonstrations_of, learn
 from tests.benchmarks.reporting import Parser, say, table, verdict
 from tests.smal.synthetic_world import Room, drive
@@ -48,7 +48,7 @@ def map_of(metres: float, components: int) -> Model:
     """Make up a straight way."""
     rng = np.random.default_rng(1)
     count = round(metres / SPACING_M) + 1
-    turns = len(SETTINGS.turns_deg)
+    turns = TURNS_DEG.size
     scene = rng.standard_normal(components)
     views = np.empty((count, 3, turns, components), np.int8)
     # Few patterns of noise for many places: a hundred kilometres would take minutes else.
@@ -155,6 +155,6 @@ def main(arguments: list[str]) -> None:
                         help="how long the ways are; 100 km take 3 GB")  # fmt: skip
     flags = parser.parse(arguments)
     frames, learn_frames = (60, (80, 120)) if flags.quick else (300, (500, 1000))
-    results = benchmark(flags.metres, SETTINGS.most_components, frames, learn_frames)
+    results = benchmark(flags.metres, MAP_CONFIG.most_components, frames, learn_frames)
     text = table("Learning", results["learned"]) + table("A decision", results["cases"])
     say(flags, results, text + table("Targets", results["targets"]))

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,8 @@ from services.importers.drive import Tally
 from services.importers.job import ImportJob
 from services.importers.run import run
 from services.kit.jpeg import encode_jpeg
-from smal.settings import SETTINGS
+from smal.keyframes import MapConfig
+from smal.teaching.mapping import learn
 from tests.services.cli.conftest import Smal
 from tests.sharing import made_once
 from tests.smal.synthetic_world import COLOR, SCENE, Room
@@ -88,7 +89,10 @@ def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_know
         turn_rate=2.5,
     )
     (recording,) = run(job, Tally()).files
-    monkeypatch.setattr("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500))
+    monkeypatch.setattr(
+        "services.experiments.laps.asking.learn",
+        partial(learn, config=MapConfig(sampled_views=500)),
+    )
     for module in ("source", "asking"):
         monkeypatch.setattr(f"services.experiments.laps.{module}.JUDGED", COLOR)
     monkeypatch.setattr("smal.teaching.mapping.fit_camera", lambda *_: SCENE.camera)

@@ -14,11 +14,11 @@ from schemas.base import Message
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
 from services.recordings.dataset import Teacher, find_recordings
+from smal.keyframes import MapConfig
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import PaperModel
-from smal.settings import SETTINGS
 from smal.teaching.mapping import learn as learn_map
 from tests.services.cli.conftest import Mistake, Smal
 from tests.services.recordings.recorded_messages import applied, event, header, seen
@@ -51,10 +51,11 @@ def make(folder: Path) -> None:
     teacher = Teacher(COLOR, 5)
     for path in find_recordings([recordings]):
         teacher.read(path)
-    fewer = replace(SETTINGS, sampled_views=500)
     told = {"fit_camera": lambda *_: SCENE.camera, "fit_scene": lambda *_: SCENE}
-    with patch.multiple("smal.teaching.mapping", SETTINGS=fewer, **told):
-        learn_map(teacher.teaching.demonstrations, COLOR).save(folder / "two.smal")
+    with patch.multiple("smal.teaching.mapping", **told):
+        learn_map(teacher.teaching.demonstrations, COLOR, config=MapConfig(sampled_views=500)).save(
+            folder / "two.smal"
+        )
     learn(teacher.teaching.demonstrations, LearningSettings(COLOR)).save(folder / "paper.smal")
 
 

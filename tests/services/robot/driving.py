@@ -7,6 +7,7 @@ from schemas.base import Atom, Message, Source
 from schemas.command import Command
 from schemas.episode import Episode
 from schemas.rpc import ResetRequest
+from services.robot.clock import Clocks
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S
 from services.robot.pace import Pace, RealTime
@@ -53,8 +54,7 @@ def runner_of(
         "r",
         "s",
         paces=paces,  # type: ignore[arg-type]
-        clock=body.clock,
-        wall_clock_ns=wall_clock_ns,
+        clocks=Clocks(body.clock, wall_clock_ns),
     )
     return runner
 

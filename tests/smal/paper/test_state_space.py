@@ -26,7 +26,7 @@ def noisy(views: np.ndarray, seed: int, noise: float = 0.3) -> np.ndarray:
 
 
 def learned(drives: list[np.ndarray], tau: float = 0.3, max_bytes: int | None = None) -> StateSpace:
-    return learn_state_space(drives, LENGTH, LAMBDA, LAMBDA, tau, max_bytes=max_bytes)
+    return learn_state_space(drives, LENGTH, (LAMBDA, LAMBDA), tau, max_bytes=max_bytes)
 
 
 def test_sequence_weights_and_eq_9_by_hand() -> None:
@@ -96,8 +96,7 @@ def test_sequences_end_with_the_demonstration() -> None:
     space = learn_state_space(
         [frames, frames[:4]],
         LENGTH,
-        LAMBDA,
-        LAMBDA,
+        (LAMBDA, LAMBDA),
         1e9,
         progress=lambda done, every: seen.append((done, every)),
     )

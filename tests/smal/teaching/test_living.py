@@ -11,7 +11,6 @@ from smal.features import extract
 from smal.filter import Filter
 from smal.map import VisualMap
 from smal.model import Model
-from smal.settings import SETTINGS
 from smal.teaching import living
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.living import compared, lived, taken_up, whole_runs
@@ -88,12 +87,10 @@ def test_the_other_half_of_the_runs_decides() -> None:
         lived(model(), [run(7, 0.6)])
 
 
-def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("smal.teaching.living.SETTINGS", replace(SETTINGS, looks=2))
+def test_a_keyframe_has_so_many_looks_at_most_and_keeps_the_taught_one() -> None:
     taught = model().mapped
-    once = taken_up(model(), [run(7, 0.6)]).mapped
+    taught = replace(taught, config=replace(taught.config, looks=2))
+    once = taken_up(Model(model().centering, taught), [run(7, 0.6)]).mapped
     twice = taken_up(Model(model().centering, once), [run(8, 0.6)]).mapped
     assert looks_of(twice) == 1
     assert len(twice.looks) >= len(once.looks)
@@ -123,17 +120,17 @@ def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
         assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
 
 
-def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_of_a_long_way_looks_lead_to_the_keyframes_that_are_looked_at() -> None:
     taught = model().mapped
-    middle = SETTINGS.views_a_length // 2
-    keys = np.arange(middle, len(taught.keyframes), SETTINGS.views_a_length, dtype=np.int32)
+    middle = taught.config.views_a_length // 2
+    keys = np.arange(middle, len(taught.keyframes), taught.config.views_a_length, dtype=np.int32)
     # The looks of each place are what was taught of the next one.
     twice = replace(
-        taught, views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]), looks=keys
+        taught,
+        views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]),
+        looks=keys,
+        config=replace(taught.config, looked_at=taught.config.views_a_length),
     )
-    monkeypatch.setattr("smal.map.SETTINGS", replace(SETTINGS, looked_at=SETTINGS.views_a_length))
     view = twice.sample[0] * 0.0 + np.asarray(twice.views[keys[1], 1, 8], dtype=np.float32)
     found = {int(one) for one in twice.likely(view / np.linalg.norm(view))[0]}
     assert {int(keys[0]), int(keys[1])} & found

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from smal.filter import Belief, Filter
 from smal.map import VisualMap, in_common_axes
 from smal.movement import placed, seen_from
 from smal.planning import Planner
-from smal.settings import SETTINGS
 from smal.sought.witness import Glimpse
 from smal.teaching.stitches import stitched
 from tests.smal.synthetic_world import SCENE, START, Room, drive, driven, taught
@@ -79,8 +77,8 @@ def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() 
     def joined_ends(visual_map: VisualMap) -> int:
         return int(np.isin(stitched(visual_map).stitched, np.concatenate(ends)).all(axis=1).sum())
 
-    with patch("smal.teaching.stitches.SETTINGS", replace(SETTINGS, trusted=math.inf)):
-        assert joined_ends(alike) >= 12
+    credulous = replace(alike.config, trusted=300.0)
+    assert joined_ends(replace(alike, config=credulous)) >= 12
     assert joined_ends(alike) == 0
     # Without the stretch that they share nothing speaks against it.
     strange = views.copy()

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -19,10 +19,10 @@ import pytest
 from smal.camera import TURNS_DEG, Camera
 from smal.features import extract
 from smal.files.packed import unit
+from smal.keyframes import MapConfig
 from smal.map import VisualMap
-from smal.settings import SETTINGS
 from smal.teaching import mapping
-from smal.teaching.calibration import TaughtFrames, correlation_length
+from smal.teaching.calibration import CALIBRATION, TaughtFrames, correlation_length
 from smal.teaching.demonstration import Demonstration
 from tests import corridor
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
@@ -48,18 +48,17 @@ def learn(
     images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]
 ) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
-    with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
-        drives = [
-            Demonstration(
-                f"drive-{k}",
-                raw[k],
-                np.asarray(atoms[k], dtype=np.int8),
-                images=images[k],
-                odometry=poses[k],
-            )
-            for k in range(len(images))
-        ]
-        return mapping.learn(drives, COLOR, 0.1).mapped
+    drives = [
+        Demonstration(
+            f"drive-{k}",
+            raw[k],
+            np.asarray(atoms[k], dtype=np.int8),
+            images=images[k],
+            odometry=poses[k],
+        )
+        for k in range(len(images))
+    ]
+    return mapping.learn(drives, COLOR, 0.1, config=MapConfig(sampled_views=500)).mapped
 
 
 def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
@@ -112,22 +111,21 @@ def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> No
     found, centering = usual_map()
     count = len(found.keyframes)
     one = drive()
-    with patch("smal.map.SETTINGS", replace(SETTINGS, looked_at=20)):
-        for frame in range(0, len(one.poses), 7):
-            components = found.described(
-                centering.apply(extract(ROOM.look(one.poses[frame]), COLOR))
-            )
-            keyframes, stand_for = found.likely(components)
-            assert len(set(keyframes.tolist())) == len(keyframes)
-            # The others are stood for by the sample of elsewhere: no place counts more or less than before.
-            assert stand_for.sum() == pytest.approx(count)
-            assert np.abs(found.keyframes[keyframes[:20]] - frame).min() <= 2
+    found = replace(found, config=replace(found.config, looked_at=20))
+    for frame in range(0, len(one.poses), 7):
+        components = found.described(centering.apply(extract(ROOM.look(one.poses[frame]), COLOR)))
+        keyframes, stand_for = found.likely(components)
+        assert len(set(keyframes.tolist())) == len(keyframes)
+        # The others are stood for by the sample of elsewhere: no place counts more or less than before.
+        assert stand_for.sum() == pytest.approx(count)
+        assert np.abs(found.keyframes[keyframes[:20]] - frame).min() <= 2
 
 
 def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> None:
     """Looked at as closely as it is over ten kilometres: at few of its frames."""
     usual = usual_map()[0].correlation_length
-    with patch("smal.teaching.calibration.SETTINGS", replace(SETTINGS, most_frames=64, reach=1.0)):
+    closely = replace(CALIBRATION, most_frames=64, reach=1.0)
+    with patch("smal.teaching.mapping.TaughtFrames", partial(TaughtFrames, config=closely)):
         found = taught(ROOM, drive(), scene=SCENE)[0]
     assert found.correlation_length == pytest.approx(usual, rel=0.25)
 
@@ -204,18 +202,16 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[str, int, int]] = []
-    with patch("smal.teaching.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
-        found = mapping.learn(
-            [
-                Demonstration(
-                    f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses
-                )
-                for k, one in enumerate(drives)
-            ],
-            COLOR,
-            0.025,
-            lambda *progress: done.append(progress),
-        ).mapped
+    found = mapping.learn(
+        [
+            Demonstration(f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses)
+            for k, one in enumerate(drives)
+        ],
+        COLOR,
+        0.025,
+        lambda *progress: done.append(progress),
+        config=MapConfig(sampled_views=500),
+    ).mapped
     frames = sum(len(one.poses) for one in drives)
     reads = sum(sum(one.reads.values()) for one in readers)
     # Forty pairs for each of three fits, and keyframes once for the components and once for their views.
