@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from schemas import topics
-from schemas.motion import Pose, TrackedPose
+from schemas.motion import TrackedPose, TruePose
 from schemas.rpc import ResetRequest
 from services.cli.episodes.client import EpisodeClient
 from services.cli.options import CameraOptions, Simulator
@@ -18,23 +18,22 @@ pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
 def test_the_tracker_agrees_with_the_true_pose_on_a_drive(tmp_path: Path) -> None:
     simulator = Simulator(CameraOptions(64, 48)).flags("indoor")
-    services = ("router", "robot", "features", "tracker")
+    services = ("router", "robot", "tracker")
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client = EpisodeClient("tracking", access.settings)
         expert = ExpertService()
-        true: dict[int, Pose] = {}
+        true: dict[int, TruePose] = {}
         tracked: dict[int, TrackedPose] = {}
 
-        def see(pose: Pose) -> object:
+        def see(pose: TruePose) -> object:
             true[pose.tick] = pose
-            return expert.see(pose)
+            return expert.handle(pose)
 
         def follow(pose: TrackedPose) -> None:
             tracked[pose.tick] = pose
 
         client.node.subscribe(topics.POSE, see, depth=256)  # type: ignore[arg-type]
         client.node.subscribe(topics.TRACKED, follow, depth=256)
-        client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=25)
         record = client.run(request, expert.begin, lambda: expert.arrived, check=access.check)
         client.node.spin(until=lambda: record.ticks in tracked, timeout_s=100.0)

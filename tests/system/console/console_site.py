@@ -18,7 +18,7 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import Nothing, Status
 from services.cli.stack import Stack
 from services.expert.driver import RouteDriver
@@ -43,11 +43,11 @@ class Site:
         self.stack = stack
         self.bus = bus
         self.root = root
-        self.poses: list[Pose] = []
+        self.poses: list[TruePose] = []
         self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
         bus.subscribe(
             topics.POSE,
-            lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)),
+            lambda payload, encoding, _: self.poses.append(decode(TruePose, payload, encoding)),
         )
         bus.subscribe(topics.APPLIED, self._note)
         self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
