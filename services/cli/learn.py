@@ -12,7 +12,7 @@ from services.cli.adding import add_runs, save
 from services.cli.lessons import check_out, taught_by, tell, tell_learned
 from services.experiments.progress import Bars
 from services.kit.errors import JobError, UsageError
-from services.recordings.dataset import features_of_recordings, find_recordings
+from services.recordings.dataset import find_recordings
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.teaching.mapping import learn as learn_map
@@ -43,8 +43,7 @@ def learn(
     Only camera, wheel odometry and applied commands are used, never true poses. The paper's model is learned by `smal
     paper learn`.
 
-    The modalities may be any of those in a recording, except depth. All of them can also be computed from the recorded
-    images.
+    The features are computed from the recorded images; --modalities may name any but depth.
 
     With --add the model at --out learns from runs that found the victim, two or more: where the robot was sure of its
     place though the view was unlike the taught one, the place gets a further look, four at most. Every second run is
@@ -68,7 +67,7 @@ def learn(
         return
     outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
-    features = _features(files, modalities)
+    features = modalities or FeatureSettings()
     with closing(Bars(as_json=progress)) as bars, at_work.engine() as engine:
         teaching = taught_by(files, features, _SHORTEST, include_runs, bars)
         try:
@@ -77,17 +76,6 @@ def learn(
             raise JobError(f"cannot learn from these recordings: {error}") from None
     save(model, out)
     tell_learned(_found(model), teaching, features, out, began_s, json_file)
-
-
-def _features(files: list[Path], modalities: FeatureSettings | None) -> FeatureSettings:
-    """Return the features to learn from: the given ones, or the recorded ones without depth."""
-    features = modalities or features_of_recordings(files)
-    if "depth" not in features.needs:
-        return features
-    if modalities is not None:
-        no_depth = "a map of views has no depth; leave depth out, or use `smal paper learn`"
-        raise UsageError(f"--modalities {modalities.text}: {no_depth}")
-    return features.of_images() or FeatureSettings()
 
 
 def _found(model: Model) -> dict[str, Any]:

@@ -131,7 +131,7 @@ Modalities = Annotated[
         parser=checked(FeatureSettings.parse),
         metavar="NAMES",
         help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
-        "[default: those of the model, the recordings or the method; else color,hog]",
+        "[default: those of the model or the method; else color,hog]",
     ),
 ]
 
@@ -218,7 +218,7 @@ class RunOptions:
             return None
         return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
 
-    def refuse(self, simulator: Simulator, modalities: FeatureSettings | None) -> None:
+    def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
         """Refuse with `connect` what the running stack has already; raises UsageError when there is something of it."""
         for name, value in (asdict(simulator) | {"modalities": modalities}).items():
             if value is not None and self.connect is not None:
@@ -303,6 +303,11 @@ def feature_flags(
 ) -> tuple[str, ...]:
     """Return the flags of a features service; UsageError: the model was learned on others, or on a file not given."""
     features = modalities or model or FeatureSettings()
+    if "depth" in features.needs:
+        raise UsageError(
+            f"--modalities {','.join(features.modalities)}: recordings hold no depth images, so no "
+            "model is learned on them; omit depth"
+        )
     if model is not None and model.fingerprint != features.fingerprint:
         learned_on = ",".join(model.modalities)
         raise UsageError(

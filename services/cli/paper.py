@@ -16,7 +16,8 @@ from services.cli.lessons import check_out, taught_by, tell_learned
 from services.experiments.progress import Bars
 from services.experiments.showing.summary import numbers_of
 from services.kit.errors import JobError, UsageError
-from services.recordings.dataset import features_of_recordings, find_recordings
+from services.recordings.dataset import find_recordings
+from smal.features import FeatureSettings
 from smal.paper.learning import LearningSettings
 from smal.paper.learning import learn as learn_paper
 from smal.paper.model import PaperModel
@@ -80,7 +81,7 @@ def learn(
     check_out(out, json_file)
     outputs.make_folder(out.parent, "--out")
     files = find_recordings(recordings)
-    features = modalities or features_of_recordings(files)
+    features = modalities or FeatureSettings()
     with closing(Bars(as_json=progress)) as bars:
         teaching = taught_by(files, features, settings.sequence_length, include_runs, bars)
         try:

@@ -12,7 +12,7 @@ import numpy as np
 from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
-from schemas.motion import Pose, TrackedPose
+from schemas.motion import TrackedPose, TruePose
 from schemas.rpc import LookReply, Nothing, Status
 from schemas.state import State
 from services.console.learned import Learned, learned_of
@@ -181,7 +181,7 @@ class LiveContent:
         """Show what it does, and why."""
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
-    def _on_pose(self, pose: Pose) -> None:
+    def _on_pose(self, pose: TruePose) -> None:
         """Take note of where the robot truly is, and of the way that it has come in this episode."""
         if pose.episode != self._way_of:
             self._way = []

@@ -17,8 +17,8 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.motion import Pose as PoseMessage
-from schemas.observation import Observation
+from schemas.camera import CompressedImage
+from schemas.motion import TruePose
 from schemas.rpc import (
     ArmRequest,
     EndRequest,
@@ -178,16 +178,13 @@ class Person:
 
     def __post_init__(self) -> None:
         self.client.watch_poses()
-        self.client.node.subscribe(topics.OBSERVATION, self._drive, depth=4)
+        self.client.node.subscribe(topics.JPEG, self._drive, depth=4)
         self.client.node.bus.wait_connected(100.0)
 
-    def _drive(self, observation: Observation) -> Message | None:
+    def _drive(self, image: CompressedImage) -> Message | None:
         truth = self.place.truth
-        pose = PoseMessage.after(
-            observation, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"]
-        )
-        self.expert.see(pose)
-        return self.expert.handle(observation)
+        pose = TruePose.after(image, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"])
+        return self.expert.handle(pose)
 
     def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:
         """Drive to the victim once, and have that recorded."""

@@ -10,19 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.motion import Odometry
-from schemas.observation import Observation
 from services.cli.learn import learn
 from services.cli.paper import learn as learn_paper
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
-from smal.features import FeatureSettings, extract
+from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.teaching.demonstration import drives_to_goals
@@ -37,30 +35,21 @@ def view(position: int) -> np.ndarray:
     return corridor.view(*odometry(position))
 
 
-def depth(position: int) -> np.ndarray:
-    """Return how far away things are where the robot is; what is bright sticks out."""
-    return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
-
-
 def odometry(position: int) -> tuple[float, float, float]:
     return corridor.STEP_M * position, 0.0, 0.0
 
 
-def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
-          fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
+def drive(
+    name: str,
+    first: int = 0,
+    frames: int = 40,
+    outcome: Outcome = "found",
+    purpose: Purpose = "drive",
+) -> list[Message]:
     """Drive along the corridor, two frames forward and one to the left, in turn."""
     messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
     for tick in range(frames):
-        pixels = view(first + tick)
-        cause = header(name, tick)
-        messages += seen(cause, pixels, odometry(first + tick))
-        vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
-        named = fingerprint or features.fingerprint
-        messages.append(
-            Observation.after(
-                cause, fingerprint=named, modalities=features.modalities, features=vector
-            )
-        )
+        messages += seen(header(name, tick), view(first + tick), odometry(first + tick))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
     if outcome == "found":
         messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
@@ -203,15 +192,11 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     assert "keyframes" not in text
 
 
-@pytest.mark.parametrize("described", [True, False])
-def test_neither_images_nor_features_of_a_drive_fill_memory(
-    tmp_path: Path, described: bool
-) -> None:
+def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path) -> None:
     """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
     held = []
     for frames in (20, 120):
-        sent = drive(f"drive-{frames}", frames=frames, features=FeatureSettings())
-        path = record(tmp_path, [m for m in sent if described or not isinstance(m, Observation)])
+        path = record(tmp_path, drive(f"drive-{frames}", frames=frames))
         tracemalloc.start()
         taught = teach(path, features=FeatureSettings()).teaching
         gc.collect()

@@ -13,7 +13,7 @@ from schemas.base import Message, Strict
 from schemas.camera import DepthImage
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.observation import Observation
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
@@ -59,7 +59,7 @@ def test_each_message_arrives_as_it_was_sent(client: Bus, other: Bus) -> None:
 
 def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus) -> None:
     ticks: list[int] = []
-    chain = (State, Pose, Observation)
+    chain = (State, TruePose, Observation)
     for cls in chain:
         other.subscribe(
             topics.TOPICS[EXAMPLES[cls].topic_name],

@@ -18,7 +18,7 @@ from schemas import topics
 from schemas.base import Message
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import EndRequest, Nothing
 from schemas.topics import Topic
 from services.kit import process as service_process
@@ -53,7 +53,7 @@ def test_a_message_is_handled_and_its_answers_are_published(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
     def answer(received: Command) -> Iterator[Message]:
-        yield Pose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
+        yield TruePose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
         yield Command.after(received, source="policy", atom="right")
 
     poses = collected(client, topics.POSE)

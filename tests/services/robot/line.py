@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.base import STANDING, Atom, Message, Velocity
 from schemas.camera import DepthImage
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
@@ -51,8 +51,8 @@ class LineView:
         return encode_jpeg(np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8))
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
-        if Pose.topic not in made:
-            yield Pose.after(header, x_m=self.x, y_m=0.0, heading_rad=0.0)
+        if TruePose.topic not in made:
+            yield TruePose.after(header, x_m=self.x, y_m=0.0, heading_rad=0.0)
         if DEPTH.name not in made and self.body.wanted(DEPTH):
             self.body.made[DEPTH] += 1
             yield DepthImage.after(header, width=1, height=1, data=b"\1\0")

@@ -9,7 +9,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import ServiceError
@@ -44,7 +44,14 @@ def test_so_many_frames_a_second_whether_commanded_or_not(frames_hz: float, many
     runner = runner_of(LineBody(clock))
     runner.frame_s = 1.0 / frames_hz
     first = reset(runner, mode="realtime")
-    assert [type(m) for m in first] == [Episode, CameraInfo, Odometry, Imu, Pose, CompressedImage]
+    assert [type(m) for m in first] == [
+        Episode,
+        CameraInfo,
+        Odometry,
+        Imu,
+        TruePose,
+        CompressedImage,
+    ]
     images = [m for m in advance(runner, clock, 2.0) if isinstance(m, CompressedImage)]
     assert len(images) in many
 
@@ -89,7 +96,7 @@ def test_body_without_sensors_sends_no_readings() -> None:
     body.senses = False
     body.camera = None
     _, first = begin(body, mode="realtime")
-    assert [type(m) for m in first] == [Episode, Pose, CompressedImage]
+    assert [type(m) for m in first] == [Episode, TruePose, CompressedImage]
 
 
 class Ahead(LineBody):

@@ -6,7 +6,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.cameras import camera_of
@@ -27,7 +27,7 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
         CameraInfo,
         Odometry,
         Imu,
-        Pose,
+        TruePose,
         CompressedImage,
     ]
     (info,) = (m for m in messages if isinstance(m, CameraInfo))
@@ -36,7 +36,7 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)
-    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, Pose, CompressedImage]
+    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, TruePose, CompressedImage]
     assert body.moves == [("forward", 1.0, TICK_S)]
     assert isinstance(messages[0], CommandApplied)
     assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)

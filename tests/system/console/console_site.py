@@ -18,7 +18,7 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import Nothing, Status
 from services.cli.stack import Stack
 from services.expert.driver import RouteDriver
@@ -43,7 +43,7 @@ class Site:
         self.stack = stack
         self.bus = bus
         self.root = root
-        self.poses: list[Pose] = collected(bus, topics.POSE)
+        self.poses: list[TruePose] = collected(bus, topics.POSE)
         self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
         bus.subscribe(topics.APPLIED, self._note)
         self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
