@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from smal.evaluation.precision_recall import PrecisionRecall
 from smal.evaluation.reliability import Reliability
 
 _P = ParamSpec("_P")
@@ -67,6 +68,14 @@ def look_at(
     x_min, y_min, x_max, y_max = bounds
     axes.set_xlim(max(x_min, middle[0] - half_m), min(x_max, middle[0] + half_m))
     axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))
+
+
+def draw_curve(axes: Axes, curve: PrecisionRecall, **style: Any) -> None:  # noqa: ANN401
+    """Draw precision over recall in steps, as the area counts them; without an answer there is no curve."""
+    recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
+    precision = np.concatenate([curve.precision[:1], curve.precision])
+    axes.step(recall, precision, where="pre", **style)
+    axes.set(xlabel="recall", ylabel="precision")
 
 
 def draw_reliability(axes: Axes, reliability: Reliability) -> None:

@@ -15,16 +15,6 @@ from services.experiments.laps.finding import Lap
 from smal.files.container import write_whole
 from smal.teaching.demonstration import Demonstration
 
-_METHOD = (
-    "<p>Each lap is asked from its beginning, which SMAL and teach and repeat are told, while somebody else drives. "
-    "Shares are of frames, with 95 % intervals by laps. Lost: with a probability above .5. Wrong and sure: off by more "
-    "than a tenth of a lap, lost with a probability below .1. Probabilities are those of being within a tenth of a lap "
-    "of the place that is said. The truth is an alignment of each lap with the taught one, by all that came before and "
-    "after, by turns and by features that no method here goes by; it is no finer than a frame, and some of it may be "
-    "wrong. What a tub does not say is taken so: speed is throttle, and the median lap turns once round. Teach and "
-    "repeat is made to steer: asked open loop, it goes on where its wheels pass a goal.</p>"
-)
-
 
 def write_page(
     folder: Path, source: Path, laps: Sequence[tuple[Demonstration, Lap]], judged: dict[str, Judged]
@@ -40,31 +30,15 @@ def write_page(
     }
     written = facts | {"methods": {name: one.figures for name, one in judged.items()}}
     write_whole(folder / "results.json", (json.dumps(written, indent=1) + "\n").encode())
-    columns = [
-        name
-        for name in max((one.figures for one in judged.values()), key=len)
-        if "95 %" not in name
-    ]
-    rows = (
-        [name, *(_said(one.figures, column) for column in columns)] for name, one in judged.items()
+    most = max((one.figures for one in judged.values()), key=len)
+    return html.write_page(
+        folder,
+        "laps.html",
+        facts=facts,
+        columns=[name for name in most if "95 %" not in name],
+        methods=written["methods"],
+        picture=html.png(draw(truth, judged)),
     )
-    body = [
-        html.table(["", "is"], ([name, str(value)] for name, value in facts.items()), 2),
-        html.table(["method", *columns], rows, 1),
-        _METHOD,
-        html.titled(
-            draw(truth, judged),
-            "Places, and how reliable probabilities are",
-            "Asked laps in their order.",
-        ),
-    ]
-    return html.write_page(folder, "SMAL: laps of a real robot", body, 60)
-
-
-def _said(figures: dict[str, float | list[float]], name: str) -> str:
-    interval = figures.get(f"{name}, 95 %")
-    between = " ({:.3f} to {:.3f})".format(*interval) if isinstance(interval, list) else ""
-    return f"{figures[name]:.3f}{between}" if name in figures else ""
 
 
 @styled
