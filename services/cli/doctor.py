@@ -20,19 +20,18 @@ from schemas import topics
 from schemas.base import Strict
 from schemas.command import Command
 from services.cli import options
-from services.cli.stack import answers, free_endpoint, instances
+from services.cli.stack import GROUPED, answers, free_endpoint, instances
 from services.kit.bus import Bus, BusError, Router, addresses, check_credentials, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.errors import JobError
 from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings, fleet
-from services.table import SERVICES, stack_services
+from services.table import stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
 DISK_GB: Final = 2.0  # Recordings of a full set of drives, with room for the reports.
 RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
-GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 
 
 def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:

@@ -30,6 +30,8 @@ PATIENCE_S: Final = (
     600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
 )
 _TELL_S: Final = 10.0
+#: Services of which one instance serves several robots.
+GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
 _log = logging.getLogger("stack")
@@ -312,7 +314,7 @@ def instances(bus: Bus) -> dict[str, dict[str, list[str]]]:
     found: dict[str, dict[str, list[str]]] = {}
     for robot in robots:
         with closing(bus.of_robot(robot)) as one:
-            for service in (service.name for service in SERVICES.values() if service.grouped):
+            for service in GROUPED:
                 if (told := answers(one, service)) is not None:
                     found.setdefault(service, {}).setdefault(
                         str(told.detail.get("instance")), []

@@ -108,8 +108,8 @@ def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--ros2-config", "x.yaml"), "--robot-body ros2 and --ros2-config FILE go together"),
-        (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "none", "--model", "x.smal"), "x.smal"),
     ],
 )
 def test_smal_up_says_what_is_wrong_before_anything_starts(

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final, Literal
 
 from schemas.topics import KEPT_S, Lane
-from services.cli.up import GROUPED
+from services.cli.stack import GROUPED
 from services.kit.bus import addresses, host_and_port
 from services.kit.echo import DEAF_S, SILENT_S
 from services.kit.errors import JobError
