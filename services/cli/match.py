@@ -138,16 +138,17 @@ class Truth:
         self._check(loops=known is asked)
         within = f"within {self.radius or 0.0:g} m"
         if self.poses is not None:
-            counts = (len(known.frames), len(asked.frames))
-            places = map(truth_file.read_positions, self.poses, counts)
-            return truth_file.truth_by_positions(*places, self.radius or 0.0, f"--poses, {within}")
+            here = truth_file.read_positions(self.poses[0], len(known.frames))
+            there = truth_file.read_positions(self.poses[1], len(asked.frames))
+            named = f"--poses, {within}"
+            return truth_file.truth_by_positions(here, there, self.radius or 0.0, named)
         match self.truth:
             case None:
                 return None
             case "gps":
-                places = truth_file.gps_positions(known, asked)
+                here, there = truth_file.gps_positions(known, asked)
                 named = f"--truth gps, {within}"
-                return truth_file.truth_by_positions(*places, self.radius or 0.0, named)
+                return truth_file.truth_by_positions(here, there, self.radius or 0.0, named)
             case "names":
                 return truth_file.truth_by_names(known.frames, asked.frames, tolerance)
             case path:
@@ -333,8 +334,9 @@ def match(
         queries=queries,
         matches=matches,
         unsure=int(found.matched.sum() - matches.matched.sum()),
-        quality=expected
-        and MatchQuality.of(matches, expected, settings.length, probable=method.probable),
+        quality=None
+        if expected is None
+        else MatchQuality.of(matches, expected, settings.length, probable=method.probable),
         seconds=seconds,
         probable=method.probable,
     )

@@ -34,6 +34,8 @@ _TELL_S: Final = 10.0
 GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
+#: By service, the robots that each instance serves.
+Instances = dict[str, dict[str, list[str]]]
 _log = logging.getLogger("stack")
 
 
@@ -307,11 +309,11 @@ def answers(bus: Bus, service: str) -> Status | None:
         return None
 
 
-def instances(bus: Bus) -> dict[str, dict[str, list[str]]]:
+def instances(bus: Bus) -> Instances:
     """Return of each grouped service that answers which instance serves which robots of the fleet."""
     router = answers(bus, "router")
     robots = fleet(bus.robot, int(router.detail.get("robots") or 1)) if router is not None else ()
-    found: dict[str, dict[str, list[str]]] = {}
+    found: Instances = {}
     for robot in robots:
         with closing(bus.of_robot(robot)) as one:
             for service in GROUPED:
