@@ -13,6 +13,7 @@ among them.
 import ctypes
 import fcntl
 import json
+import math
 import os
 import random
 import re
@@ -23,7 +24,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -152,8 +153,13 @@ class _Way:
         self.last_s = max(self.last_s, self.free_s + late_s)
         self.air.append((self.last_s, packet))
 
+    @property
+    def due_s(self) -> float:
+        """When the next packet is due; infinity if none is under way."""
+        return self.air[0][0] if self.air else math.inf
+
     def give(self, now_s: float) -> None:
-        while self.air and self.air[0][0] <= now_s:
+        while self.due_s <= now_s:
             due_s, packet = self.air.popleft()
             os.write(self.device, packet)
             self.counts.update(
@@ -173,20 +179,23 @@ def _run(quality: Quality, congestion: str, seed: int, owner: Connection) -> Non
         first: _Way(second, quality, random.Random(seed)),  # noqa: S311
         second: _Way(first, quality, random.Random(-seed)),  # noqa: S311
     }
+    with suppress(EOFError):
+        _pass_on(ways, owner)
+
+
+def _pass_on(ways: dict[int, _Way], owner: Connection) -> None:
+    """Pass packets on by device, and obey the owner; EOFError when it is gone."""
     cut = False
     while True:
-        dues_s = [way.air[0][0] for way in ways.values() if way.air]
-        wait_s = max(0.0, min(dues_s) - time.monotonic()) if dues_s else None
+        due_s = min(way.due_s for way in ways.values())
+        wait_s = None if due_s == math.inf else max(0.0, due_s - time.monotonic())
         readable, _, _ = select.select([*ways, owner], [], [], wait_s)
         if owner in readable:
-            try:
-                asked = owner.recv()
-            except EOFError:
-                return
+            asked = owner.recv()
             cut = cut if asked == "counts" else asked
             owner.send(tuple(way.counts for way in ways.values()))
         now_s = time.monotonic()
-        for device in (device for device in ways if device in readable):
+        for device in ways.keys() & set(readable):
             ways[device].take(os.read(device, _MTU), now_s, cut=cut)
         for way in ways.values():
             way.give(now_s)
