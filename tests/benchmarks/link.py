@@ -54,6 +54,7 @@ _NEWNET: Final = 0x40000000  # CLONE_NEWNET of <linux/sched.h>
 _TUNSETIFF: Final = 0x400454CA
 _TUN_NO_PI: Final = 0x1001  # IFF_TUN and IFF_NO_PI: IP packets as they are
 _MTU: Final = 1500
+_LOOK_S: Final = 60.0  # Longest wait for a packet: select takes no infinity.
 
 
 class Quality(NamedTuple):
@@ -188,7 +189,7 @@ def _pass_on(ways: dict[int, _Way], owner: Connection) -> None:
     cut = False
     while True:
         due_s = min(way.due_s for way in ways.values())
-        wait_s = None if due_s == math.inf else max(0.0, due_s - time.monotonic())
+        wait_s = min(max(0.0, due_s - time.monotonic()), _LOOK_S)
         readable, _, _ = select.select([*ways, owner], [], [], wait_s)
         if owner in readable:
             asked = owner.recv()
