@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from services.cli import learn as learning
-from services.cli.paper import learn
+from services.cli.learn import learn as learn_map
+from services.cli.lessons import Lessons
+from services.cli.paper import Settings, learn
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 from smal.model import Model
@@ -18,6 +19,11 @@ from tests.services.recordings.test_recorder_files import record
 FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
 drive = partial(drive_with, features=FEATURES, frames=16)
+
+
+def taught(recordings: Path, out: Path, features: FeatureSettings | None = None) -> None:
+    """Learn by the paper's scheme."""
+    learn(lessons=Lessons([recordings], out, features), settings=Settings())
 
 
 @pytest.fixture
@@ -36,7 +42,7 @@ def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:
     line = f"{path}: episode plain is left out: {reason}"
     assert (teaching.demonstrations, teaching.remarks) == ([], [line])
     with pytest.raises(JobError, match="it lacks the features depth, and no image has"):
-        learn([path], tmp_path / "model.smal", modalities=FeatureSettings.of(("depth",)))
+        taught(path, tmp_path / "model.smal", FeatureSettings.of(("depth",)))
     mixed = teach(with_depth, path, features=ALL).teaching
     assert (len(mixed.demonstrations), mixed.remarks) == (2, [line])
 
@@ -44,7 +50,7 @@ def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:
 def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_path: Path) -> None:
     path = record(with_depth, drive("plain"))
     with pytest.raises(UsageError) as caught:
-        learn([with_depth], tmp_path / "model.smal")
+        taught(with_depth, tmp_path / "model.smal")
     assert "\n" not in str(caught.value)
     for part in (
         f"{with_depth}/drive-0.mcap holds color,hog,depth",
@@ -52,7 +58,7 @@ def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_
         "with --modalities",
     ):
         assert part in str(caught.value)
-    learn([with_depth], tmp_path / "model.smal", modalities=FeatureSettings())
+    taught(with_depth, tmp_path / "model.smal", FeatureSettings())
     assert len(PaperModel.load(tmp_path / "model.smal").names) == 3
 
 
@@ -62,11 +68,12 @@ def test_a_map_has_no_depth(tmp_path: Path) -> None:
     out = tmp_path / "model.smal"
     path = record(tmp_path, drive("drive-0", features=features))
     with pytest.raises(UsageError) as caught:
-        learning.learn([path], out, modalities=features)
+        learn_map(lessons=Lessons([path], out, features))
     said = "a map of views has no depth; leave depth out, or use `smal paper learn`"
     assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
-    learning.learn([path], out)
+    learn_map(lessons=Lessons([path], out))
     assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",))
     # Where nothing else was recorded the usual features are computed from the images.
     path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
-    assert learning._features([path], None) == FEATURES
+    learn_map(lessons=Lessons([path], out))
+    assert Model.load(out).feature_settings == FEATURES
