@@ -78,13 +78,12 @@ def draw_curve(axes: Axes, curve: PrecisionRecall, **style: Any) -> None:  # noq
     axes.set(xlabel="recall", ylabel="precision")
 
 
-def draw_reliability(axes: Axes, reliability: Reliability) -> None:
-    """Draw how often answers are right over what they say: the larger a point, the more answers it stands for."""
+def draw_reliability(axes: Axes, reliability: Reliability, **style: Any) -> None:  # noqa: ANN401
+    """Draw the share of right answers over their score; the larger a point, the more answers it stands for."""
     axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
     sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
-    axes.scatter(
-        reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3
-    )
+    usual: dict[str, Any] = {"color": COLOURS[0], "clip_on": False, "zorder": 3}
+    axes.scatter(reliability.said, reliability.right, sizes, **usual | style)
     axes.set(
         xlim=(0.0, 1.02),
         ylim=(0.0, 1.02),

@@ -51,7 +51,7 @@ def write_report(
             "victim found": f"{sum(one.outcome == 'found' for one in records)} of {len(records)}",
             "95 % interval": f"{low:.0%} to {high:.0%}",
             "scheme": model.scheme,
-            "conditions": condition(records[0].request),
+            "conditions": condition(vars(records[0].request)),
             "decision, median": latency["p50"],
             "decision, 95 %": latency["p95"],
         },

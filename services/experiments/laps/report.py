@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.experiments import html
-from services.experiments.drawing import COLOURS, MUTED, figure, legend, styled
+from services.experiments.drawing import COLOURS, MUTED, draw_reliability, figure, legend, styled
 from services.experiments.laps.asking import LOST, WITHIN, Judged
 from services.experiments.laps.finding import Lap
 from smal.files.container import write_whole
@@ -43,14 +43,12 @@ def write_page(
 
 @styled
 def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
-    """Draw what SMAL says beside the truth, one lap after the other, and how often it is right, by its probability."""
+    """Draw the answers of SMAL beside the truth, one lap after another, and the reliability of its probabilities."""
     shown = [
         (name, one, one.reliability) for name, one in judged.items() if one.reliability is not None
     ]
     drawn = figure(3.0 + 2.6 * len(shown))
     *panels, last = drawn.subplots(len(shown) + 1, 1)
-    last.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
-    last.set(xlabel="probability", ylabel="share that is right")
     for axes, (name, one, reliability), colour in zip(panels, shown, COLOURS, strict=False):
         axes.plot(truth, ".", color=MUTED, ms=2, label="truth")
         axes.set(title=name, xlabel="asked frame", ylabel="taught frame")
@@ -60,15 +58,7 @@ def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
         for number, (label, mark) in enumerate((("right", "."), ("wrong", "x"), ("lost", "+"))):
             at = np.flatnonzero(kind == number)
             axes.plot(at, one.answers[at, 0], mark, color=COLOURS[2 - number], ms=4, label=label)
-        sizes = 20.0 + 300.0 * reliability.count / reliability.count.sum()
-        last.scatter(
-            reliability.said,
-            reliability.right,
-            sizes,
-            color=colour,
-            alpha=0.7,
-            label=name,
-            zorder=3,
-        )
+        draw_reliability(last, reliability, color=colour, alpha=0.7, label=name)
+    last.set(xlabel="probability", aspect="auto", title="")
     legend(drawn, [*panels, last])
     return drawn
