@@ -14,6 +14,7 @@ from hypothesis import settings
 
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
+from tests.chromium import CHROMIUM, FLAGS, NO_CHROMIUM
 from tests.command import run_smal
 from tests.services.waiting import Lost, stalls
 from tests.sharing import FIRST, Sharing, made_once
@@ -127,8 +128,6 @@ def lost_s() -> Iterator[Lost]:
 def browser() -> Iterator[Browser]:
     """Start Debian's Chromium, which deploy/setup.sh --tests installs, for tests of pages."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only tests of pages need it
-
-    from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM  # noqa: PLC0415
 
     assert CHROMIUM is not None, NO_CHROMIUM
     with sync_playwright() as play:

@@ -1,7 +1,7 @@
 """Options that several commands share: declared once, and checked where they are read."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
@@ -198,7 +198,16 @@ class Changes:
     people: Annotated[
         int, Option(min=0, max=50, help="People who walk about the way, to and fro.")
     ] = 0
-    blocked: Annotated[bool, Option("--blocked", help="Close the way.")] = False
+    blocked: Annotated[bool, Option("--blocked", help="Closed way.")] = False
+
+    @property
+    def other_than_taught(self) -> dict[str, Any]:
+        """The changes that were asked for, by name."""
+        return {
+            one.name: value
+            for one in fields(self)
+            if (value := getattr(self, one.name)) != one.default
+        }
 
 
 @dataclass(frozen=True)

@@ -106,8 +106,8 @@ def test_config_is_refused_in_one_line_when_it_is_any_bytes(tmp_path: Path, data
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--ros2-config", "x.yaml"), "--robot-body ros2 and --ros2-config FILE go together"),
-        (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "none", "--model", "x.smal"), "x.smal"),
     ],
 )
 def test_up_reports_a_bad_config_before_it_starts(flags: tuple[str, ...], line: str) -> None:

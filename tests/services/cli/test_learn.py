@@ -15,6 +15,8 @@ from schemas.camera import CameraInfo, CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.motion import Odometry
 from services.cli.learn import learn
+from services.cli.lessons import Lessons
+from services.cli.paper import Settings
 from services.cli.paper import learn as learn_paper
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
@@ -83,7 +85,7 @@ def test_a_model_with_shared_states_is_learned(
 ) -> None:
     out = tmp_path / "models" / "corridor.smal"
     report = tmp_path / "report.json"
-    learn_paper([drives], out, length=5, json_file=report)
+    learn_paper(lessons=Lessons([drives], out, json_file=report), settings=Settings(5))
     model = PaperModel.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
     assert model.successful == (True, True, True, False)
@@ -114,7 +116,7 @@ def test_what_must_not_teach_is_left_out(
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
     assert teach(path).teaching.remarks == [f"{path}: episode e is left out: {reason}"]
     with pytest.raises(JobError, match="episode e is left out"):
-        learn([path], tmp_path / "model.smal")
+        learn(lessons=Lessons([path], tmp_path / "model.smal"))
 
 
 def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
@@ -155,7 +157,7 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     foreign.write_bytes(b"not a recording")
     living = EpisodeWriter.begin(drives, event("living", 0, "started"))
     leave(drives, drive("left-behind", frames=20)[:-1])
-    learn_paper([drives], tmp_path / "model.smal")
+    learn_paper(lessons=Lessons([drives], tmp_path / "model.smal"), settings=Settings())
     said = capsys.readouterr().err
     (whole,) = read_recording(cut).episodes
     assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
@@ -174,7 +176,7 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
 ) -> None:
     path = record(tmp_path, drive("drive-0"))
     report = tmp_path / "report.json"
-    learn([path], tmp_path / "mapped.smal", json_file=report)
+    learn(lessons=Lessons([path], tmp_path / "mapped.smal", json_file=report))
     visual_map = Model.load(tmp_path / "mapped.smal").mapped
     assert visual_map.odometry
     # A straight drive does not tell its camera: a usual one is assumed.
@@ -185,7 +187,7 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     assert f"keyframes       {keyframes}\n" in text
     assert "goals           victim\n" in text
     assert "states" not in text
-    learn_paper([path], tmp_path / "paper.smal")
+    learn_paper(lessons=Lessons([path], tmp_path / "paper.smal"), settings=Settings())
     model = PaperModel.load(tmp_path / "paper.smal")
     text = capsys.readouterr().out
     assert f"states          {model.states}\n" in text
@@ -222,7 +224,8 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
         header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0
     )
     begins, *follows = drive("e", frames=20)
-    learn([record(tmp_path, [begins, info, *follows])], tmp_path / "model.smal")
+    path = record(tmp_path, [begins, info, *follows])
+    learn(lessons=Lessons([path], tmp_path / "model.smal"))
     assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(
         math.degrees(2.0 * math.atan(320.0 / 450.0))
     )

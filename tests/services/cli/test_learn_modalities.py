@@ -1,6 +1,7 @@
 """``smal learn --modalities``: from which features of the recorded images a model is learned."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from schemas.array import Float32Array
 from schemas.observation import Observation
 from services.cli.learn import learn
+from services.cli.lessons import Lessons
+from services.cli.paper import Settings
 from services.cli.paper import learn as learn_paper
 from services.kit.errors import UsageError
 from smal.features import FeatureSettings
@@ -17,12 +20,12 @@ from tests.services.cli.test_learn import drive, teach
 from tests.services.recordings.test_recorder_files import record
 
 
-@pytest.mark.parametrize("command", [learn, learn_paper])
+@pytest.mark.parametrize("command", [learn, partial(learn_paper, settings=Settings())])
 def test_learning_refuses_depth_in_one_line(tmp_path: Path, command: Callable[..., None]) -> None:
     path = record(tmp_path, drive("e"))
     depth = FeatureSettings.of(("hog", "depth"))
     with pytest.raises(UsageError) as caught:
-        command([path], tmp_path / "model.smal", modalities=depth)
+        command(lessons=Lessons([path], tmp_path / "model.smal", depth))
     why = "recordings hold no depth images; omit depth"
     assert str(caught.value) == f"features hog,depth: {why}"
 
@@ -37,7 +40,7 @@ def test_learning_ignores_features_of_old_recordings(tmp_path: Path) -> None:
         if m.topic_name == "camera/jpeg"
     ]
     path = record(tmp_path, [began, *old, *sent])
-    learn([path], tmp_path / "model.smal")
+    learn(lessons=Lessons([path], tmp_path / "model.smal"))
     assert Model.load(tmp_path / "model.smal").feature_settings == FeatureSettings()
     assert teach(path).teaching.remarks == []
 

@@ -25,7 +25,7 @@ DEMONSTRATE = "demonstrate --world yard"
 LEARN = "paper learn --out new"
 IMPORT = "import folder --out new"
 EXPORT = "export folder --out new"
-LAPS = "evaluate --out new --laps"
+LAPS = "laps --out new"
 WORLD = "world import map.osm --out new.json"
 
 #: A model with options of ``run`` and ``up`` that do not fit it.
@@ -113,8 +113,6 @@ MISTAKES = [
     (f"{LAPS} none", 2, "no such file or folder"),
     (f"{LAPS} full", 2, "no recording"),
     (f"{LAPS} damaged-tub", 1, "not the manifest of a tub"),
-    (f"{LAPS} tub --quick", 2, "--quick"),
-    (f"{LAPS} tub --world yard", 2, "--world"),
     ("topic echo --count 0", 2, "--count"),
     ("topic hz --seconds nan", 2, "--seconds"),
     ("topic info stat", 2, "did you mean: state?"),
