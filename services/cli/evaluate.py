@@ -26,7 +26,7 @@ from services.kit.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Size:
+class PlanSize:
     """How much is evaluated."""
 
     quick: Annotated[
@@ -63,7 +63,7 @@ def _of(world: str) -> EvaluationPlan:
 def evaluate(
     *,
     out: Annotated[Path, Option(help="Folder for the results, new or begun.")],
-    size: Size,
+    size: PlanSize,
     changes: options.Changes,
     at_work: options.AtWork,
     report_only: Annotated[

@@ -51,7 +51,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Scale:
+class SourceScale:
     """What the values of a source mean; the fields are those of `ImportJob`."""
 
     rate_hz: Annotated[
@@ -98,7 +98,7 @@ def import_recordings(
         "recordings"
     ),
     part: Part,
-    scale: Scale,
+    scale: SourceScale,
     json_file: options.JsonFile = None,
 ) -> None:
     """Make recordings that `smal learn` takes out of what somebody recorded with other software.

@@ -46,7 +46,7 @@ _TEXTS: Final = {"--json": as_json, "--loops": as_g2o, "--page": judging_page}
 
 
 @dataclass(frozen=True)
-class Way:
+class MatchMethod:
     """How places are recognized."""
 
     method: Annotated[str, Option(help=f"Method of place recognition. {_METHODS}.")] = "smal"
@@ -169,7 +169,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Files:
+class MatchFiles:
     """Where results are written."""
 
     json_file: options.JsonFile = None
@@ -248,11 +248,11 @@ def match(
     query: Annotated[
         Path | None, Argument(metavar="QUERIES", help="Traverse to be recognized.")
     ] = None,
-    way: Way,
+    way: MatchMethod,
     depth: Depth,
     truth: Truth,
     at_work: options.AtWork = options.HERE,
-    files: Files,
+    files: MatchFiles,
 ) -> None:
     """Find for every image of one traverse the image of another that was taken at the same place.
 
@@ -376,7 +376,7 @@ def _match(
             ) from None
 
 
-def _write(files: Files, result: Result, truth: IntervalTruth | None) -> None:
+def _write(files: MatchFiles, result: Result, truth: IntervalTruth | None) -> None:
     written: list[Path] = []
     try:
         for option, path in files.given.items():

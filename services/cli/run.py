@@ -69,7 +69,7 @@ class Runs:
 
 
 @dataclass(frozen=True)
-class Files:
+class RunFiles:
     """Where results are written."""
 
     json_file: options.JsonFile = None
@@ -93,7 +93,7 @@ def run(
     runs: Runs,
     use: options.Use,
     changes: options.Changes,
-    files: Files,
+    files: RunFiles,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     stack: options.RunOptions,
@@ -163,7 +163,7 @@ def _run_all(
     requests: list[ResetRequest],
     access: Access,
     searcher: _Searcher,
-    files: Files,
+    files: RunFiles,
     world: str | None,
 ) -> Iterator[EpisodeRecord]:
     with closing(EpisodeClient("run", access.settings)) as client:

@@ -31,7 +31,7 @@ _SIMULATOR: Final = "simulator"
 
 
 @dataclass(frozen=True)
-class Learned(options.Use):
+class ModelUse(options.Use):
     """The model of recognition and policy."""
 
     model: Annotated[
@@ -51,7 +51,7 @@ class Learned(options.Use):
 
 
 @dataclass(frozen=True)
-class Files:
+class StackFiles:
     """Where clients and recorders read and write."""
 
     root: Annotated[
@@ -113,7 +113,7 @@ class Ports:
 
 
 @dataclass(frozen=True)
-class Size:
+class StackSize:
     """How many robots and instances there are."""
 
     robots: options.Robots = 1
@@ -143,8 +143,8 @@ class Size:
 def up(
     *,
     world: options.World = None,
-    learned: Learned,
-    files: Files,
+    learned: ModelUse,
+    files: StackFiles,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     ports: Ports,
@@ -157,7 +157,7 @@ def up(
         ),
     ] = _SIMULATOR,
     reach: options.Reach,
-    size: Size,
+    size: StackSize,
     insecure: Annotated[
         bool, Option("--insecure", help="Access for everybody, from other machines too.")
     ] = False,
