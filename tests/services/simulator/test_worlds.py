@@ -91,9 +91,9 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (lambda _: None, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
+        (lambda _: None, "world 'bad' not found; choose from campus, indoor, my town, terrace, yard"),
         (lambda path: path.symlink_to(WORLDS_FOLDER / "indoor.json"), "world 'bad': leads out of"),
-        (os.mkfifo, "no world 'bad'"),
+        (os.mkfifo, "world 'bad' not found"),
     ],
 )
 def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
@@ -105,7 +105,7 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
     with pytest.raises(ServiceError, match=why):
         begin(body, world="bad")
     assert opened == []
-    with pytest.raises(ServiceError, match="no variation 'bad'; known are day, morning"):
+    with pytest.raises(ServiceError, match="variation 'bad' not found; choose from day, morning"):
         begin(body, variation="bad")
     begin(body)
     assert body.name == "yard"
