@@ -79,7 +79,7 @@ def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library:
     with closing(Reader()) as reader:
         assert reader.read(path, listed).outcome == "found"
         reader.stop()
-        died = "it cannot be read: the process that read it has died"
+        died = "cannot be read: the reading process has died"
         assert reader.read(path, listed) == replace(listed, useless=died)
         assert reader.read(path, listed).outcome == "found"
     assert not [one for one in multiprocessing.active_children() if one.name == "recordings"]
@@ -173,7 +173,7 @@ def test_only_what_is_listed_is_deleted(
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
-    assert page.news().count("no such recording") == 5
+    assert page.news().count("recording not found") == 5
     assert kept.exists()
     assert not gone.exists()
 
