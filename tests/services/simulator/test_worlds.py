@@ -91,7 +91,10 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (lambda _: None, "world 'bad' not found; choose from campus, indoor, my town, terrace, yard"),
+        (
+            lambda _: None,
+            "world 'bad' not found; choose from campus, indoor, my town, terrace, yard",
+        ),
         (lambda path: path.symlink_to(WORLDS_FOLDER / "indoor.json"), "world 'bad': leads out of"),
         (os.mkfifo, "world 'bad' not found"),
     ],
