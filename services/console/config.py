@@ -83,6 +83,7 @@ def _token(settings: ConsoleSettings, host: str) -> str | None:
     token = None if settings.console_token is None else secret(settings.console_token)
     if token is not None and len(token) < _TOKEN_LETTERS:
         raise ServiceError(
-            f"{settings.console_token}: token too short ({len(token)} letters < minimum {_TOKEN_LETTERS})"
+            f"{settings.console_token}: token too short ({len(token)} letters < minimum "
+            f"{_TOKEN_LETTERS})"
         )
     return token

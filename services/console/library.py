@@ -74,7 +74,7 @@ class Library:
         self._reader.stop()
 
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
-        """List the files for the page; ``show`` receives partial lists while recordings are read."""
+        """List the files for the page; ``show`` receives partial lists during the reading."""
         files = (
             set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
         )

@@ -89,7 +89,7 @@ class Health:
 
 
 class LiveContent:
-    """Publishes messages (except ``action``), service health, recordings and models on the board."""
+    """Publishes messages (except ``action``), health, recordings and models on the board."""
 
     def __init__(self, node: Node, board: Board, library: Library) -> None:
         self._board = board
@@ -229,9 +229,7 @@ class LiveContent:
         name = name_below(self._library.root, self._library.root / file)
         try:
             if name is None:
-                raise ServiceError(
-                    f"{file}: permission denied, outside the console's folder; the page cannot draw it"
-                )
+                raise ServiceError(f"{file}: permission denied, outside the console's folder")
             recordings = {
                 one.episode: self._library.path(one.name) for one in self._library.recordings()
             }

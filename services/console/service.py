@@ -241,8 +241,9 @@ class ConsoleService:
         features = bus.call("features", "status", Nothing(), Status).detail
         if features.get("fingerprint") != model.fingerprint:
             raise ServiceError(
-                f"{model.name}: learned on other features than the stack's ({features.get('modalities')}); "
-                "learn it again, or change the stack's features (smal up --modalities)"
+                f"{model.name}: learned on other features than the stack's "
+                f"({features.get('modalities')}); learn it again, or change the stack's features "
+                "(smal up --modalities)"
             )
         for service in CHAIN:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
@@ -284,7 +285,7 @@ class ConsoleService:
         self._jobs.begin(job)
 
     def _bridges(self) -> bool:
-        """Whether the console answers for a stuttering browser, if the robot can move unattended."""
+        """Whether the console answers for a slow browser, since the robot can move unattended."""
         # An attended robot needs the operator's own answers, with their own times.
         return self.attended and self.live.health.detail("robot", "attended") is False
 

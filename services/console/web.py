@@ -105,7 +105,7 @@ class Web:
         return PlainTextResponse("taken\n", 202)
 
     async def _receive(self, request: Request, file: IO[bytes]) -> None:
-        """Write an upload to a file while the sender drives, and until they start another upload."""
+        """Write an upload to a file while the sender drives and starts no other upload."""
         self._maps += 1
         mine = self._maps
         size = 0
@@ -176,7 +176,7 @@ class Web:
             self._stand_up(browser, self._service.let_go)
 
     async def _listen(self, browser: WebSocket) -> None:
-        """Execute the driver's messages; an invalid message is refused, and the connection stays."""
+        """Execute the driver's messages; refuse invalid messages without closing the connection."""
         async for text in _said(browser):
             if not self._seat.holds(browser):
                 return

@@ -116,7 +116,7 @@ class KinematicBase:
         self._actuator = Actuator(self._drive, rng)
 
     def step(self, velocity: Velocity, duration_s: float) -> Motion:
-        """Drive along the arc of the wheel speeds for at most `STEP_S`; obstacles stop the robot."""
+        """Drive along the arc of the wheel speeds for at most `STEP_S`, or to an obstacle."""
         wheels = self._actuator.wheels(velocity, duration_s)
         collided = not self._advance(wheels, duration_s)
         if collided:

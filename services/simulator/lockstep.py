@@ -1,4 +1,4 @@
-"""Lockstep pace: the world advances with each answered frame, so results are machine-independent."""
+"""Lockstep pace: the world advances with each answered frame, at the speed of any machine."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -23,7 +23,7 @@ GIVE_UP_S: Final = 30.0
 
 
 class LockstepEpisode(RunningEpisode[SimulatedView]):
-    """An episode in this process; the same seed gives the same poses as an episode over messages."""
+    """An episode in this process, with the same poses as an episode over messages."""
 
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)

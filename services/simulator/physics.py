@@ -116,7 +116,7 @@ def add_robot(scene: Any, robot: RobotModel, drive: DriveTrain, pose: Pose) -> A
 
 
 def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
-    """Build the body with its casters; lengths are relative to the axle, `axle_m` above the floor."""
+    """Build the body with casters; lengths are relative to the axle, `axle_m` above the floor."""
     link = sapien.physx.PhysxArticulationLinkComponent()
     angles = np.arange(_HULL_SIDES) * math.tau / _HULL_SIDES
     ring = robot.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])

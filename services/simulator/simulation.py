@@ -101,7 +101,7 @@ class Simulation:
         Parameters
         ----------
         seed : int
-            Seed of start, wheel errors, sensor noise, shake and obstacles. Different purposes with the same
+            Seed of start, wheel errors, sensor noise, shake and obstacles. Purposes with the same
             seed are independent.
         purpose : Purpose
             Purpose of the episode; sets the scatter of the start.
@@ -214,7 +214,7 @@ class Simulation:
 
     @property
     def clearance_m(self) -> float:
-        """Distance from the robot's side to the nearest obstacle or person, metres; 0 on contact."""
+        """Distance from the robot's side to the nearest obstacle, metres; 0 on contact."""
         here = Point(self.pose.x, self.pose.y)
         away_m = [obstacles_of(self.world.place).clearance(here.x, here.y)]
         away_m += [thing.footprint.distance(here) for thing in self.obstacles]

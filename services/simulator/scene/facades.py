@@ -81,8 +81,8 @@ def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
     Returns
     -------
     tuple of array
-        `UPPER` (1024, 1024, 3) with 4 by 4 windows, `GROUND` (256, 1024, 3) with 4 bays and one door,
-        and `BARE` (256, 1024, 3) without windows, for gables and low bands.
+        `UPPER` (1024, 1024, 3) with 4 by 4 windows, `GROUND` (256, 1024, 3) with 4 bays and a
+        door, and `BARE` (256, 1024, 3) without windows, for gables and low bands.
     """
     seed = zlib.crc32(repr(astuple(facade)).encode())
     rng = np.random.default_rng(seed)

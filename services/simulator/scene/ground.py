@@ -39,7 +39,7 @@ _AREA_MATERIAL: Final[dict[AreaKind, str]] = {"water": "water", "paved": "paved"
 
 
 def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
-    """Yield the ground of a terrain and its margin; in `shade` its normal faces away from the sun."""
+    """Yield the ground of a terrain and its margin; in `shade` its normals face off the sun."""
     claims = _claims(terrain)
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)

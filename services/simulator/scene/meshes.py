@@ -116,7 +116,7 @@ def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
 
 
 def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """Return upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), lower right corner first."""
+    """Return upright rectangles (k - 1, 4, 3) along a ring (k, 2), lower right corner first."""
     begin = ring[:-1]
     end = ring[1:]
     foot = np.full((len(begin), 1), low)

@@ -122,7 +122,7 @@ class SceneCamera:
         self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
-        """Render the image of a robot at `pose` with a tilted camera, (height, width, 3) uint8 RGB."""
+        """Render the image of a tilted camera at `pose`, (height, width, 3) uint8 RGB."""
         self._look_from(pose, tilt)
         return _colour(self._camera)
 

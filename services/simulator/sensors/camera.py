@@ -1,4 +1,4 @@
-"""The robot's camera: settings, image effects (haze, blur, exposure), and the view of one moment."""
+"""The robot's camera: settings, image effects (haze, blur, exposure), and views."""
 
 import math
 from collections.abc import Callable, Collection, Iterator

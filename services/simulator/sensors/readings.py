@@ -55,7 +55,7 @@ class Tilt(NamedTuple):
     yaw: float
 
     def matrix(self) -> NDArray[np.float64]:
-        """Return the rotation (3, 3) from camera to robot axes: roll first, then pitch, then yaw."""
+        """Return the rotation (3, 3) from camera to robot axes: roll, then pitch, then yaw."""
         return np.asarray(Rotation.from_euler("xyz", self).as_matrix(), dtype=np.float64)
 
 
@@ -106,7 +106,7 @@ def _propagation(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 class InertialUnit:
-    """A gyroscope and an accelerometer above the middle of the wheels' axis, on the shaking mast."""
+    """A gyroscope and an accelerometer above the wheels' axis, on the shaking mast."""
 
     def __init__(self, error: float, rng: np.random.Generator) -> None:
         self._error = error

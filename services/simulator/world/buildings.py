@@ -123,7 +123,7 @@ def _height_m(tags: Tags) -> float:
 
 
 def _min_height_m(tags: Tags, top_m: float) -> float:
-    """Return the height where walls begin: `min_height`, else 3 m a level; a canopy is a thin slab."""
+    """Return the lower end of walls: `min_height`, else 3 m a level; a canopy is a thin slab."""
     stated = metres(tags.get("min_height"))
     levels = metres(tags.get("building:min_level"))
     highest_m = top_m - _SLAB_M

@@ -67,7 +67,7 @@ PARTS: Final = table("furniture", dict[FurnitureKind, tuple[FurniturePart, ...]]
 
 @checked(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
-    """A piece of furniture in a room's file; plants are round, tables, desks and chairs open below."""
+    """Furniture in a room's file; plants are round, tables, desks and chairs open below."""
 
     kind: FurnitureKind
     x_m: Metres  # Centre of the footprint, from the west wall.

@@ -118,7 +118,7 @@ class _Way:
     def place_obstacle(
         self, near_m: float, far_m: float, others: list[Obstacle], rng: np.random.Generator
     ) -> list[Obstacle]:
-        """Place an obstacle on a stretch with a free passage; returns an empty list without room."""
+        """Place an obstacle on a stretch with a free passage; return an empty list without room."""
         for _ in range(_TRIES):
             piece = self._things[int(rng.integers(len(self._things)))]
             along_m = rng.uniform(near_m, far_m)

@@ -347,7 +347,7 @@ def _check_size(extract: Extract) -> None:
 
 
 def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:
-    """Return metres per degree of longitude and latitude (ellipsoid; 0.1 % over some kilometres)."""
+    """Return metres per degree of longitude and latitude (ellipsoid; 0.1 % over kilometres)."""
     latitude = math.radians(latitude_deg)
     flat = 1.0 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
     prime_vertical = _SEMI_MAJOR_M / math.sqrt(flat)

@@ -84,7 +84,7 @@ class Fitting:
     colour: Colour | None = None
 
     def face(self, ahead_m: float = 0.0) -> tuple[Box, float, float]:
-        """Return the box before the wall, from its left end to a distance off it, and its heights."""
+        """Return the box before the wall, along it and off it, and the lower and upper height."""
         left_m = self.along_m - self.width_m / 2
         right_m = self.along_m + self.width_m / 2
         return (0.0, left_m, ahead_m, right_m), self.foot_m, self.foot_m + self.height_m
@@ -210,8 +210,10 @@ class RoomFile(Room):
         floor = shapely.box(*self.bounds).buffer(_TOLERANCE_M)
         for number, piece in enumerate(self.furniture):
             if piece.height_m > self.walls_m or not floor.covers(piece.footprint):
-                what = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m, it extends beyond the room"
-                raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
+                at = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m"
+                raise ValueError(
+                    f"furniture.{number} ({piece.kind}): {at}, it extends beyond the room"
+                )
         for number, fitting in enumerate(self.fittings):
             wall = shapely.box(0.0, 0.0, self.wall(fitting.wall)[1], self.walls_m).buffer(
                 _TOLERANCE_M
@@ -237,8 +239,8 @@ class RoomFile(Room):
         if self.hidden and len(seen):
             x, y = seen[0, 0]
             raise WorldError(
-                f"victim: visible from the start ({x:.2f}, {y:.2f}) m; hide it behind furniture of at "
-                f'least {HIDING_M:g} m, or set "hidden": false'
+                f"victim: visible from the start ({x:.2f}, {y:.2f}) m; hide it behind furniture "
+                f'of at least {HIDING_M:g} m, or set "hidden": false'
             )
         return world
 

@@ -179,7 +179,7 @@ class RoutesTo:
         self._towards_goal = before[:size]
 
     def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
-        """Return the corners (k, 2) of the route from `start` to the goal, or None without a route."""
+        """Return the corners (k, 2) of the route from `start` to the goal, or None."""
         here = np.asarray(start, dtype=np.float64)
         entries, leg_costs = self._graph.links(here)
         total = leg_costs + self.cost[entries]

@@ -76,8 +76,8 @@ def choose_roles(
     if not second_best:
         given = "" if start is victim is None else " with the given pose"
         raise WorldError(
-            f"start and victim not found{given}: the victim must be hidden from the start, reachable "
-            f"by road and at least {_ROUTES_M[-1][0]:.0f} m away; give both, or tag two nodes "
+            f"start and victim not found{given}: the victim must be hidden from the start, "
+            f"reachable by road and at least {_ROUTES_M[-1][0]:.0f} m away; give both, or tag two nodes "
             "smal:role=start (with direction=*) and smal:role=victim"
         )
     return second_best[min(second_best)]

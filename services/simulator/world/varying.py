@@ -33,8 +33,8 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     facade_seed : int
         Seed of façades and wall fittings; equal façades stay equal to each other. 0 keeps them.
     clutter_seed : int
-        Seed of positions: trees move by up to 3 m, boxes, plants and tables by up to 0.3 m, and stay
-        `Scale.room_m` off the route. 0 keeps them.
+        Seed of positions: trees move by up to 3 m, boxes, plants and tables by up to 0.3 m, at
+        least `Scale.room_m` off the route. 0 keeps them.
     """
     place = world.place
     if facade_seed and isinstance(place, Terrain):
