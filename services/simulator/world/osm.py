@@ -300,7 +300,7 @@ def only_areas(geometry: BaseGeometry) -> BaseGeometry:
     """Return the polygons of a geometry as one geometry; raises OutlineError if there are none."""
     parts = polygons(geometry)
     if not parts:
-        raise OutlineError("its outline encloses nothing")
+        raise OutlineError("its outline has no area")
     return parts[0] if len(parts) == 1 else MultiPolygon(parts)
 
 
@@ -327,7 +327,7 @@ def _check_file(path: Path) -> None:
 def _check_size(extract: Extract) -> None:
     x_min, y_min, x_max, y_max = extract.bounds
     if min(x_max - x_min, y_max - y_min) < _SMALLEST_M:
-        raise WorldError("the map's bounds enclose nothing")
+        raise WorldError("the map's bounds are empty")
     extent_m = max(x_max - x_min, y_max - y_min)
     if extent_m > LARGEST_M:
         span = f"{extent_m / 1000:.0f} km > maximum {LARGEST_M / 1000:.0f} km"

@@ -100,7 +100,7 @@ class Plan:
         if any(ring[0] != ring[-1] for ring in (self.outline, *self.holes)):
             raise ValueError("a ring does not end where it begins")
         if not self.footprint.is_valid or self.footprint.area == 0:
-            raise ValueError("its outline crosses itself or encloses nothing")
+            raise ValueError("its outline crosses itself or has no area")
 
     @cached_property
     def footprint(self) -> Polygon:

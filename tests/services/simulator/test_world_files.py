@@ -75,7 +75,7 @@ def test_a_world_that_is_imported_is_the_same_in_its_file(name: str, tmp_path: P
         (lambda made: made.way([(0, 0)], building="yes"), "it has fewer than two points"),
         (lambda made: made.way([(0, 0), (9, 0), (9, 9)], building="yes"), "its outline is not closed"),
         (lambda made: made.way([(0, 0), (9, 0), (0, 0), (9, 0), (0, 0)], building="yes"),
-         "its outline encloses nothing"),
+         "its outline has no area"),
         (lambda made: made.box(0, 0, 1, 1, building="yes"), "it is smaller than 4 m2"),
         (lambda made: made.node((0.0, 0.0), building="yes"), "it is a point without an outline"),
         (lambda made: made.way(SCRIBBLE, building="yes"), "it crosses itself too often"),
