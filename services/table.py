@@ -65,7 +65,7 @@ SERVICES: Final = {
         Service(
             "features",
             "describes images",
-            (topics.JPEG, topics.DEPTH),
+            (topics.JPEG,),
             (topics.OBSERVATION,),
             grouped=True,
         ),
@@ -130,7 +130,7 @@ SERVICES: Final = {
         Service(
             "expert",
             "drives by the map, to demonstrate",
-            (topics.POSE, topics.OBSERVATION),
+            (topics.POSE,),
             (COMMANDS["expert"],),
             image=None,
             role="operator",

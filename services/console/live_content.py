@@ -12,7 +12,7 @@ import numpy as np
 from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
-from schemas.motion import Pose, TrackedPose
+from schemas.motion import TrackedPose, TruePose
 from schemas.rpc import LookReply, Nothing, Status
 from schemas.state import State
 from services.console.learned import Learned, learned_of
@@ -181,7 +181,7 @@ class LiveContent:
         """Show the robot's plan."""
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
-    def _on_pose(self, pose: Pose) -> None:
+    def _on_pose(self, pose: TruePose) -> None:
         """Add the true pose to the driven path of this episode."""
         if pose.episode != self._way_of:
             self._way = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.camera import Calibration, DepthImage, Mounting, OverheadImage
-from schemas.motion import Pose as PoseMessage
+from schemas.motion import TruePose
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
@@ -195,8 +195,8 @@ class SimulatedView:
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Yield the true pose, and the images that have subscribers, except messages in `made`."""
-        if PoseMessage.topic not in made:
-            yield PoseMessage.after(
+        if TruePose.topic not in made:
+            yield TruePose.after(
                 header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading
             )
         if (

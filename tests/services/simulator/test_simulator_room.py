@@ -1,4 +1,4 @@
-"""The room: what the world `indoor` must be like, lanes that reach all free floor, and files that cannot be used."""
+"""The room: starts and lanes of the world `indoor`, and files that cannot be used."""
 
 import copy
 import json
@@ -66,7 +66,7 @@ def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: 
 
 @given(x=st.floats(0.3, 7.7), y=st.floats(0.3, 5.7))
 @settings(max_examples=60)
-def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) -> None:
+def test_lanes_reach_all_free_floor(x: float, y: float) -> None:
     victim = shapely.Point(INDOOR.victim.x, INDOOR.victim.y)
     reachable = [part for part in shapely.get_parts(away_from_things(0.29)) if part.covers(victim)]
     assume(any(part.covers(shapely.Point(x, y)) for part in reachable))
@@ -96,9 +96,7 @@ def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) ->
             "depth_m": 0.1, "height_m": 1.0}]}, r"no route from \(0\.7, 0\.8\) m to the victim"),
     ],
 )  # fmt: skip
-def test_a_room_that_nobody_can_use_gives_one_line_that_names_file_and_field(
-    content: dict[str, object], complaint: str
-) -> None:
+def test_invalid_room_is_refused_in_one_line(content: dict[str, object], complaint: str) -> None:
     with pytest.raises(WorldError, match=complaint) as caught:
         world_of_text(json.dumps(content).encode(), Path("rooms/bad.json"))
     assert str(caught.value).startswith("rooms/bad.json: ")

@@ -1,4 +1,4 @@
-"""Maps and world files: ours and real ones load, what is broken is counted, what is hostile is one clear line."""
+"""Maps and world files: valid ones load, broken objects are counted, hostile files are one clear line."""
 
 import json
 import os
@@ -23,7 +23,6 @@ BILLION_LAUGHS = (
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10))
     + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
 )
-NODE = '<node id="1" version="1" lat="1" lon="1"/>'
 WAYS = "".join(
     f'<way id="{k}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>" for k in range(1, 7)
 )
@@ -42,8 +41,8 @@ def can_drive(world: World, *path: tuple[float, float]) -> bool:
 def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
     world = load_world(BROWN)
     again = load_world(BROWN)
-    assert len(world.place.buildings) > 350  # type: ignore[attr-defined]
-    assert len(world.place.trees) == 32  # type: ignore[attr-defined]
+    assert len(world.place.buildings) > 350
+    assert len(world.place.trees) == 32
     assert (world.start, world.victim) == (again.start, again.victim)
     sight = np.array([[(world.start.x, world.start.y), (world.victim.x, world.victim.y)]])
     assert not obstacles_of(world.place).in_sight(sight)[0]
@@ -81,7 +80,7 @@ def test_a_world_that_is_imported_is_the_same_in_its_file(name: str, tmp_path: P
         (lambda made: made.way(SCRIBBLE, building="yes"), "it crosses itself too often"),
     ],
 )  # fmt: skip
-def test_what_is_broken_is_left_out_and_counted_by_reason(
+def test_broken_map_objects_are_counted_by_reason(
     break_it: Callable[[MapText], object], reason: str, tmp_path: Path
 ) -> None:
     made = block_of_houses()

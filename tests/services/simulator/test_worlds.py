@@ -58,7 +58,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 def begin(body: SimulatedBody, **wishes: str) -> None:
-    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))  # type: ignore[arg-type]
+    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))
 
 
 def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
@@ -99,7 +99,7 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
         (os.mkfifo, "world 'bad' not found"),
     ],
 )
-def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
+def test_robot_stays_when_another_world_is_unusable(
     made: Path, opened: list[tuple[str, str]], make: Callable[[Path], object], why: str
 ) -> None:
     make(made / "worlds" / "bad.json")
@@ -115,10 +115,10 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
 
 
 class EnoughError(Exception):
-    """What ends the opening of a world."""
+    """The end of opening a world."""
 
 
-def test_the_robot_stays_where_it_is_when_the_opening_of_another_world_is_ended(
+def test_robot_stays_when_opening_a_world_is_cancelled(
     made: Path, opened: list[tuple[str, str]]
 ) -> None:
     def enough() -> None:
