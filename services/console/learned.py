@@ -26,7 +26,7 @@ class Learned:
     """Drawable content of a model: its identity, and the properties of its keyframes."""
 
     identity: str
-    goal: str  # Goal of the robot.
+    goal: str
     drives: NDArray[np.int32]
     along_m: NDArray[np.float64]  # Distance from the start of the drive.
     cost_s: NDArray[np.float64]  # Time to the goal; infinite without a route.

@@ -182,7 +182,6 @@ class LiveContent:
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
     def _on_pose(self, pose: TruePose) -> None:
-        """Add the true pose to the driven path of this episode."""
         if pose.episode != self._way_of:
             self._way = []
             self._way_of = pose.episode

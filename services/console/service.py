@@ -61,7 +61,7 @@ class ConsoleService:
         self._node = node
         self._board = board
         self._news: deque[dict[str, object]] = deque(maxlen=_LINES)
-        self._said = 0
+        self._news_count = 0
         show = lambda report: board.put("robot", asdict(report))  # noqa: E731
         self._operator = Operator(node, self._say, show, board.clock, self._bridges)
         self.library = Library(root)
@@ -112,9 +112,13 @@ class ConsoleService:
         self._operator.poll()
 
     def _say(self, text: str) -> None:
-        self._said += 1
+        self._news_count += 1
         self._news.append(
-            {"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)}
+            {
+                "number": self._news_count,
+                "at": round(self._board.clock(), 3),
+                "text": printable(text),
+            }
         )
         self._board.put("news", list(self._news))
 
@@ -224,9 +228,9 @@ class ConsoleService:
             goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
             self._board.put("goal", {"episode": begun.episode, "at": goal})
 
-        there = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
+        place = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
         self._operator.begin(
-            request.model_copy(update=there), prepare, lambda: self.attended, show_goal
+            request.model_copy(update=place), prepare, lambda: self.attended, show_goal
         )
 
     def _record(self) -> None:

@@ -130,8 +130,8 @@ class Web:
         seen.set()
 
         async def listen() -> None:
-            async for said in _said(browser):
-                if isinstance(OF_WATCHERS.validate_json(said), StopRequest):
+            async for message in _messages(browser):
+                if isinstance(OF_WATCHERS.validate_json(message), StopRequest):
                     await self._do(self._service.stop)
                 elif seen.is_set():
                     raise _NonsenseError("invalid acknowledgement")
@@ -141,7 +141,7 @@ class Web:
         try:
             with self._board.watched() as newest:
 
-                async def tell() -> None:
+                async def send() -> None:
                     while True:
                         text, picture = await newest()
                         seen.clear()
@@ -151,7 +151,7 @@ class Web:
                         await asyncio.sleep(_APART_S)
                         await seen.wait()
 
-                await _until_one_ends(browser, listen(), tell())
+                await _until_one_ends(browser, listen(), send())
         except FullError:
             await browser.close(FULL, "too many watch")
 
@@ -177,26 +177,26 @@ class Web:
 
     async def _listen(self, browser: WebSocket) -> None:
         """Execute the driver's messages; refuse invalid messages without closing the connection."""
-        async for text in _said(browser):
+        async for text in _messages(browser):
             if not self._seat.holds(browser):
                 return
             try:
-                said = OF_DRIVER.validate_json(text)
+                message = OF_DRIVER.validate_json(text)
             except ValidationError as error:
                 # The message's kind is internal.
                 kind = next(iter(error.errors(include_url=False)[0]["loc"]), "")
                 await browser.send_json({"refused": describe(error).removeprefix(f"{kind}.")})
                 continue
-            if isinstance(said, Hold):
-                if (sent_s := self._seat.answered(said.beat)) is not None:
-                    await self._do(self._service.hold, said.held, sent_s)
-            elif isinstance(said, Leave):
+            if isinstance(message, Hold):
+                if (sent_s := self._seat.answered(message.beat)) is not None:
+                    await self._do(self._service.hold, message.held, sent_s)
+            elif isinstance(message, Leave):
                 self._stand_up(browser, self._service.leave)
                 return
-            elif isinstance(said, StopRequest):
+            elif isinstance(message, StopRequest):
                 await self._do(self._service.stop)
-            elif (sent_s := self._seat.answered(said.beat)) is not None:
-                await self._do(self._service.ask, said, sent_s + LEASE_S)
+            elif (sent_s := self._seat.answered(message.beat)) is not None:
+                await self._do(self._service.ask, message, sent_s + LEASE_S)
             else:
                 await browser.send_json({"refused": LATE})
 
@@ -211,7 +211,7 @@ class _NonsenseError(Exception):
     """A browser acknowledged an update that was not sent."""
 
 
-async def _said(browser: WebSocket) -> AsyncIterator[str]:
+async def _messages(browser: WebSocket) -> AsyncIterator[str]:
     """Yield the messages of a browser; binary messages count as empty."""
     while (message := await browser.receive())["type"] != "websocket.disconnect":
         yield message.get("text") or ""

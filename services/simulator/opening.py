@@ -53,16 +53,16 @@ def open_simulation(
         The variation is unknown.
     """
     conditions = variation_named(variation) if isinstance(variation, str) else variation
-    there = load_foreign_world(world)
+    opened = load_foreign_world(world)
     if task is not None:
-        there = replace(there, start=task[0], victim=task[1])
-    there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
+        opened = replace(opened, start=task[0], victim=task[1])
+    opened = vary(opened, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
     wheels: Base | None = None
     if base == "car":
-        there = replace(there, drive=there.robot.drive.car)
+        opened = replace(opened, drive=opened.robot.drive.car)
     if base != "kinematic":
         from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
-        wheels = PhysicalBase(there.place, there.robot.drive)
+        wheels = PhysicalBase(opened.place, opened.robot.drive)
     camera = replace(camera, light=conditions.light)
-    return Simulation(there, camera, wheels, shake=shake, variation=conditions, depth=depth)
+    return Simulation(opened, camera, wheels, shake=shake, variation=conditions, depth=depth)

@@ -71,12 +71,12 @@ class Simulation:
         self.name = world.name
         self.speed_m_s = world.robot.drive.speed_m_s
         self.found_m = world.scale.found_m
-        self._seen = world, camera, variation
+        self._view = world, camera, variation
         #: Mounting of the depth camera, identical to the colour camera's.
-        sits = world.robot.camera
+        mast = world.robot.camera
         radius_m = world.robot.radius_m
         self.mount = (
-            Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m)
+            Mount(FOCAL, mast.height_m, mast.ahead_m, radius_m, world.robot.top_m)
             if depth
             else None
         )
@@ -143,20 +143,19 @@ class Simulation:
 
     def _lay(self, victim: Victim) -> None:
         chance = self._chance(7)
-        there = self.world.victim
+        taught = self.world.victim
         self.victim = (
-            there
+            taught
             if victim == "there"
             else moved_victim(self.world, chance)
             if victim == "moved"
             else None
         )
-        self._seen[1].lay(
-            self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16))
+        self._view[1].lay(
+            self.victim, taught if victim == "decoy" else None, int(chance.integers(1 << 16))
         )
 
     def _obstruct(self, count: int, blocked: bool) -> None:
-        """Place obstacles in the world."""
         things: tuple[Obstacle, ...] = ()
         if count or blocked:
             things = stand_in_the_way(
@@ -166,7 +165,7 @@ class Simulation:
             return
         self.obstacles = things
         self._base.obstruct([solid for thing in things for solid in thing.solids])
-        self._seen[1].obstruct(things)
+        self._view[1].obstruct(things)
 
     def carry_away(self) -> Pose:
         """Move the robot to a seeded pose beside the route, without turning its wheels."""
@@ -208,7 +207,7 @@ class Simulation:
         """
         felt = self._sensors
         return SimulatedView(
-            *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
+            *self._view, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
             self.victim, tuple(one.pose for one in self.people), self.mount, captured_s, wanted,
         )  # fmt: skip
 

@@ -31,12 +31,12 @@ _BODIES: Final = table("bodies", dict[str, BodyMesh])
 
 def body(name: str) -> Iterator[Piece]:
     """Yield the pieces of a body from the table."""
-    made = _BODIES[name]
-    for side in (1, -1) if made.mirrored else (1,):
-        for material, (x, y, z), radii, detail in made.balls:
+    parts = _BODIES[name]
+    for side in (1, -1) if parts.mirrored else (1,):
+        for material, (x, y, z), radii, detail in parts.balls:
             if y or side > 0:
                 yield Finish(material), ball((x, side * y, z), radii, detail)
-        for material, (x, y, z), (to_x, to_y, to_z), ends, sectors in made.limbs:
+        for material, (x, y, z), (to_x, to_y, to_z), ends, sectors in parts.limbs:
             if y or side > 0:
                 yield (
                     Finish(material),

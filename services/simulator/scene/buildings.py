@@ -41,8 +41,8 @@ _CORNICE_M: Final = 0.18
 _SLOPE: Final = 0.6
 # A footprint that fills less of its bounding rectangle gets no ridge along that rectangle.
 _OBLONG: Final = 0.85
-# Fraction of the footprint's half width that hipped slopes cover, the rest is level: of an angled
-# footprint, whose arms need slopes, and of a rectangle.
+# Fraction of the inscribed circle's radius that slopes cover (the rest is level): on an angled
+# footprint, which needs slopes on its arms, and on a rectangle.
 _SLOPED: Final = 0.7
 _TO_THE_RIDGE: Final = 0.99
 _METRES: Final = (4.0, 4.0)

@@ -21,8 +21,8 @@ _VARIANTS: Final = 4
 
 def furnish(piece: Furniture) -> list[Piece]:
     """Return the pieces of furniture at its pose."""
-    made = {"plant": _plant, "shelf": _shelf}.get(piece.kind, _boxes)(piece)
-    return [(finish, mesh.placed(piece.pose)) for finish, mesh in made]
+    parts = {"plant": _plant, "shelf": _shelf}.get(piece.kind, _boxes)(piece)
+    return [(finish, mesh.placed(piece.pose)) for finish, mesh in parts]
 
 
 def _variant(piece: Furniture) -> int:
@@ -65,7 +65,6 @@ def _shelf(piece: Furniture) -> Iterator[Piece]:
 
 
 def _plant(piece: Furniture) -> Iterator[Piece]:
-    """Yield a pot of soil with a bush."""
     radius = piece.width_m / 2
     height = piece.height_m
     pot = 0.3 * height

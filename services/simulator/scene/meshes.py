@@ -16,7 +16,7 @@ from services.simulator.world.place import Pose
 UP: Final = np.array([0.0, 0.0, 1.0])
 #: Texture coordinates of an upright rectangle, from its lower left corner.
 UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
-# Inset by half a texel, since filtering wraps around at the edges.
+# Slightly inset, since filtering wraps around at the edges.
 _WHOLE: Final = [(0.003, 0.997), (0.997, 0.997), (0.997, 0.003), (0.003, 0.003)]
 TEXTURE_M: Final = 0.6  # Texture period on furniture.
 

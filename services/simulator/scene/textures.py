@@ -129,8 +129,8 @@ def _paving(
     for row in range(1, rows, 2) if running else ():
         band = slice(row * height, (row + 1) * height)
         picture[band] = np.roll(picture[band], width // 2, axis=1)
-    made = coloured(colour, picture * (1.0 + contrast * layered(rng, _SHAPE, (1.5, 30.0))))
-    return np.rot90(made, -1) if upright else made
+    slabs = coloured(colour, picture * (1.0 + contrast * layered(rng, _SHAPE, (1.5, 30.0))))
+    return np.rot90(slabs, -1) if upright else slabs
 
 
 def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:

@@ -69,8 +69,8 @@ def measured(depth_m: NDArray[np.float32], focal: float) -> NDArray[np.float32]:
 def _seen_by_one(true_m: NDArray[np.float32], shift_px_m: float) -> NDArray[np.bool_]:
     """Return the pixels that only one imager sees: outside the other's view, or occluded."""
     columns = np.arange(true_m.shape[1])
-    there = columns - np.where(true_m > 0.0, shift_px_m / np.maximum(true_m, _NEAREST_M), 0.0)
+    matches = columns - np.where(true_m > 0.0, shift_px_m / np.maximum(true_m, _NEAREST_M), 0.0)
     # Columns in the other image; a point with a nearer neighbour at its column is occluded.
-    nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]
-    hidden = np.append(nearest[:, 1:], np.full((len(there), 1), np.inf), axis=1) <= there
-    return np.asarray((there < 0.0) | hidden)
+    nearest = np.minimum.accumulate(matches[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.append(nearest[:, 1:], np.full((len(matches), 1), np.inf), axis=1) <= matches
+    return np.asarray((matches < 0.0) | hidden)

@@ -73,7 +73,6 @@ def compose(
 
 
 def _by_outline(outlines: Sequence[Outline], parts: Sequence[Outline]) -> list[list[Outline]]:
-    """Return the parts within each outline."""
     tree = STRtree([outline.shape for outline in outlines])
     own: list[list[Outline]] = [[] for _ in outlines]
     for part in parts:

@@ -77,7 +77,7 @@ class Furniture:
     # Width seen from the front; diameter of round furniture.
     width_m: Size
     depth_m: Metres = 0.0  # From front to back; omitted for round furniture.
-    height_m: Size  # From the floor to the top.
+    height_m: Size
     # Colour of the main surface, for instance "#7a8fa6"; by default the kind's usual colour.
     colour: Colour | None = None
 

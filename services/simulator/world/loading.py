@@ -35,7 +35,7 @@ _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
 _FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
     Annotated[RoomFile | TerrainFile, Field(discriminator="format")]
 )
-# Distance below which a point counts as on the route.
+# Lane points this close count as on the route, which omits points on straight legs.
 _ON_ROUTE_M: Final = 0.03
 
 

@@ -125,25 +125,26 @@ class _Way:
             aside = rng.uniform(-1.0, 1.0)
             turned = rng.uniform(-0.4, 0.4)
             # The obstacle's side is between contact with the robot and half its width further away.
-            there = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
-            made = Obstacle(piece, Pose(there.x, there.y, there.heading + turned))
-            off = self._solid.disjoint(made.footprint)
+            centre = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
+            obstacle = Obstacle(piece, Pose(centre.x, centre.y, centre.heading + turned))
+            off = self._solid.disjoint(obstacle.footprint)
             off &= all(
-                made.footprint.distance(other.footprint) > 8 * self._radius_m for other in others
+                obstacle.footprint.distance(other.footprint) > 8 * self._radius_m
+                for other in others
             )
-            if off and self._passes(along_m, made):
-                return [made]
+            if off and self._passes(along_m, obstacle):
+                return [obstacle]
         return []
 
-    def _passes(self, along_m: float, made: Obstacle) -> bool:
+    def _passes(self, along_m: float, obstacle: Obstacle) -> bool:
         """Return whether a passage twice as wide as the robot leads around an obstacle."""
-        length_m = made.footprint.length / 2 + 4 * self._radius_m
+        length_m = obstacle.footprint.length / 2 + 4 * self._radius_m
         stretch = substring(
             self._line, max(0.0, along_m - length_m), min(self._line.length, along_m + length_m)
         )
         beside = stretch.buffer(_ASIDE * self._radius_m, cap_style="flat")
         free = beside.difference(
-            shapely.union_all([made.footprint, self._solid]).buffer(2 * self._radius_m)
+            shapely.union_all([obstacle.footprint, self._solid]).buffer(2 * self._radius_m)
         )
         ends = [shapely.Point(stretch.coords[k]) for k in (0, -1)]
         return any(

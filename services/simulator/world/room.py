@@ -97,7 +97,7 @@ class Room:
     name: str = ""
     east_west_m: Annotated[float, Field(ge=1.5, le=50)]  # From the west to the east wall.
     north_south_m: Annotated[float, Field(ge=1.5, le=50)]  # From the south to the north wall.
-    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8  # From the floor to the ceiling.
+    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8
     floor: Literal["lino"] = "lino"
     wall_colour: Colour = (230, 226, 216)
     furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]

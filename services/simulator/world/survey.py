@@ -187,7 +187,6 @@ class _Survey:
         return True
 
     def _ground(self, kind: Kind, number: int, parts: Sequence[Polygon], tags: Tags) -> None:
-        """Add an area that covers the ground."""
         cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
         self._areas += [Area(**plan(part), kind=cover) for part in parts]
         if kind == "square":

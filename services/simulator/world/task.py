@@ -138,17 +138,17 @@ def _are_hidden(
 
 def moved_victim(world: World, rng: np.random.Generator) -> Pose:
     """Draw the pose of a moved victim: free, in sight of its place, within `Scale.moved_m`."""
-    there = world.victim
+    victim = world.victim
     obstacles = obstacles_of(world.place)
     scale = world.scale
     for _ in range(_TRIES):
         away_m = scale.moved_m * math.sqrt(rng.uniform())
         towards = rng.uniform(0.0, math.tau)
-        x = there.x + away_m * math.cos(towards)
-        y = there.y + away_m * math.sin(towards)
-        sight = np.array([[(there.x, there.y), (x, y)]])
+        x = victim.x + away_m * math.cos(towards)
+        y = victim.y + away_m * math.sin(towards)
+        sight = np.array([[(victim.x, victim.y), (x, y)]])
         if obstacles.is_free(x, y, scale.clearance_m) and obstacles.in_sight(sight)[0]:
-            return Pose(x, y, there.heading)
+            return Pose(x, y, victim.heading)
     raise WorldError(f"{world.name}: no free place within {scale.moved_m:g} m of the victim")
 
 
