@@ -71,7 +71,7 @@ class Simulation:
         self.name = world.name
         self.speed_m_s = world.robot.drive.speed_m_s
         self.found_m = world.scale.found_m
-        self._view = world, camera, variation
+        self._seen = world, camera, variation
         #: Mounting of the depth camera, identical to the colour camera's.
         mast = world.robot.camera
         radius_m = world.robot.radius_m
@@ -151,7 +151,7 @@ class Simulation:
             if victim == "moved"
             else None
         )
-        self._view[1].lay(
+        self._seen[1].lay(
             self.victim, taught if victim == "decoy" else None, int(chance.integers(1 << 16))
         )
 
@@ -165,7 +165,7 @@ class Simulation:
             return
         self.obstacles = things
         self._base.obstruct([solid for thing in things for solid in thing.solids])
-        self._view[1].obstruct(things)
+        self._seen[1].obstruct(things)
 
     def carry_away(self) -> Pose:
         """Move the robot to a seeded pose beside the route, without turning its wheels."""
@@ -207,7 +207,7 @@ class Simulation:
         """
         felt = self._sensors
         return SimulatedView(
-            *self._view, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
+            *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
             self.victim, tuple(one.pose for one in self.people), self.mount, captured_s, wanted,
         )  # fmt: skip
 
