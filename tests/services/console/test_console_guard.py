@@ -159,7 +159,7 @@ def test_console_does_not_start_when_its_certificate_is_invalid(keys: Path) -> N
     subprocess.run(
         ["openssl", "genpkey", "-algorithm", "ed25519", "-out", "key.pem"], cwd=keys, check=True
     )
-    with pytest.raises(ServiceError, match="are of no use"):
+    with pytest.raises(ServiceError, match="invalid certificate or key"):
         serve(keys)
 
 
@@ -169,12 +169,12 @@ def test_console_does_not_start_when_its_certificate_is_invalid(keys: Path) -> N
         (
             "0.0.0.0:0",
             {"console_token": None, "console_cert": None, "console_key": None},
-            "other machines reach it",
+            "reachable by other machines",
         ),
-        ("0.0.0.0:0", {"console_token": None}, "other machines reach it"),
-        ("127.0.0.1:0", {"console_token": None}, "go together"),
-        ("127.0.0.1:0", {"console_key": None}, "go together"),
-        ("127.0.0.1:99999", {}, "no such port"),
+        ("0.0.0.0:0", {"console_token": None}, "reachable by other machines"),
+        ("127.0.0.1:0", {"console_token": None}, "required together"),
+        ("127.0.0.1:0", {"console_key": None}, "required together"),
+        ("127.0.0.1:99999", {}, "invalid port"),
     ],
 )
 def test_a_page_that_would_be_open_to_others_is_not_served(

@@ -79,7 +79,7 @@ def test_library_goes_on_when_a_file_kills_its_reader(library: Library) -> None:
     with closing(Reader()) as reader:
         assert reader.read(path, listed).outcome == "found"
         reader.stop()
-        died = "it cannot be read: the process that read it has died"
+        died = "cannot be read: the reading process has died"
         assert reader.read(path, listed) == replace(listed, useless=died)
         assert reader.read(path, listed).outcome == "found"
     assert not [one for one in multiprocessing.active_children() if one.name == "recordings"]
@@ -172,7 +172,7 @@ def test_library_deletes_only_listed_recordings(
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
-    assert page.news().count("no such recording") == 5
+    assert page.news().count("recording not found") == 5
     assert kept.exists()
     assert not gone.exists()
 

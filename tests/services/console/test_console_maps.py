@@ -37,11 +37,11 @@ def test_map_of_the_driver_is_taken_whole(seated: Page, nobody: Nobody) -> None:
 
 def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> None:
     for path, headers, status, why in (
-        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "only who drives"),
+        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "permission denied: take control"),
         ("/map?name=town", {"Origin": "http://evil.example"}, 403, "only the console's own page"),
         ("/map?name=..%2Ftown", {}, 400, "the world's name"),
         (f"/map?name={quote('𠀀') * 51}", {}, 400, "at most 200 bytes"),
-        ("/", {}, 405, "nothing is changed this way"),
+        ("/", {}, 405, "unsupported method"),
     ):
         answer, said = seated.post(path, b"<osm/>", **headers)
         assert (answer, why in said, said.count("\n")) == (status, True, 1), said
@@ -59,7 +59,7 @@ def test_a_map_that_is_too_large_ends_early(
     monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
     assert seated.post("/map?name=town", bytes(1_000_001)) == (
         413,
-        "a map has at most 1 MB; cut it smaller\n",
+        "map too large (maximum 1 MB); cut it smaller\n",
     )
     assert (nobody.maps, kept()) == ([], 0)
 

@@ -91,9 +91,12 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (lambda _: None, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
+        (
+            lambda _: None,
+            "world 'bad' not found; choose from campus, indoor, my town, terrace, yard",
+        ),
         (lambda path: path.symlink_to(WORLDS_FOLDER / "indoor.json"), "world 'bad': leads out of"),
-        (os.mkfifo, "no world 'bad'"),
+        (os.mkfifo, "world 'bad' not found"),
     ],
 )
 def test_robot_stays_when_another_world_is_unusable(
@@ -105,7 +108,7 @@ def test_robot_stays_when_another_world_is_unusable(
     with pytest.raises(ServiceError, match=why):
         begin(body, world="bad")
     assert opened == []
-    with pytest.raises(ServiceError, match="no variation 'bad'; known are day, morning"):
+    with pytest.raises(ServiceError, match="variation 'bad' not found; choose from day, morning"):
         begin(body, variation="bad")
     begin(body)
     assert body.name == "yard"

@@ -173,7 +173,7 @@ def test_robot_stands_without_its_console_until_it_is_armed(
     faults: tuple[tuple[Callable[[int], AbstractContextManager[None]], str], ...] = (
         (lambda _: frozen(site.pid_of_console()), "The console has been silent for"),
         (frozen, "The console has been silent for"),  # the link
-        (lambda _: killed(site), "No connection to the console for"),
+        (lambda _: killed(site), "Not connected to the console for"),
     )
     with (
         link(f"tcp/{site.address}") as way,
