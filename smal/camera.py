@@ -13,12 +13,13 @@ same drive best. Nothing has to be measured by hand.
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]  # RGB, uint8 (height, width, 3).
+from smal.arrays import AnyArray, Floats, Uint8s
+
+Image = Uint8s  # RGB, uint8 (height, width, 3).
 #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a HOG cell, within which a view hardly
 #: changes. Beyond 40 degrees hardly anything of the taught image is left.
 TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
@@ -26,7 +27,7 @@ TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])
 #: Index of the view that is not turned.
 STRAIGHT: Final = TURNS_DEG.size // 2
-Maps = tuple[NDArray[Any], NDArray[Any]]
+Maps = tuple[AnyArray, AnyArray]
 
 Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 #: Largest angle from the axis. A rectilinear lens sees less than a right angle.
@@ -85,7 +86,7 @@ class Camera:
         half = float(self.angle(0.5 / self.focal))
         return 2.0 * math.degrees(half)
 
-    def radius(self, angle_rad: NDArray[Any]) -> NDArray[np.float64]:
+    def radius(self, angle_rad: AnyArray) -> Floats:
         """Return the distance from the principal point at an angle from the axis, in focal lengths."""
         angles, radii = self._table
         # The angles are evenly spaced: `np.interp` searches them and takes four times as long.
@@ -94,7 +95,7 @@ class Camera:
         slope = radii[below + 1] - radii[below]
         return np.asarray(radii[below] + (at - below) * slope)
 
-    def angle(self, radius: NDArray[Any] | float) -> NDArray[np.float64]:
+    def angle(self, radius: AnyArray | float) -> Floats:
         """Return the angle from the axis at a distance from the principal point, the inverse of `radius`."""
         angles, radii = self._table
         return np.asarray(np.interp(radius, radii, angles))
@@ -108,9 +109,7 @@ class Camera:
         return column, row
 
     @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit needs the same rays hundreds of times
-    def rays(
-        self, shape: tuple[int, ...]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def rays(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
         """Return the direction of each pixel of an image of this shape: right, down, ahead, of unit length."""
         rows, columns = shape
         middle_u, middle_v = self.middle(shape)
@@ -124,7 +123,7 @@ class Camera:
         return sin * across / out, sin * down / out, np.cos(angle)
 
     @cached_property
-    def _table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _table(self) -> tuple[Floats, Floats]:
         """Angles and distances from the principal point, up to the largest angle where the distance still grows."""
         angles = np.linspace(0.0, _MOST_RAD[self.lens], 2**14)
         k = np.zeros(8)

@@ -19,11 +19,11 @@ confuses places that look alike for longer than l frames.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Indices
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
 from smal.frozen import Frozen
@@ -44,11 +44,11 @@ PLACES: Final = 64
 class Belief:
     """Estimated position of the robot: p particles beside keyframes, and their probabilities."""
 
-    keyframes: NDArray[np.intp]
+    keyframes: Indices
     #: (p, 3) way ahead and to the left of the keyframe, in the map's unit, and turn to the left, radians.
-    offsets: NDArray[np.float64]
+    offsets: Floats
     #: Probabilities given that the robot is not lost; they sum to 1.
-    weights: NDArray[np.float64]
+    weights: Floats
     #: Probability, 0 to 1, that the robot is far from everything that was taught.
     lost: float
     #: Mean cosine of the last view with the views of these places.
@@ -73,7 +73,7 @@ class Belief:
         weights = np.bincount(where, self.weights)
         safe = np.maximum(weights, 1e-300)
 
-        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        def mean(values: Floats) -> Floats:
             return np.asarray(np.bincount(where, self.weights * values) / safe)
 
         ahead, left, turned = self.offsets.T
@@ -114,7 +114,7 @@ class Newness:
         self._used = 0.0
         self.step = np.zeros(3)
 
-    def of(self, centred: NDArray[np.float32]) -> float:
+    def of(self, centred: Float32s) -> float:
         """Return how new the next view is, by its centred features (m,), and store it.
 
         Components are unsuitable: for a scene that the map does not contain they are mostly noise, which is always new.
@@ -188,7 +188,7 @@ class Filter:
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._since = np.zeros(3)
         #: Drive and pose of the last certain position, moved on by the odometry, and the way since.
-        self._sure: tuple[int, NDArray[np.float64], float] | None = None
+        self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
             self._tracked = self._drawn_from(belief)
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
@@ -216,7 +216,7 @@ class Filter:
 
     def observe(
         self,
-        raw_features: NDArray[Any],
+        raw_features: AnyArray,
         movement: Movement = STILL,
         noise: MotionNoise = BY_ODOMETRY,
     ) -> Belief:
@@ -270,7 +270,7 @@ class Filter:
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
-    def _seen(self, centred: NDArray[np.float32]) -> ViewEvidence:
+    def _seen(self, centred: Float32s) -> ViewEvidence:
         """Compare a view with the views of the map.
 
         A view carries no information if it is most like a blank picture, equally like all places, bit-identical to the
@@ -380,7 +380,7 @@ class Filter:
         """Return how far the tracked robot looks at taught views, 0 to 1."""
         return float(self._tracked.weights @ self._tracked.looks())
 
-    def _scouts(self, seen: ViewEvidence, shares: NDArray[np.float64]) -> tuple[Particles, float]:
+    def _scouts(self, seen: ViewEvidence, shares: Floats) -> tuple[Particles, float]:
         """Draw particles by the likelihood of one view; also return the likelihood of the view there."""
         z = seen.stands_out(seen.cosines)
         whole = self._map.likelihood.mixed(shares, z, 1.0)
@@ -401,9 +401,9 @@ class Filter:
         scouts.shares = shares
         return scouts, float((prior * new).sum())
 
-    def _scout_prior(self, seen: ViewEvidence) -> NDArray[np.float64]:
+    def _scout_prior(self, seen: ViewEvidence) -> Floats:
         """Return the prior of the keyframes (n,): half near the last certain pose, half uniform."""
-        prior = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
+        prior: Floats = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
         if self._sure is None:
             return prior
         drive, pose, way = self._sure
@@ -412,12 +412,12 @@ class Filter:
         distance = np.hypot(*apart.T) / reach
         near = np.exp(-0.5 * np.square(distance)) * (self._map.key_drives == drive)
         near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
-        return 0.5 * prior + 0.5 * near / TURNS_DEG.size
+        return np.asarray(0.5 * prior + 0.5 * near / TURNS_DEG.size)
 
     def _beside(
         self,
-        keyframes: NDArray[np.intp],
-        turns: NDArray[np.float64],
+        keyframes: Indices,
+        turns: Floats,
         aside: float,
         turned_deg: float,
     ) -> Particles:

@@ -1,10 +1,10 @@
 """Detection of a frozen camera: pictures must change while the wheels move."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.map import VisualMap
 from smal.movement import placed
 
@@ -28,7 +28,7 @@ class Frozen:
 
     def reset(self) -> None:
         """Start a new episode."""
-        self._before: NDArray[np.float32] | None = None
+        self._before: Float32s | None = None
         self._since = np.zeros(3)
         self._driven = 0.0
         self.yes = False
@@ -38,7 +38,7 @@ class Frozen:
         """Way since the last change of the picture, in the map's unit; 0 if the camera is not frozen."""
         return self._driven if self.yes else 0.0
 
-    def look(self, centred: NDArray[np.float32], step: NDArray[Any]) -> None:
+    def look(self, centred: Float32s, step: AnyArray) -> None:
         """Process the centred features (m,) of a picture, and the movement (3,) since the picture before."""
         if self._before is None:
             self._before = centred

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Bools, Floats, Int32s
 from smal.movement import wrapped
 
 
@@ -74,11 +74,11 @@ MAP_CONFIG: Final = MapConfig()
 
 
 def shows_same(
-    poses: NDArray[np.float64],
-    pose: NDArray[np.float64],
+    poses: Floats,
+    pose: Floats,
     length: float,
     config: MapConfig = MAP_CONFIG,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return at which poses (f, 3) the view is nearly the same as at a pose (3,), for a correlation length."""
     moved = poses - pose
     near = np.hypot(*moved[:, :2].T) < length / config.views_a_length
@@ -87,11 +87,11 @@ def shows_same(
 
 
 def leads_on(
-    poses: NDArray[np.float64],
-    drives: NDArray[np.int32],
+    poses: Floats,
+    drives: Int32s,
     length: float,
     config: MapConfig = MAP_CONFIG,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return the frames (f,) on the way to the goal, without detours.
 
     Frames between two equal views are a detour: a wrong turn and its correction, or a way there and back. If the

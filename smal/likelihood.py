@@ -16,11 +16,11 @@ Neighbouring views are not independent. They correlate by s^gamma, where s is th
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Floats, Indices
 from smal.keyframes import MAP_CONFIG, MapConfig
 
 #: Grid of z. Beyond it the values at the ends hold.
@@ -32,13 +32,13 @@ ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)
 _FINE = np.linspace(0.0, 1.0, 101)
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
+def evenly(count: int, most: int) -> Indices:
     """Return at most `most` evenly spread integers below `count`."""
     numbers = np.linspace(0, count - 1, min(count, most))
     return np.unique(numbers.astype(np.intp))
 
 
-def scale(sample: NDArray[Any]) -> tuple[float, float]:
+def scale(sample: AnyArray) -> tuple[float, float]:
     """Return the median and the spread of the cosines (n,) of a view with a sample of elsewhere.
 
     The spread is the median absolute deviation, scaled to the standard deviation of a normal distribution.
@@ -48,20 +48,20 @@ def scale(sample: NDArray[Any]) -> tuple[float, float]:
     return middle, 1.4826 * deviation
 
 
-def standing_out(cosines: NDArray[Any], sample: NDArray[Any]) -> NDArray[Any]:
+def standing_out(cosines: AnyArray, sample: AnyArray) -> AnyArray:
     """Return the z values of the cosines of a view, given a sample of elsewhere; 0 for a blank view."""
     middle, spread = scale(sample)
     return over(cosines, middle, spread)
 
 
-def over(cosines: NDArray[Any], middle: float, spread: float) -> NDArray[Any]:
+def over(cosines: AnyArray, middle: float, spread: float) -> AnyArray:
     """Return (cosines - middle) / spread; 0 if the spread is 0."""
     if spread > 1e-6:
         return (cosines - middle) / spread
     return np.zeros_like(cosines)
 
 
-def log_ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64]:
+def log_ratio(here: Floats, elsewhere: Floats) -> Floats:
     """Return log(here / elsewhere) at each `GRID` point, made ascending by isotonic regression."""
     from scipy.optimize import isotonic_regression  # noqa: PLC0415 - only learning needs it, and it is slow to import
 
@@ -82,14 +82,14 @@ class Likelihood:
         Exponent, above 0: views of cosine s correlate by s^gamma.
     """
 
-    log_ratio: NDArray[np.float64]
+    log_ratio: Floats
     gamma: float
 
     @classmethod
     def fit(
         cls,
-        here: NDArray[Any],
-        elsewhere: NDArray[Any],
+        here: AnyArray,
+        elsewhere: AnyArray,
         independent: float,
         gamma: float,
         config: MapConfig = MAP_CONFIG,
@@ -125,13 +125,11 @@ class Likelihood:
         rows = np.clip(rows, math.log(config.hidden), 50.0)
         return cls(rows, gamma)
 
-    def of(self, z: NDArray[Any], share: int = -1) -> NDArray[np.float64]:
+    def of(self, z: AnyArray, share: int = -1) -> Floats:
         """Return the log ratio of each z for one of the shares."""
         return np.asarray(np.interp(z, GRID, self.log_ratio[share]))
 
-    def mixed(
-        self, shares: NDArray[np.float64], z: NDArray[Any], newness: float
-    ) -> NDArray[np.float64]:
+    def mixed(self, shares: Floats, z: AnyArray, newness: float) -> Floats:
         """Return the likelihood ratio of each z, for probabilities of the shares and the newness of the view."""
         ratio = np.exp(newness * self.log_ratio)
         return np.asarray(np.interp(z, GRID, shares @ ratio))
@@ -142,9 +140,7 @@ class Likelihood:
         return math.pow(limited, self.gamma)
 
 
-def _distribution(
-    z: NDArray[Any], independent: float, edges: NDArray[np.float64], usual: float
-) -> NDArray[np.float64]:
+def _distribution(z: AnyArray, independent: float, edges: Floats, usual: float) -> Floats:
     """Return the distribution of z over the `GRID`: a histogram up to the quantile `usual`, a fitted tail above.
 
     Large z are too rare to count. Excesses over a high threshold are exponential. The predictive distribution of the

@@ -17,6 +17,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
@@ -53,36 +54,36 @@ class VisualMap:
     """
 
     #: (f, 3) pose of every taught frame.
-    poses: NDArray[np.float64]
+    poses: Floats
     #: (f,) drive of each frame, ascending.
-    drives: NDArray[np.int32]
+    drives: Int32s
     #: (k,) frames, ascending; they include the first and the last frame of every drive.
-    keyframes: NDArray[np.int32]
+    keyframes: Int32s
     #: (m, r) components of centred features.
-    basis: NDArray[np.float32]
+    basis: Float32s
     #: (k + e, 3, turns, r) components of each keyframe's views, of any length (`packed`): from `aside` to the right,
     #: from the keyframe, from the left; each turned by `TURNS_DEG`. View variants follow the taught views.
-    views: NDArray[np.int8]
+    views: Int8s
     #: (r,) components of a blank picture, of unit length.
-    blank: NDArray[np.float32]
+    blank: Float32s
     #: Distance of the views from aside to the keyframe, in the map's unit.
     aside: float
     #: Way ahead, and turn, after which the mean cosine of two views is half way to the cosine of unrelated views.
     correlation_length: float
     correlation_rad: float
     #: Likelihood of views, with gamma (`smal.likelihood.Likelihood`).
-    log_ratio: NDArray[np.float64]
+    log_ratio: Floats
     gamma: float
     #: Correlation of the views of neighbouring keyframes, 0 to 1.
     next_correlation: float
     #: (5, 2) movement of each atom between frames (`smal.teaching.movements`).
-    movements: NDArray[np.float64]
+    movements: Floats
     #: Time between two taught frames.
     tick_s: float
     #: Whether poses come from odometry; otherwise they are the integrated movements of atoms.
     odometry: bool
     #: Field of view in degrees, height of the camera, distance of the scene.
-    scene: NDArray[np.float64]
+    scene: Floats
     #: Goal of each drive.
     goals: tuple[str, ...]
     #: Demonstrations of each drive: several if frames between them were lost.
@@ -90,11 +91,11 @@ class VisualMap:
     #: Width and height of the first taught image, pixels.
     size: tuple[int, int]
     #: (s, 2) pairs of keyframes of different drives at the same place (`smal.teaching.stitches`), ascending.
-    stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
+    stitched: Int32s = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     #: (s, 3) pose of the first keyframe relative to the second: ahead, left, turned left in radians.
-    stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    stitch_offsets: Floats = field(default_factory=lambda: np.empty((0, 3)))
     #: (e,) keyframe of each view variant (`smal.teaching.living`), the oldest first.
-    looks: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    looks: Int32s = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     config: MapConfig = MAP_CONFIG
 
@@ -112,7 +113,7 @@ class VisualMap:
         return numbers | {"config": asdict(self.config)}, arrays
 
     @classmethod
-    def of_content(cls, numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+    def of_content(cls, numbers: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
         """Build the map from the content of a file; errors are as in `Stored.of_content`."""
         goals = numbers["goals"]
         names = numbers["names"]
@@ -135,7 +136,7 @@ class VisualMap:
         return cls(**arrays | numbers | converted)
 
     @cached_property
-    def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def neighbour_cosines(self) -> tuple[Float32s, Float32s]:
         """Cosines of neighbouring views: by turn (k + e, 3, turns - 1), and by place (k + e, 2, turns)."""
         count, places, turns, _ = self.views.shape
         by_turn = np.empty((count, places, turns - 1), dtype=np.float32)
@@ -148,9 +149,9 @@ class VisualMap:
         return by_turn, by_place
 
     @cached_property
-    def further(self) -> list[NDArray[np.intp]]:
+    def further(self) -> list[Indices]:
         """Rows of `views` of each keyframe's second view variant, its third and so on, (k,) each; -1 if missing."""
-        rows: list[NDArray[np.intp]] = []
+        rows: list[Indices] = []
         rank = np.zeros(len(self.keyframes), dtype=np.intp)
         for row, key in enumerate(self.looks.tolist(), len(self.keyframes)):
             if rank[key] == len(rows):
@@ -159,9 +160,7 @@ class VisualMap:
             rank[key] += 1
         return rows
 
-    def best_look(
-        self, keyframes: NDArray[np.intp], score: Callable[..., NDArray[_T]]
-    ) -> NDArray[_T]:
+    def best_look(self, keyframes: Indices, score: Callable[..., NDArray[_T]]) -> NDArray[_T]:
         """Return the best score of each keyframe (n,) over its view variants, (n, ...).
 
         Parameters
@@ -179,17 +178,17 @@ class VisualMap:
         return best
 
     @cached_property
-    def reference(self) -> NDArray[np.intp]:
+    def reference(self) -> Indices:
         """Keyframes whose own views are the sample of elsewhere, evenly spread."""
         return evenly(len(self.keyframes), self.config.reference)
 
     @cached_property
-    def sample(self) -> NDArray[np.float32]:
+    def sample(self) -> Float32s:
         """Views of the sample of elsewhere, (reference, r)."""
         return unpacked(self.views[self.reference, 1, STRAIGHT])
 
     @cached_property
-    def overview(self) -> NDArray[np.float32]:
+    def overview(self) -> Float32s:
         """Every fifth keyframe at every second turn, in the leading components: (k / 5, turns / 2, leading).
 
         Views change slowly along the way and with the turn. The overview selects keyframes for a closer comparison.
@@ -200,7 +199,7 @@ class VisualMap:
         return np.ascontiguousarray(leading)
 
     @cached_property
-    def _middles(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _middles(self) -> tuple[Indices, Indices]:
         """Rows of `views` in the overview, and the index of the fifth keyframe that each row shows."""
         step = self.config.views_a_length
         first = self.config.views_a_length // 2
@@ -214,17 +213,17 @@ class VisualMap:
         return Likelihood(self.log_ratio, self.gamma)
 
     @cached_property
-    def key_poses(self) -> NDArray[np.float64]:
+    def key_poses(self) -> Floats:
         """Poses of the keyframes, (k, 3)."""
         return self.poses[self.keyframes]
 
     @cached_property
-    def key_drives(self) -> NDArray[np.int32]:
+    def key_drives(self) -> Int32s:
         """Drive of each keyframe, (k,)."""
         return self.drives[self.keyframes]
 
     @cached_property
-    def key_range(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def key_range(self) -> tuple[Indices, Indices]:
         """First and last keyframe of the drive of each keyframe, (k,) and (k,)."""
         drives = self.key_drives
         first = np.searchsorted(drives, drives, side="left")
@@ -232,7 +231,7 @@ class VisualMap:
         return first, end - 1
 
     @cached_property
-    def arc(self) -> NDArray[np.float64]:
+    def arc(self) -> Floats:
         """Way until each frame, over all drives in a row, without detours, (f,)."""
         on = leads_on(self.poses, self.drives, self.correlation_length, self.config)
         steps = np.hypot(*np.diff(self.poses[on, :2], axis=0).T)
@@ -246,7 +245,7 @@ class VisualMap:
         return np.array(self.goals)[self.key_drives]
 
     @cached_property
-    def frames(self) -> NDArray[np.intp]:
+    def frames(self) -> Indices:
         """Number of frames of each drive, (d,)."""
         return np.bincount(self.drives)
 
@@ -271,7 +270,7 @@ class VisualMap:
         way = movement.ahead / self.correlation_length
         return math.hypot(way, movement.turn_rad / (2.0 * self.apart_rad))
 
-    def expected(self, step: NDArray[np.float64]) -> float:
+    def expected(self, step: Floats) -> float:
         """Return the expected correlation of two views that are a step (ahead, left, turned) apart, 0 to 1."""
         way = self.config.views_a_length * math.hypot(step[0], step[1]) / self.correlation_length
         turn = abs(math.remainder(step[2], math.tau)) / self.correlation_rad
@@ -279,17 +278,17 @@ class VisualMap:
         by_turn = turn * self.gamma * math.log(2.0)
         return math.exp(-math.hypot(by_way, by_turn))
 
-    def described(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
+    def described(self, centred: Float32s) -> Float32s:
         """Return the components of a frame (m,), of unit length, or zero for a blank frame, (r,)."""
         return unit(centred @ self.basis)
 
     def cosines(
         self,
-        components: NDArray[np.float32],
-        keyframes: NDArray[np.intp],
-        places: NDArray[np.intp],
-        turns: NDArray[np.intp],
-    ) -> NDArray[np.float32]:
+        components: Float32s,
+        keyframes: Indices,
+        places: Indices,
+        turns: Indices,
+    ) -> Float32s:
         """Return the cosines of a frame's components (r,) with views, in the broadcast shape of the indices.
 
         Rows of `views` beyond the keyframes are view variants.
@@ -299,12 +298,10 @@ class VisualMap:
         unique, inverse = np.unique(views, return_inverse=True)
         rows = self.views.reshape(-1, components.size)[unique].astype(np.float32)
         lengths = np.sqrt(np.einsum("vr,vr->v", rows, rows))
-        found: NDArray[np.float32] = rows @ components / np.maximum(lengths, 1.0)
+        found: Float32s = rows @ components / np.maximum(lengths, 1.0)
         return found[inverse].reshape(views.shape)
 
-    def likely(
-        self, components: NDArray[np.float32]
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def likely(self, components: Float32s) -> tuple[Indices, Floats]:
         """Return the keyframes to compare with a frame (r,), and how many keyframes each represents, (n,) and (n,).
 
         On a short way these are all keyframes. On a longer way they are the keyframes where the overview is most
@@ -328,7 +325,7 @@ class VisualMap:
         return np.append(near, others), stand_for
 
 
-def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
+def in_common_axes(visual_map: VisualMap) -> Floats:
     """Return the keyframes' poses (k, 3), with drives that share a place in the axes of the first of them."""
     poses = visual_map.key_poses.copy()
     drives = visual_map.key_drives
@@ -349,9 +346,7 @@ def in_common_axes(visual_map: VisualMap) -> NDArray[np.float64]:
     return poses
 
 
-def way_from(
-    mapped: VisualMap, keyframe: int, offset: NDArray[np.float64], along: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def way_from(mapped: VisualMap, keyframe: int, offset: Floats, along: Floats) -> Floats:
     """Return places (s, 2) of a keyframe's drive, ahead and left of a robot at an offset from that keyframe.
 
     They are at distances `along` (s,) from the point where the drive passes the robot, and end with the drive.
@@ -366,7 +361,7 @@ def way_from(
     return seen_from(from_keyframe, offset)[:, :2]
 
 
-def beside(mapped: VisualMap, keyframe: int, count: int) -> NDArray[np.intp]:
+def beside(mapped: VisualMap, keyframe: int, count: int) -> Indices:
     """Return the keyframes of the same drive at most `count` keyframes away, the keyframe included."""
     first, last = (int(edge[keyframe]) for edge in mapped.key_range)
     return np.arange(max(first, keyframe - count), min(last, keyframe + count) + 1)
@@ -452,7 +447,7 @@ def _stitches_fit(mapped: VisualMap) -> dict[str, bool]:
     }
 
 
-def _moderate(numbers: NDArray[Any]) -> bool:
+def _moderate(numbers: AnyArray) -> bool:
     return bool((np.abs(numbers) <= _LONGEST).all())
 
 
@@ -460,7 +455,7 @@ def _is_size(size: tuple[object, ...]) -> bool:
     return len(size) == 2 and all(type(side) is int and 0 < side <= _LONGEST for side in size)
 
 
-def _within(numbers: NDArray[Any], count: int) -> bool:
+def _within(numbers: AnyArray, count: int) -> bool:
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 

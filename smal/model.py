@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from numpy.typing import NDArray
-
+from smal.arrays import AnyArray
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored
 from smal.map import VisualMap
@@ -70,7 +69,7 @@ class Model(Stored):
         return meta, arrays
 
     @classmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
         """Build the model from the content of a file."""
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)

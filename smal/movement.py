@@ -9,6 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Floats
+
 #: Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
 Motion = tuple[float, float]
 STANDS: Final[Motion] = 0.0, 0.0
@@ -69,12 +71,12 @@ BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05)
 BY_ATOMS: Final = MotionNoise(ahead=0.1, turn=0.1, pace=0.5)
 
 
-def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
+def wrapped(angle_rad: AnyArray) -> AnyArray:
     """Wrap angles into [-pi, pi)."""
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+def seen_from(poses: Floats, frames: Floats) -> Floats:
     """Return poses (..., 3) relative to frames (..., 3): ahead, left, and turned left in [-pi, pi)."""
     x, y, turned = np.moveaxis(poses - frames, -1, 0)
     cos = np.cos(frames[..., 2])
@@ -84,7 +86,7 @@ def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArra
     return np.stack([ahead, left, wrapped(turned)], axis=-1)
 
 
-def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+def placed(offsets: Floats, frames: Floats) -> Floats:
     """Return the poses (..., 3) at offsets from frames (..., 3), the inverse of `seen_from`; turns add up."""
     ahead, left, turned = np.moveaxis(offsets, -1, 0)
     x, y, heading = np.moveaxis(frames, -1, 0)
@@ -95,16 +97,14 @@ def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray
     return np.stack([placed_x, placed_y, turned + heading], axis=-1)
 
 
-def turns_ahead(movements: NDArray[np.float64]) -> bool:
+def turns_ahead(movements: Floats) -> bool:
     """Return whether the robot is a car, by `atom_movements` (5, 2): its turns go over half the way of FORWARD."""
     ahead = np.abs(movements[:, 0])
     turning = ahead[[Atom.LEFT, Atom.RIGHT]].min()
     return bool(turning > 0.5 * ahead[Atom.FORWARD])
 
 
-def dead_reckoning(
-    atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: Floats) -> Floats:
     """Integrate the usual movements of atoms (f,) into poses (f, 3): x, y and heading, from (0, 0, 0).
 
     Half of each turn precedes the way ahead. `movements` (5, 2) are `atom_movements`.

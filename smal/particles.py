@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Indices
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.likelihood import ANY_DAY, SHARES, over
 from smal.map import VisualMap
@@ -50,7 +50,7 @@ class FilterConfig:
         """Return the probability that something hides the next new view, for a long-term share `hidden`."""
         return self.appears * hidden / (1.0 - hidden)
 
-    def share_changes(self, hidden: float) -> NDArray[np.float64]:
+    def share_changes(self, hidden: float) -> Floats:
         """Return the transition matrix of the visible share with a new view, (from, to)."""
         hides = self.hides(hidden)
         stays = 1.0 - hides - self.light
@@ -68,19 +68,19 @@ class ViewEvidence(NamedTuple):
     """Comparison of one view with n keyframes of the map."""
 
     #: (r,) components of the view (`VisualMap.described`).
-    components: NDArray[np.float32]
-    keyframes: NDArray[np.intp]
+    components: Float32s
+    keyframes: Indices
     #: Number of keyframes that each of these represents.
-    stand_for: NDArray[np.float64]
+    stand_for: Floats
     #: (n, turns) cosines with the views of the keyframes.
-    cosines: NDArray[np.float32]
+    cosines: Float32s
     #: Median and spread of the cosines with the sample of elsewhere.
     middle: float
     spread: float
     #: Share of the view that earlier views did not contain, 0 to 1.
     newness: float
 
-    def stands_out(self, cosines: NDArray[Any]) -> NDArray[Any]:
+    def stands_out(self, cosines: AnyArray) -> AnyArray:
         """Return the z values of cosines."""
         return over(cosines, self.middle, self.spread)
 
@@ -91,8 +91,8 @@ class Particles:
     def __init__(
         self,
         visual_map: VisualMap,
-        keyframes: NDArray[np.intp],
-        poses: NDArray[np.float64],
+        keyframes: Indices,
+        poses: Floats,
         config: FilterConfig = FILTER_CONFIG,
     ) -> None:
         self._map = visual_map
@@ -157,7 +157,7 @@ class Particles:
         y = ahead * np.sin(middle)
         self.poses += np.stack([x, y, turn], axis=1)
 
-    def _nearest_keyframes(self) -> NDArray[np.intp]:
+    def _nearest_keyframes(self) -> Indices:
         """Return the keyframe nearest to each particle, among the neighbours of its last one, (p,)."""
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         reach = self._map.config.neighbours
@@ -171,7 +171,7 @@ class Particles:
         nearest = cost.argmin(axis=1)[:, None]
         return np.take_along_axis(near, nearest, axis=1)[:, 0]
 
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Floats:
         """Return the poses relative to their keyframes: ahead, left, turned (p, 3)."""
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
@@ -198,7 +198,7 @@ class Particles:
             self.resampled(rng)
         return total
 
-    def looks(self) -> NDArray[np.float64]:
+    def looks(self) -> Floats:
         """Return how far each particle looks at taught views, 0 to 1: less if it is turned beyond them, (p,)."""
         turned = np.abs(np.degrees(self.offsets()[:, 2])) / STEP_DEG
         steps = np.maximum(turned - TURNS_DEG.size / 2.0, 0.0)
@@ -210,9 +210,7 @@ class Particles:
         cosines, _ = self.interpolated(seen.components)
         return float(self.weights @ cosines)
 
-    def interpolated(
-        self, components: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def interpolated(self, components: Float32s) -> tuple[Floats, Floats]:
         """Return the cosines with the view at each particle's offset, and its distance beyond the views.
 
         A view between two stored views is their weighted sum, scaled to unit length. The distance is in steps aside
@@ -228,7 +226,7 @@ class Particles:
         place_below = np.minimum(aside.astype(np.intp), 1)
         place_share = aside - place_below
 
-        def between(some: Any, rows: NDArray[np.intp]) -> NDArray[np.float64]:  # noqa: ANN401 - a slice or numbers
+        def between(some: Any, rows: Indices) -> Floats:  # noqa: ANN401 - a slice or numbers
             place = place_below[some]
             beside = place_share[some]
             turn = turn_below[some]
@@ -278,7 +276,7 @@ class Particles:
         return self
 
 
-def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:
+def _norm(share: Floats, cosine: AnyArray) -> Floats:
     """Return the length of a mixture of two unit vectors, of which the second has this share.
 
     Neighbouring views are never opposite; the limit prevents a division by zero for a damaged map.
@@ -288,7 +286,7 @@ def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float6
     return np.asarray(np.sqrt(squared))
 
 
-def systematic(weights: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def systematic(weights: AnyArray, count: int, rng: np.random.Generator) -> Indices:
     """Draw `count` indices by their weights (n,) with systematic resampling."""
     edges = np.cumsum(weights, dtype=np.float64)
     marks = (rng.random() + np.arange(count)) / max(count, 1) * edges[-1]

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
@@ -129,7 +129,7 @@ class Localizer:
         return Located(whole, belief, seen, strange)
 
     def seen(
-        self, picture: NDArray[np.uint8] | None, belief: Belief, detected: Iterable[Detection] = ()
+        self, picture: Uint8s | None, belief: Belief, detected: Iterable[Detection] = ()
     ) -> Glimpse | None:
         """Return the probability that the target is in view.
 
@@ -159,7 +159,7 @@ class Localizer:
             return Glimpse(0.0, 0.0)
         return self._witness.look(picture, self._time_s, detected)
 
-    def strange(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float:
+    def strange(self, picture: Uint8s | None, belief: Belief) -> float:
         """Return the distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught."""
         best = int(belief.weights.argmax())
         offset = belief.offsets[best]
@@ -179,7 +179,7 @@ class Localizer:
 
     def observe(
         self,
-        raw_features: NDArray[Any],
+        raw_features: AnyArray,
         odometry: Sequence[float] | None = None,
         atoms: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
@@ -282,10 +282,10 @@ class Robot:
 
     def step(
         self,
-        image: NDArray[np.uint8],
+        image: Uint8s,
         odometry: Sequence[float] | None = None,
         elapsed_s: float | None = None,
-        depth: tuple[NDArray[np.float32], Mount] | None = None,
+        depth: tuple[Float32s, Mount] | None = None,
     ) -> Motion:
         """Return the motion until the next image.
 

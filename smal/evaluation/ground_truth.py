@@ -4,38 +4,37 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Bools, Floats, Int64s
 from smal.place_recognition import Matches
 
 _BLOCK = 256  # Queries that are compared with all references at a time: 20 MB of each number for 10,000 references.
-Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """What became of every query, in order, arrays (q,): its answer's score, whether it has one, and a right one."""
 
-    score: NDArray[np.float64]
-    answered: NDArray[np.bool_]
-    right: NDArray[np.bool_]
-    judged: NDArray[np.bool_]  # Those of which something is known; the others do not count at all.
-    findable: NDArray[
-        np.bool_
-    ]  # Judged ones that have a right reference: any answer to the other ones is wrong.
+    score: Floats
+    answered: Bools
+    right: Bools
+    judged: Bools  # Those of which something is known; the others do not count at all.
+    findable: (
+        Bools  # Judged ones that have a right reference: any answer to the other ones is wrong.
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalTruth:
     """Right are references from a first to a last one; a query has as many intervals as its place is shown, or none."""
 
-    query: NDArray[np.int64]  # (k,) of each interval.
-    first: NDArray[np.int64]  # (k,), 0 <= first <= last.
-    last: NDArray[np.int64]
-    judged: NDArray[np.bool_]  # (q,), see `Judgement`.
+    query: Int64s  # (k,) of each interval.
+    first: Int64s  # (k,), 0 <= first <= last.
+    last: Int64s
+    judged: Bools  # (q,), see `Judgement`.
 
     @property
-    def findable(self) -> NDArray[np.bool_]:
+    def findable(self) -> Bools:
         """See `Judgement`."""
         return np.bincount(self.query, minlength=self.judged.size) > 0
 
@@ -53,14 +52,14 @@ class IntervalTruth:
 
 
 def judge_by_poses(
-    matches: Matches, references: Poses, queries: Poses, distance_m: float, angle_deg: float
+    matches: Matches, references: Floats, queries: Floats, distance_m: float, angle_deg: float
 ) -> Judgement:
     """Judge answers: right is a reference within a distance and an angle of the query; poses (n, 3), (q, 3)."""
 
-    def near(some: Poses, others: Poses) -> NDArray[np.bool_]:
+    def near(some: Floats, others: Floats) -> Bools:
         apart = some - others
         turn_rad = np.abs(np.remainder(apart[..., 2] + math.pi, 2 * math.pi) - math.pi)
-        close: NDArray[np.bool_] = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m
+        close: Bools = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m
         return close & (turn_rad <= math.radians(angle_deg))
 
     blocks = (

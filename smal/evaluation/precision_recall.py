@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats, Int64s
 from smal.evaluation.ground_truth import Judgement
 
 _FEWEST_BLOCKS = 4  # The bootstrap draws from at least so many blocks: of fewer it learns nothing.
@@ -19,12 +19,12 @@ _FEWEST_BLOCKS = 4  # The bootstrap draws from at least so many blocks: of fewer
 class PrecisionRecall:
     """Precision over recall (k,), a point for each score by falling thresholds; answers reach the threshold."""
 
-    recall: NDArray[np.float64]
-    precision: NDArray[np.float64]
-    threshold: NDArray[np.float64]
+    recall: Floats
+    precision: Floats
+    threshold: Floats
 
     @classmethod
-    def of(cls, judgement: Judgement, times: NDArray[np.int64] | None = None) -> Self:
+    def of(cls, judgement: Judgement, times: Int64s | None = None) -> Self:
         """Return the curve of a method's answers; ValueError when no query has anything to find.
 
         Queries that are not judged do not count; of the others each counts once, or as often as `times` (q,) says. An
@@ -73,7 +73,7 @@ def block_length(queries: int, length: int) -> int:
     return max(1, min(max(length, round(math.cbrt(queries))), queries // _FEWEST_BLOCKS))
 
 
-def intervals_of(figures: NDArray[np.float64]) -> Intervals:
+def intervals_of(figures: Floats) -> Intervals:
     """Return the intervals between which the middle 95 % of the figures of `bootstrap` lie.
 
     Few blocks make them too narrow. Recall at 100 % precision is decided by the surest wrong answer, which a third of
@@ -83,9 +83,7 @@ def intervals_of(figures: NDArray[np.float64]) -> Intervals:
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))
 
 
-def bootstrap(
-    judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0
-) -> NDArray[np.float64]:
+def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0) -> Floats:
     """Return area and recall at 100 % precision for other draws of the queries, float64 (resamples, 2).
 
     Successive queries see nearly the same: blocks of them are drawn (`block_length`), the last followed by the first

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats, Int64s
 from smal.evaluation.ground_truth import Judgement
 
 _BINS: Final = 10
@@ -15,9 +15,9 @@ _BINS: Final = 10
 class Reliability:
     """Answers by their scores, probabilities, in tenths that have any (k,): mean score, share that is right, number."""
 
-    said: NDArray[np.float64]
-    right: NDArray[np.float64]
-    count: NDArray[np.int64]
+    said: Floats
+    right: Floats
+    count: Int64s
 
     @classmethod
     def of(cls, judgement: Judgement) -> Self:
@@ -37,7 +37,7 @@ class Reliability:
         return float(self.count @ np.abs(self.said - self.right)) / max(int(self.count.sum()), 1)
 
 
-def known_from_unknown(judgement: Judgement, sure: NDArray[np.float64]) -> float | None:
+def known_from_unknown(judgement: Judgement, sure: Floats) -> float | None:
     """Return how well sureness (q,) tells what can be found: area under the ROC curve; None if not both are there."""
     known = sure[judgement.findable]
     unknown = np.sort(sure[judgement.judged & ~judgement.findable])

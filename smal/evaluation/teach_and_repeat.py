@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Uint8s
 from smal.movement import Atom, placed, seen_from
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.movements import atom_movements
@@ -55,8 +55,8 @@ class _Route(NamedTuple):
     """Frames, poses (k, 3) and padded images of the keyframes of one drive."""
 
     frames: list[int]
-    poses: NDArray[np.float64]
-    images: list[NDArray[np.float32]]
+    poses: Floats
+    images: list[Float32s]
 
 
 class TeachAndRepeat:
@@ -111,7 +111,7 @@ class TeachAndRepeat:
         frames = self._route.frames
         return (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
 
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
+    def step(self, image: Uint8s, odometry: Sequence[float]) -> Atom:
         """Take one image, (height, width, 3) RGB, and this episode's odometry (x, y, heading); return what to do."""
         here = np.asarray(odometry, dtype=np.float64)
         seen = _prepared(image)
@@ -140,9 +140,7 @@ class TeachAndRepeat:
             return Atom.FORWARD
         return Atom.LEFT if off_rad > 0.0 else Atom.RIGHT
 
-    def _route_of(
-        self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]
-    ) -> _Route:
+    def _route_of(self, images: Sequence[Uint8s], odometry: Floats) -> _Route:
         """Pick the first frame, the last, and one after each spacing or turn."""
         keys = [0]
         for frame, pose in enumerate(odometry):
@@ -158,7 +156,7 @@ class TeachAndRepeat:
             keys, odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys]
         )
 
-    def _match(self, seen: NDArray[np.float32], taught: NDArray[np.float32]) -> tuple[float, float]:
+    def _match(self, seen: Float32s, taught: Float32s) -> tuple[float, float]:
         """Return how far left of the robot's heading the taught one is, radians, and the correlation then."""
         import cv2  # noqa: PLC0415 - see smal.features.hog
 
@@ -166,7 +164,7 @@ class TeachAndRepeat:
         best = int(correlations.argmax())
         return (best - COLUMNS // 2) * self._field / COLUMNS, float(correlations[best])
 
-    def _begin(self, seen: NDArray[np.float32], here: NDArray[np.float64]) -> _Route | None:
+    def _begin(self, seen: Float32s, here: Floats) -> _Route | None:
         """Find where the robot is; None as long as it has to turn left to look round."""
         for number, route in enumerate(self._routes):
             for key, taught in enumerate(route.images[: 1 if self._told else -1]):
@@ -198,7 +196,7 @@ class TeachAndRepeat:
             leg = seen_from(route.poses[self._index], route.poses[self._index - 1])
             self._goal = placed(leg, self._last)
 
-    def _correct(self, route: _Route, seen: NDArray[np.float32], here: NDArray[np.float64]) -> None:
+    def _correct(self, route: _Route, seen: Float32s, here: Floats) -> None:
         """Turn the goal about the robot, and draw it nearer or push it away, by what keyframes around look like."""
         reach = min(SEARCH, self._index - 1, len(route.poses) - 1 - self._index)
         nearby = route.images[self._index - 1 - reach : self._index + reach + 1]
@@ -231,7 +229,7 @@ def _kept(what: _T | None, name: str) -> _T:
     return what
 
 
-def _prepared(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _prepared(image: Uint8s) -> Float32s:
     """Return an image as (44, 115): grey, each pixel by mean and deviation of the square around it, within [-1, 1]."""
     import cv2  # noqa: PLC0415 - see above
 

@@ -7,11 +7,11 @@ cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.features.settings import FeatureSettings
 
 # A modality closer to the mean than this (unit-length vectors) is rounding noise: it has no direction.
@@ -27,7 +27,7 @@ class FeaturesError(ValueError):
 class Centering:
     """Turns raw features into the columns of X and Y."""
 
-    mean: NDArray[np.float32]  # (m,) mean raw feature vector of the demonstrations.
+    mean: Float32s  # (m,) mean raw feature vector of the demonstrations.
     settings: FeatureSettings
 
     def __post_init__(self) -> None:
@@ -40,7 +40,7 @@ class Centering:
             raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod
-    def fit(cls, raw: NDArray[Any] | Iterable[NDArray[Any]], settings: FeatureSettings) -> Self:
+    def fit(cls, raw: AnyArray | Iterable[AnyArray], settings: FeatureSettings) -> Self:
         """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
         total = np.zeros(settings.size)
         count = 0
@@ -55,7 +55,7 @@ class Centering:
             raise ValueError(f"the mean needs features (n, {settings.size}) with n >= 1, got none")
         return cls((total / count).astype(np.float32), settings)
 
-    def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
+    def apply(self, raw: AnyArray) -> Float32s:
         """Centre and normalize raw features (..., m) of `extract`: float32 (..., m), of norm 1, all modalities alike.
 
         A modality that is equal to its mean stays zero. FeaturesError where the last axis is not m, or a value not

@@ -5,8 +5,8 @@ the same by day and by night.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint16s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized
 
@@ -19,7 +19,7 @@ SIZE = ROWS * COLUMNS
 HALF_M = 5.0
 
 
-def depth_descriptor(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
+def depth_descriptor(depth_mm: Uint16s) -> Float32s:
     """Describe a depth image, uint16 (height, width), by the nearness of what is seen, on a 24 x 32 grid, (768,).
 
     It has millimetres along the optical axis, 0 where nothing is in range, which is what the farthest surface tends to:

@@ -9,7 +9,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import AnyArray, Uint8s
 
 if TYPE_CHECKING:
     from cv2.aruco import ArucoDetector
@@ -28,7 +29,7 @@ class Detection(NamedTuple):
     ]  # Left, top, right, bottom: shares of the image's width and height.
 
 
-def apriltags(image: NDArray[np.uint8]) -> list[Detection]:
+def apriltags(image: Uint8s) -> list[Detection]:
     """Find AprilTags of the family 36h11 in an RGB image; they have their numbers."""
     corners, numbers, _ = _tags().detectMarkers(_grey(image))
     # Without any, the numbers are None.
@@ -38,7 +39,7 @@ def apriltags(image: NDArray[np.uint8]) -> list[Detection]:
     ]
 
 
-def qr_codes(image: NDArray[np.uint8]) -> list[Detection]:
+def qr_codes(image: Uint8s) -> list[Detection]:
     """Find QR codes that can be read in an RGB image; they have their texts."""
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
@@ -48,7 +49,7 @@ def qr_codes(image: NDArray[np.uint8]) -> list[Detection]:
     ]
 
 
-def of_boxes(file: str, boxes: NDArray[Any], rows: int, columns: int) -> list[Detection]:
+def of_boxes(file: str, boxes: AnyArray, rows: int, columns: int) -> list[Detection]:
     """Return what a network's first output (1, n, 6) says of an image of its size; ValueError where it is no such one.
 
     Each box is left, top, right, bottom in pixels of the network's input, a score from 0 to 1, and a class: what
@@ -76,13 +77,13 @@ def _tags() -> "ArucoDetector":
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
 
 
-def _grey(image: NDArray[np.uint8]) -> "MatLike":
+def _grey(image: Uint8s) -> "MatLike":
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def _sign(kind: str, name: object, corners: Sequence[Any], image: NDArray[np.uint8]) -> Detection:
+def _sign(kind: str, name: object, corners: Sequence[Any], image: Uint8s) -> Detection:
     left, top = np.min(corners, axis=0).tolist()
     right, bottom = np.max(corners, axis=0).tolist()
     rows, columns = image.shape[:2]

@@ -5,11 +5,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from typing import Any, Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s, Uint16s
 from smal.features import color
 from smal.features.detectors import Detection
 from smal.features.modalities import modality_named
@@ -63,9 +63,7 @@ def still_wanted() -> None:
         raise CancelledError
 
 
-def extract(
-    image: NDArray[np.uint8], settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
-) -> NDArray[np.float32]:
+def extract(image: Uint8s, settings: FeatureSettings, depth_mm: Uint16s | None = None) -> Float32s:
     """Compute the raw features (m,) of one frame, an RGB image (height, width, 3) of at least 24 rows and 32 columns.
 
     They are the modalities one after the other, each of unit length (or zero, see the modality); not centred, which
@@ -74,7 +72,7 @@ def extract(
     where a depth image is needed and missing.
     """
     check_image(image)
-    inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}
+    inputs: dict[Input, AnyArray] = {"color": np.ascontiguousarray(image)}
     if "depth" in settings.needs:
         if depth_mm is None:
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
@@ -91,13 +89,13 @@ def extract(
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
 
 
-def detect(image: NDArray[np.uint8], settings: FeatureSettings) -> list[Detection]:
+def detect(image: Uint8s, settings: FeatureSettings) -> list[Detection]:
     """Return what the detectors among some modalities find in an RGB image; ValueError where one does not run."""
     detectors = [modality_named(name).detect for name in settings.modalities]
     return [found for one in detectors if one is not None for found in one(image)]
 
 
-def check_image(image: NDArray[np.uint8]) -> None:
+def check_image(image: Uint8s) -> None:
     """Raise ValueError if an image is none that `extract` takes."""
     if image.dtype != np.uint8:
         raise ValueError(f"an image must be an array of uint8, got {image.dtype}")

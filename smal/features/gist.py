@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 from numpy import fft
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -29,7 +29,7 @@ _BLUR_PX = float(COLUMNS * np.sqrt(np.log(2.0)) / (4.0 * np.pi * np.sqrt(2.0)))
 _LEAST_CONTRAST = 0.2
 
 
-def gist_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def gist_descriptor(image: Uint8s) -> Float32s:
     """Describe an RGB image, brought to 96 rows and 128 columns of grey, by its spatial envelope, (512,).
 
     Mean amplitude of 4 scales, fine to coarse, x 8 orientations, from 0 in steps of 22.5 degrees (that of the wave, so
@@ -43,7 +43,7 @@ def gist_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return unit_length(mean_amplitudes(prefiltered(grey)))
 
 
-def prefiltered(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+def prefiltered(grey: Uint8s) -> Float32s:
     """Take away illumination and equalize contrast (rows, columns).
 
     With c = log(1 + I) - g * log(1 + I) and a Gaussian g, the result is c / (0.2 + sqrt(g * c^2)).
@@ -56,7 +56,7 @@ def prefiltered(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(contrast / (_LEAST_CONTRAST + np.sqrt(local)), dtype=np.float32)
 
 
-def mean_amplitudes(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+def mean_amplitudes(picture: Float32s) -> Float32s:
     """Return the mean absolute response (filters, 4, 4) of every filter in every cell of a picture (96, 128)."""
     spectrum = fft.fft2(np.pad(picture, BORDER, mode="symmetric"))
     # One filter after the other: their responses together, 5 MB, take twice the time.
@@ -65,14 +65,14 @@ def mean_amplitudes(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     )
 
 
-def _cell_means(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:
+def _cell_means(amplitude: Float32s) -> Float32s:
     inside = amplitude[BORDER:-BORDER, BORDER:-BORDER]
     cells = inside.reshape(GRID, ROWS // GRID, GRID, COLUMNS // GRID)
     return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float32)
 
 
 @cache
-def transfer_functions() -> NDArray[np.float32]:
+def transfer_functions() -> Float32s:
     """Return the Gabor filters (filters, rows, columns) over the frequencies of `numpy.fft.fft2`.
 
     That of the centre frequency f_s and the orientation t_o is exp(-3.5 (f / f_s - 1)^2 - 2 pi (t - t_o)^2) at the

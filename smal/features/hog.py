@@ -10,8 +10,8 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -37,7 +37,7 @@ def _hog() -> "cv2.HOGDescriptor":
     return cv2.HOGDescriptor((COLUMNS, ROWS), (BLOCK, BLOCK), (CELL, CELL), (CELL, CELL), BINS)
 
 
-def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def hog_descriptor(image: Uint8s) -> Float32s:
     """Describe an RGB image, brought to 240 rows and 320 columns of grey and smoothed, by its edges, (5940,).
 
     11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any edge (constant grey)

@@ -9,8 +9,8 @@ matching by Hamming distance is that by cosine.
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Indices, Int8s, Int32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -21,7 +21,7 @@ _PAIRS = sum(grid**2 * (grid**2 - 1) // 2 for grid in GRIDS)
 SIZE = 3 * _PAIRS
 
 
-def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def ldb_descriptor(image: Uint8s) -> Float32s:
     """Describe an RGB image, brought to 120 x 120 grey values, by which of its parts are brighter, (1386,).
 
     For each grid (2 x 2, 3 x 3, 4 x 4, 5 x 5) and each of intensity, dx and dy: for all pairs of cells, first < second
@@ -36,7 +36,7 @@ def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return unit_length(np.concatenate(signs))
 
 
-def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
+def cell_sums(integral: Int32s, grid: int) -> Int32s:
     """Return intensity, dx and dy of all cells of a grid (3, grid * grid), in whole numbers: no tie is rounded.
 
     Intensity is the sum over the cell, dx its right half less its left one, dy its lower half less its upper one; all
@@ -57,12 +57,12 @@ def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
     return np.stack([left + right, right - left, lower - upper]).reshape(3, -1)
 
 
-def _signs(sums: NDArray[np.int32]) -> NDArray[np.int8]:
+def _signs(sums: Int32s) -> Int8s:
     first, second = _pairs(sums.shape[1])
     return np.asarray(np.sign(sums[:, first] - sums[:, second]), dtype=np.int8).ravel()
 
 
 @cache
-def _pairs(cells: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _pairs(cells: int) -> tuple[Indices, Indices]:
     first, second = np.triu_indices(cells, k=1)
     return first, second

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s
 from smal.features.detectors import Detection
 
 # What a camera gives: RGB, uint8 (height, width, 3), or depth, uint16 (height, width) in millimetres.
@@ -25,16 +25,16 @@ class Modality:
     name: str
     size: int
     needs: Input
-    describe: Callable[[NDArray[Any]], NDArray[np.float32]]
-    detect: Callable[[NDArray[np.uint8]], list[Detection]] | None = None
+    describe: Callable[[AnyArray], Float32s]
+    detect: Callable[[Uint8s], list[Detection]] | None = None
 
 
-def detector(name: str, detect: Callable[[NDArray[np.uint8]], list[Detection]]) -> Modality:
+def detector(name: str, detect: Callable[[Uint8s], list[Detection]]) -> Modality:
     """Return the modality that a detector is."""
     return Modality(name, 0, "color", lambda _image: np.empty(0, dtype=np.float32), detect)
 
 
-def unit_length(values: NDArray[Any]) -> NDArray[np.float32]:
+def unit_length(values: AnyArray) -> Float32s:
     """Return all values, in a row, as a float32 vector of unit length; zeros have no direction and stay."""
     vector = np.asarray(values, dtype=np.float32).ravel()
     norm = float(np.linalg.norm(vector))

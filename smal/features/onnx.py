@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.detectors import Detection, of_boxes
 from smal.features.modality import Modality, detector, unit_length
 from smal.features.resizing import resized
@@ -62,10 +62,10 @@ class Network:
     session: "InferenceSession"
     rows: int
     columns: int
-    mean: NDArray[np.float32]
-    std: NDArray[np.float32]
+    mean: Float32s
+    std: Float32s
 
-    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def describe(self, image: Uint8s) -> Float32s:
         """Describe an RGB image, brought to the size of the network's input, by its embedding.
 
         That is the first output of the network, of unit length; of a map of features (1, channels, height, width) the
@@ -75,11 +75,11 @@ class Network:
         pooled = output.mean(axis=(2, 3)) if output.ndim == 4 else output
         return unit_length(pooled)
 
-    def detect(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def detect(self, image: Uint8s) -> list[Detection]:
         """Return what the network draws boxes round; ValueError as of `describe`, or as of `of_boxes`."""
         return of_boxes(self.file, self._run(image), self.rows, self.columns)
 
-    def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _run(self, image: Uint8s) -> Float32s:
         small = resized(image, self.rows, self.columns).astype(np.float32)
         scaled = (small / np.float32(255.0) - self.mean) / self.std
         batch = np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
@@ -184,7 +184,7 @@ def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
     return {"digest": hashlib.sha256(data).hexdigest(), "size": size}
 
 
-def _run_once(network: Network, kind: str, image: NDArray[np.uint8]) -> int:
+def _run_once(network: Network, kind: str, image: Uint8s) -> int:
     """Run a network on an image; return the size of the embedding, 0 of a detector."""
     if kind == PREFIX:
         return network.describe(image).size
@@ -222,11 +222,11 @@ def onnx_modality(name: str) -> Modality:
     """
     digest, size = _parts(name)
 
-    def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def describe(image: Uint8s) -> Float32s:
         given_as(name)
         return _given[name].describe(image)
 
-    def detect(image: NDArray[np.uint8]) -> list[Detection]:
+    def detect(image: Uint8s) -> list[Detection]:
         given_as(name)
         return _given[name].detect(image)
 
@@ -299,7 +299,7 @@ def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple
     )
 
 
-def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> NDArray[np.float32]:
+def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> Float32s:
     if key not in meta:
         return np.array(usual, dtype=np.float32)
     try:

@@ -1,9 +1,10 @@
 """Images of one size for every camera."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import AnyArray, Uint8s
 
 SHAPE: Final = (
     60,
@@ -11,7 +12,7 @@ SHAPE: Final = (
 )  # Rows and columns of `small`: a person who lies 5 m away takes 20 of the columns.
 
 
-def resized(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
+def resized(image: AnyArray, rows: int, columns: int) -> AnyArray:
     """Bring an image (height, width) or (height, width, channels) of any size to some rows and columns."""
     import cv2  # noqa: PLC0415 - recognition reads the sizes of descriptors in an image without OpenCV
 
@@ -22,7 +23,7 @@ def resized(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
     )
 
 
-def resized_grey(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:
+def resized_grey(image: Uint8s, rows: int, columns: int) -> Uint8s:
     """Bring an RGB image (height, width, 3) of any size to grey values (rows, columns)."""
     import cv2  # noqa: PLC0415 - see above
 
@@ -31,7 +32,7 @@ def resized_grey(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[n
     )
 
 
-def small(image: NDArray[Any]) -> NDArray[np.uint8]:
+def small(image: AnyArray) -> Uint8s:
     """Return the picture (60, 80, 3) of an RGB image in which a robot looks for what it was sent to find."""
     import cv2  # noqa: PLC0415 - see above
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.features import onnx
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
@@ -113,7 +113,7 @@ class FeatureSettings:
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:
+def select(raw: AnyArray, held: FeatureSettings, wanted: FeatureSettings) -> AnyArray:
     """Take the wanted modalities, in their order, out of raw features (..., m) of those that are held.
 
     ValueError where the last axis is not m, or a modality is wanted that is not held.

@@ -1,8 +1,8 @@
 """Thumbnail modality: the small patch-normalized image of SeqSLAM (Milford & Wyeth 2012)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -12,7 +12,7 @@ PATCH = 8
 SIZE = ROWS * COLUMNS
 
 
-def thumbnail_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def thumbnail_descriptor(image: Uint8s) -> Float32s:
     """Describe an RGB image, brought to 32 rows and 64 columns of grey, by patches without their brightness, (2048,).
 
     Row by row (I - mean) / deviation, with the mean and the standard deviation of the 8 x 8 patch around each pixel,

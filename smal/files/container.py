@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.files.held import held
 
 MAGIC = b"SMAL\x00MDL"
@@ -87,7 +87,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def write(
-    path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]
 ) -> None:
     """Write a file, all of it or none; ModelError where it would be larger than what is read."""
     size = sum(array.nbytes for array in arrays.values())
@@ -104,7 +104,7 @@ def write(
         file.write(digest.digest())
 
 
-def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> str:
     """Return the SHA-256, in hex, with which `write` ends the file of this content."""
     digest = hashlib.sha256()
     for part in _parts(version, meta, arrays):
@@ -114,7 +114,7 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
 
 def read(
     file: IO[bytes], name: str, version: int
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+) -> tuple[dict[str, Any], dict[str, AnyArray], str]:
     """Read a file that `write` wrote, of a version of the format: what it says, its arrays, and its checksum in hex.
 
     NoModelError where the file, which errors call `name`, cannot be read, is too large, or is of another kind;
@@ -179,7 +179,7 @@ def _header_size(fixed: bytes, name: str, version: int) -> int:
 
 
 def _parts(
-    version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]
 ) -> list[bytes | memoryview]:
     """Return the bytes of the file one after the other, except its checksum."""
     in_order = sorted(arrays.items(), key=lambda item: -item[1].itemsize)
@@ -197,8 +197,8 @@ def _parts(
     ]
 
 
-def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {}
+def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, AnyArray]:
+    arrays: dict[str, AnyArray] = {}
     at = 0
     for name, dtype, shape in table:
         if not isinstance(name, str):

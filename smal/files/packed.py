@@ -1,12 +1,13 @@
 """Directions of vectors in a quarter of the memory, for views and for model files."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import Float32s, Int8s
 
 BATCH = 32  # Keyframes whose views are unpacked at once: memory.
 
 
-def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def unit(vectors: Float32s) -> Float32s:
     """Scale vectors (..., r) to unit length; zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(
@@ -15,13 +16,13 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     )
 
 
-def packed(vectors: NDArray[np.float32]) -> NDArray[np.int8]:
+def packed(vectors: Float32s) -> Int8s:
     """Keep the directions of vectors (..., r) in a quarter of the memory; cosines are off by about a thousandth."""
     largest = np.abs(vectors).max(axis=-1, keepdims=True)
     scaled = np.divide(127.0 * vectors, largest, out=np.zeros_like(vectors), where=largest > 0.0)
     return np.asarray(np.rint(scaled), dtype=np.int8)
 
 
-def unpacked(vectors: NDArray[np.int8]) -> NDArray[np.float32]:
+def unpacked(vectors: Int8s) -> Float32s:
     """Return the vectors (..., r) that `packed` packed, of unit length."""
     return unit(vectors.astype(np.float32))

@@ -7,17 +7,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, ClassVar, Literal, Self
 
-from numpy.typing import NDArray
-
+from smal.arrays import AnyArray
 from smal.files import container
 from smal.files.container import ModelError, NoModelError, open_regular
 
 FORMAT_VERSION = 1
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "PaperModel")}
 
-Content = tuple[
-    dict[str, Any], dict[str, NDArray[Any]]
-]  # What a file says of itself, and its arrays.
+Content = tuple[dict[str, Any], dict[str, AnyArray]]  # What a file says of itself, and its arrays.
 
 
 class Stored(ABC):
@@ -36,7 +33,7 @@ class Stored(ABC):
 
     @classmethod
     @abstractmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
         """Make it of what a file says; LookupError, TypeError, ValueError or ArithmeticError where that is wrong."""
 
     def _header(self) -> Content:

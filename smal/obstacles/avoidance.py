@@ -11,13 +11,13 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
+from smal.arrays import Floats, Indices
 from smal.movement import wrapped
-from smal.obstacles.clearance import Floats, Surroundings
+from smal.obstacles.clearance import Surroundings
 
 
 def way_round(
@@ -78,7 +78,7 @@ def turn_round(
     return float(turns[best[0]] * turn_rad) if np.isfinite(left_m[best]) else None
 
 
-def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats, NDArray[np.intp]]:
+def _to_go_m(around: Surroundings, way: Floats, known_m: float) -> tuple[Floats, Indices]:
     """Return what is left to go from every cell to where the way leaves the grid, metres, and which cell is next.
 
     Cells are numbered row by row. Where nothing leads there it is infinite, and the cell itself is next.
@@ -148,7 +148,7 @@ def _dense(way: Floats, around: Surroundings) -> Floats:
 
 
 @lru_cache(maxsize=2)
-def _edges(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+def _edges(side: int) -> tuple[Indices, Indices, Floats]:
     """Return the pairs of neighbours in a grid of cells, counted row by row, and how many cells they are apart."""
     number = np.pad(np.arange(side * side).reshape(side, side), 1, constant_values=-1)
     inner = number[1:-1, 1:-1].ravel()

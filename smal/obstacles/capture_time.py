@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from smal.arrays import Float32s, Floats
 from smal.movement import placed, seen_from
-from smal.obstacles.clearance import GRID_CONFIG, Floats, Mount, above_ground
+from smal.obstacles.clearance import GRID_CONFIG, Mount, above_ground
 
 #: Delays up to this one are hypotheses, seconds. A longer one counts as this: both are too old to drive by.
 LONGEST_S: Final = 1.0
@@ -54,7 +54,7 @@ class Look(NamedTuple):
     """An earlier image: its points above the ground (n, 3), ahead, left and up of the camera, and its pose."""
 
     points: Floats
-    pose: NDArray[np.float64]
+    pose: Floats
     at_s: float
 
 
@@ -63,17 +63,15 @@ class CaptureTime:
 
     def __init__(self, mount: Mount) -> None:
         self._mount = mount
-        self._track: deque[tuple[float, NDArray[np.float64]]] = (
-            deque()
-        )  # Times and poses, the newest first.
+        self._track: deque[tuple[float, Floats]] = deque()  # Times and poses, the newest first.
         self._belief = np.empty(0)  # Probability that a new image was taken at each of these.
         self._looks: deque[Look] = deque()  # The newest last.
-        self._last: NDArray[np.float32] | None = None
+        self._last: Float32s | None = None
         self._taken = -math.inf, np.zeros(3)  # Time and pose of the last image,
         self._delivered = self._taken  # and those of its first delivery to a robot that moves.
         self._repeats = 0  # How often it was delivered again since.
 
-    def estimate(self, depth_m: NDArray[np.float32]) -> tuple[float, Sequence[float]]:
+    def estimate(self, depth_m: Float32s) -> tuple[float, Sequence[float]]:
         """Return when and where an image was taken that is delivered at the last pose noted.
 
         Parameters
@@ -131,7 +129,7 @@ class CaptureTime:
         self._belief = (1.0 - QUEUES) * self._belief + QUEUES * late
         self._repeats = 0
 
-    def _weigh(self, depth_m: NDArray[np.float32]) -> None:
+    def _weigh(self, depth_m: Float32s) -> None:
         """Weigh the hypotheses by a new image."""
         poses = np.array([one for _, one in self._track])
         if not self._looks or len(poses) == 1:
@@ -148,12 +146,12 @@ class CaptureTime:
             self._belief /= self._belief.sum()
 
 
-def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _apart(one: Floats, other: Floats) -> bool:
     turned = abs(math.remainder(one[2] - other[2], math.tau))
     return math.hypot(one[0] - other[0], one[1] - other[1]) > STILL_M or turned > STILL_RAD
 
 
-def _points(depth_m: NDArray[np.float32], mount: Mount) -> Floats:
+def _points(depth_m: Float32s, mount: Mount) -> Floats:
     """Return points of an image that stand above the ground, (n, 3): ahead, left and up of the camera."""
     rows, columns = depth_m.shape
     every = max(1, math.ceil(math.sqrt(rows * columns / POINTS)))
@@ -168,7 +166,7 @@ def _points(depth_m: NDArray[np.float32], mount: Mount) -> Floats:
     )
 
 
-def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]:
+def _ranges(depth_m: Float32s, focal: float) -> tuple[Floats, Floats]:
     """Return the nearest and the farthest depth about each pixel, within `SHAKES_RAD`; 0 where it has none."""
     valid = np.isfinite(depth_m) & (depth_m > 0.0)
     size = 2 * math.ceil(SHAKES_RAD * focal * depth_m.shape[1]) + 1
@@ -177,9 +175,7 @@ def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]
     return np.where(valid, nearest, 0.0), np.where(valid, farthest, 0.0)
 
 
-def _cost(
-    ranges: tuple[Floats, Floats], before: Look, pose: NDArray[np.float64], mount: Mount
-) -> float:
+def _cost(ranges: tuple[Floats, Floats], before: Look, pose: Floats, mount: Mount) -> float:
     """Return how far an image contradicts a pose, 0 to 1, by the points of an earlier one; NaN if too few are in view.
 
     A surface that recedes has another depth in the next pixel. A prediction between those of neighbours is no error.

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Indices, Uint8s
 from smal.camera import Camera, Image
 from smal.features.resizing import SHAPE
-from smal.obstacles.clearance import Floats
 from smal.sought.sight import cells_of
 
 _HORIZON: Final = SHAPE[0] // 2 + 3  # Row from which on there is ground; what is higher is too far.
@@ -49,7 +48,7 @@ GROUND_CONFIG: Final = GroundConfig()
 class Ground:
     """How the ground before each keyframe looks; a level camera over it, its height in the map's unit."""
 
-    colours: NDArray[np.uint8]  # (k, n, 3) of some cells of each keyframe.
+    colours: Uint8s  # (k, n, 3) of some cells of each keyframe.
     strange: float  # A patch whose colours are further from all of theirs is strange.
 
     def __post_init__(self) -> None:
@@ -60,9 +59,7 @@ class Ground:
         if not (shaped and self.colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
             raise ValueError("the parts of what the ground looks like do not fit together")
 
-    def strange_m(
-        self, picture: Image, keyframes: NDArray[np.intp], way: Floats, scene: Floats
-    ) -> float:
+    def strange_m(self, picture: Image, keyframes: Indices, way: Floats, scene: Floats) -> float:
         """Return how far along a way (s, 2), ahead and left of it, a robot sees strange ground first, or infinity.
 
         `keyframes` are those about it, `scene` is a map's.
@@ -76,7 +73,7 @@ def swept(speed: float) -> Floats:
     return np.linspace(0.0, LOOKS_S * speed, 32)
 
 
-def colours_of(picture: Image) -> NDArray[np.uint8]:
+def colours_of(picture: Image) -> Uint8s:
     """Return the colours of the ground in a small picture, (n, 3)."""
     seen = _mean_colours(picture, _KEPT)[-(-_HORIZON // _KEPT) :].reshape(-1, 3)
     return np.asarray(np.rint(_FINE * seen), dtype=np.uint8)
@@ -84,7 +81,7 @@ def colours_of(picture: Image) -> NDArray[np.uint8]:
 
 def patches(
     picture: Image,
-    colours: NDArray[np.uint8],
+    colours: Uint8s,
     way: Floats,
     scene: Floats,
     config: GroundConfig = GROUND_CONFIG,
@@ -119,10 +116,10 @@ def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> fl
     return usual + float(np.mean(beyond or [usual])) * math.log(0.1 * config.views)
 
 
-def _mean_colours(picture: Image, step: int) -> NDArray[np.float32]:
+def _mean_colours(picture: Image, step: int) -> Float32s:
     """Return the mean colour of every `step`-th cell and its eight neighbours, as if it were as bright as any."""
     cells = cells_of(picture, step)
-    mean: NDArray[np.float32] = cells.reshape(*cells.shape[:2], -1, 3).mean(axis=2)
+    mean: Float32s = cells.reshape(*cells.shape[:2], -1, 3).mean(axis=2)
     return mean
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Int8s, Int32s
 from smal.movement import Atom
 from smal.paper.sequences import last_frames
 
@@ -13,11 +13,11 @@ from smal.paper.sequences import last_frames
 class ActionSpace(NamedTuple):
     """The distinct actions (a, l), and the paper's a-streams: the action after each sequence of a demonstration."""
 
-    actions: NDArray[np.int8]
-    streams: tuple[NDArray[np.int32], ...]
+    actions: Int8s
+    streams: tuple[Int32s, ...]
 
 
-def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np.int8]:
+def following_atoms(atoms: Int8s, sequence_length: int) -> Int8s:
     """Cut the l atoms after each sequence out of atoms (f,), of which atom k follows frame k: int8 (f // l, l).
 
     For a sequence of the frames t to t + l - 1 these are the atoms t + l - 1 to t + 2 l - 2: what was done *after* it.
@@ -26,13 +26,11 @@ def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np
     """
     l = sequence_length  # noqa: E741
     padded = np.concatenate([atoms, np.full(l - 1, Atom.STOP, dtype=np.int8)])
-    following: NDArray[np.int8] = padded[last_frames(atoms.size, l)[:, None] + np.arange(l)]
+    following: Int8s = padded[last_frames(atoms.size, l)[:, None] + np.arange(l)]
     return following
 
 
-def learn_action_space(
-    demonstrations: Sequence[NDArray[np.int8]], sequence_length: int
-) -> ActionSpace:
+def learn_action_space(demonstrations: Sequence[Int8s], sequence_length: int) -> ActionSpace:
     """Collect the distinct actions of demonstrations, int8 (f,) each; ValueError for no atom or no whole sequence."""
     for atoms in demonstrations:
         if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):

@@ -10,9 +10,8 @@ lower bound on the optimum of Eq. 7.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from smal.arrays import AnyArray, Floats
 
 _TINY = 1e-150  # Stands in for the length of a zero row or column; its inverse does not overflow.
 
@@ -28,20 +27,20 @@ def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:
 
 
 def bound_by_lengths(
-    longest_row: Array, longest_column: Array, lambda1: float, lambda2: float
-) -> Array:
+    longest_row: Floats, longest_column: Floats, lambda1: float, lambda2: float
+) -> Floats:
     """Bound the polar of any G whose rows and columns are no longer than these.
 
     With a the longest row and b the longest column of G, the rows of U = G / a and the columns of V = G / b are in the
     unit ball, and G = s (lambda1 U + lambda2 V) for s = 1 / (lambda1 / a + lambda2 / b). So s bounds the polar.
     """
-    bound: Array = 1.0 / (
+    bound: Floats = 1.0 / (
         lambda1 / np.maximum(longest_row, _TINY) + lambda2 / np.maximum(longest_column, _TINY)
     )
     return bound
 
 
-def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
+def quick_bounds(blocks: AnyArray, lambda1: float, lambda2: float) -> Floats:
     """Bound the polar of each G of (b, l, q) by its longest row and its longest column, (b,)."""
     squares = np.square(blocks, dtype=np.float64)
     rows = squares.sum(axis=2).max(axis=1)
@@ -50,8 +49,8 @@ def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
 
 
 def polar_bounds(
-    blocks: Array, lambda1: float, lambda2: float, guess: Array, rounds: int, enough: float = 0.0
-) -> tuple[Array, Array]:
+    blocks: Floats, lambda1: float, lambda2: float, guess: Floats, rounds: int, enough: float = 0.0
+) -> tuple[Floats, Floats]:
     """Bound the polar of each G of (b, l, q) sharply, by a split G = lambda1 U + lambda2 V + E.
 
     U and V in their balls have polar at most 1, E is bounded quickly, and the polar is a norm: 1 + bound(E).
@@ -73,7 +72,7 @@ def polar_bounds(
     return best, V
 
 
-def _inside(vectors: Array, axis: int) -> Array:
+def _inside(vectors: Floats, axis: int) -> Floats:
     """Bring vectors along an axis back into the unit ball."""
-    inside: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=axis, keepdims=True), 1.0)
+    inside: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=axis, keepdims=True), 1.0)
     return inside

@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int8s, Int32s
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored
 from smal.movement import Atom
@@ -27,23 +27,23 @@ class PaperModel(Stored):
     scheme = "paper"
 
     feature_settings: FeatureSettings
-    mean: NDArray[np.float32]  # (m,) mean raw feature vector.
+    mean: Float32s  # (m,) mean raw feature vector.
     sequence_length: int  # l.
     lambda1: float  # Of Eq. 7.
     lambda2: float
-    templates: NDArray[np.float32]  # X (m, n); state j is the columns j * l and following.
-    actions: NDArray[np.int8]  # (number of actions, l) atoms of every action.
+    templates: Float32s  # X (m, n); state j is the columns j * l and following.
+    actions: Int8s  # (number of actions, l) atoms of every action.
     state_streams: tuple[
-        NDArray[np.int32], ...
+        Int32s, ...
     ]  # (f_d // l,) sequences in time; they end with the last frame.
-    atoms: tuple[NDArray[np.int8], ...]  # (f_d,) atom k was executed between frames k and k + 1.
+    atoms: tuple[Int8s, ...]  # (f_d,) atom k was executed between frames k and k + 1.
     names: tuple[str, ...]  # Episode of each demonstration.
     successful: tuple[bool, ...]  # Whether it ended at the goal.
     recovery: tuple[bool, ...]  # Whether it began off the route.
     transitions: Transitions  # T.
-    reward: NDArray[np.float64]  # R (states,).
-    policy: NDArray[np.int32]  # (states,) action of every state; -1 in goals and dead ends.
-    value: NDArray[np.float64]  # V (states,) of the policy.
+    reward: Floats  # R (states,).
+    policy: Int32s  # (states,) action of every state; -1 in goals and dead ends.
+    value: Floats  # V (states,) of the policy.
     gamma: float  # Discount factor.
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class PaperModel(Stored):
         return self.feature_settings.content | meta, arrays
 
     @classmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
         """Make it of what a file says."""
         _check_numbers(meta)
         frames = np.array(meta["frames"])
@@ -136,7 +136,7 @@ class PaperModel(Stored):
         )
 
 
-def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
+def _within(numbers: AnyArray, low: int, high: int) -> bool:
     return (
         numbers.dtype.kind == "i"
         and low <= int(numbers.min(initial=low))

@@ -16,13 +16,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
+from smal.arrays import Floats, Indices
 from smal.paper.duality_gap import polar_bounds
 from smal.paper.objective import sequence_starts
-
-Array = NDArray[np.float64]
 
 FIRST_EPSILON = 0.3  # Where smoothing starts without a better guess; lengths are near 1.
 _LAST_EPSILON = 1e-9
@@ -49,47 +47,47 @@ class BlockProblem:
     (p,) says which template frames, ascending.
     """
 
-    gram: Array
-    correlations: Array
-    squares: Array
+    gram: Floats
+    correlations: Floats
+    squares: Floats
     lambda1: float
     lambda2: float
-    frames: NDArray[np.intp]
+    frames: Indices
     sequence_length: int
 
     @cached_property
-    def starts(self) -> NDArray[np.intp]:
+    def starts(self) -> Indices:
         """Rows at which another sequence begins, (b,)."""
         return sequence_starts(self.frames, self.sequence_length)
 
     @cached_property
-    def block(self) -> NDArray[np.intp]:
+    def block(self) -> Indices:
         """Of every row the number of its sequence among the b that are here, (p,)."""
         return np.repeat(np.arange(self.starts.size), np.diff(self.starts, append=self.frames.size))
 
-    def sums(self, A: Array) -> Array:
+    def sums(self, A: Floats) -> Floats:
         """Sum up the columns of blocks, each for all rows of its block (p, q)."""
         return np.add.reduceat(A, self.starts)[self.block] if len(A) else A
 
-    def as_blocks(self, A: Array) -> Array:
+    def as_blocks(self, A: Floats) -> Floats:
         """Put rows (p, q) where they are in their sequences, with zeros between them: (b, l, q)."""
         blocks = np.zeros((self.starts.size, self.sequence_length, A.shape[1]))
         blocks[self.block, self.frames % self.sequence_length] = A
         return blocks
 
-    def slopes(self, W: Array) -> Array:
+    def slopes(self, W: Floats) -> Floats:
         """X^T R for the residuals R = Y - X W, (p, q)."""
-        slopes: Array = self.correlations - self.gram @ W
+        slopes: Floats = self.correlations - self.gram @ W
         return slopes
 
-    def norms(self, W: Array, epsilon: float = 0.0) -> tuple[Array, Array, Array]:
+    def norms(self, W: Floats, epsilon: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Find the norms of residuals (q,), rows (p, 1) and columns of blocks (p, q), smoothed."""
         residuals = self.squares - (W * (self.correlations + self.slopes(W))).sum(axis=0)
         square = epsilon * epsilon
         d = np.sqrt(np.maximum(residuals, _ROUNDING * self.squares) + square)
         return d, np.sqrt(_rows(W * W) + square), np.sqrt(self.sums(W * W) + square)
 
-    def objective(self, W: Array, epsilon: float = 0.0) -> float:
+    def objective(self, W: Floats, epsilon: float = 0.0) -> float:
         """Eq. 7 at W (p, q), smoothed."""
         d, e, f = self.norms(W, epsilon)
         return float(d.sum() + self.lambda1 * e.sum() + self.lambda2 * f[self.starts].sum())
@@ -105,11 +103,11 @@ class BlockProblem:
 class Iterate(NamedTuple):
     """W, the dual point Theta = Y diag(alpha) - X B, subgradients U of rows, V of columns: (p, q), but alpha (q,)."""
 
-    W: Array
-    alpha: Array
-    B: Array
-    U: Array
-    V: Array
+    W: Floats
+    alpha: Floats
+    B: Floats
+    U: Floats
+    V: Floats
 
     def gap(self, problem: BlockProblem) -> float:
         """Relative duality gap of the restricted problem."""
@@ -122,7 +120,7 @@ class Iterate(NamedTuple):
 
 
 def minimize(
-    problem: BlockProblem, W: Array, U: Array, V: Array, epsilon: float, tolerance: float
+    problem: BlockProblem, W: Floats, U: Floats, V: Floats, epsilon: float, tolerance: float
 ) -> tuple[Iterate, float, int]:
     """Minimize Eq. 7 over the weights of a few template frames, to a relative duality gap.
 
@@ -183,7 +181,7 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
 
 
 def _moved(
-    problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array, f: Array
+    problem: BlockProblem, now: Iterate, step: Floats, d: Floats, e: Floats, f: Floats
 ) -> Iterate:
     """Linearise the subgradients along the step and bring them back into their balls."""
     W, alpha, B, U, V = now
@@ -207,13 +205,13 @@ class _System(NamedTuple):
     """A Newton system: X^T X / d + diagonal less the rank-one terms of residuals, rows and columns of blocks."""
 
     problem: BlockProblem
-    d: Array
-    diagonal: Array
-    of_residuals: Array
-    of_rows: Array
-    of_columns: Array
+    d: Floats
+    diagonal: Floats
+    of_residuals: Floats
+    of_rows: Floats
+    of_columns: Floats
 
-    def solve(self, descent: Array) -> Array:
+    def solve(self, descent: Floats) -> Floats:
         """Find the direction (p, q): exactly, or by conjugate gradients where that is too much."""
         size = len(descent) ** 3 * descent.shape[1]
         if size > _LARGE:
@@ -222,7 +220,7 @@ class _System(NamedTuple):
                 return direction
         return self.by_inversion(descent)
 
-    def by_inversion(self, descent: Array) -> Array:
+    def by_inversion(self, descent: Floats) -> Floats:
         """Invert a matrix for each query frame; only the terms of rows, - Z Z^T, couple them (Woodbury)."""
         problem = self.problem
         of_rows = self.of_rows
@@ -234,10 +232,10 @@ class _System(NamedTuple):
         direction = np.einsum("irs,si->ri", inverses, descent)
         coupling = np.eye(len(descent)) - np.einsum("irs,ri,si->rs", inverses, of_rows, of_rows)
         shared = np.linalg.solve(coupling, (of_rows * direction).sum(axis=1))
-        found: Array = direction + np.einsum("irs,si->ri", inverses, of_rows * shared[:, None])
+        found: Floats = direction + np.einsum("irs,si->ri", inverses, of_rows * shared[:, None])
         return found
 
-    def by_conjugate_gradients(self, descent: Array) -> tuple[Array, bool]:
+    def by_conjugate_gradients(self, descent: Floats) -> tuple[Floats, bool]:
         """Return the direction, and whether it is accurate."""
         edges = self.of_residuals**2 + self.of_rows**2 + self.of_columns**2
         curvature = self.problem.gram.diagonal()[:, None] / self.d + self.diagonal
@@ -253,9 +251,9 @@ class _System(NamedTuple):
         )
         return found.reshape(shape), failed == 0
 
-    def times(self, D: Array) -> Array:
+    def times(self, D: Floats) -> Floats:
         """Multiply with D (p, q)."""
-        product: Array = self.problem.gram @ D / self.d + self.diagonal * D
+        product: Floats = self.problem.gram @ D / self.d + self.diagonal * D
         product -= self.of_residuals * (self.of_residuals * D).sum(axis=0)
         product -= self.of_rows * _rows(self.of_rows * D) + self.of_columns * self.problem.sums(
             self.of_columns * D
@@ -263,13 +261,13 @@ class _System(NamedTuple):
         return product
 
 
-def _rows(A: Array) -> Array:
+def _rows(A: Floats) -> Floats:
     """Sum up every row (p, 1)."""
-    sums: Array = A.sum(axis=1, keepdims=True)
+    sums: Floats = A.sum(axis=1, keepdims=True)
     return sums
 
 
-def _outer(A: Array) -> Array:
+def _outer(A: Floats) -> Floats:
     """Outer product of every column of (p, q) with itself, (q, p, p)."""
-    product: Array = A.T[:, :, None] * A.T[:, None, :]
+    product: Floats = A.T[:, :, None] * A.T[:, None, :]
     return product

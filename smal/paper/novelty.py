@@ -1,11 +1,10 @@
 """When does a query sequence match a known state (paper, Eq. 8), and what else W says of it."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.paper.state_matching import Solution
 
 
@@ -33,7 +32,7 @@ class Match:
         return self.state is None or self.score <= tau
 
 
-def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[Any]) -> Match:
+def describe_match(solution: Solution, templates: AnyArray, frames: AnyArray) -> Match:
     """Summarize a solution of Eq. 7, of templates X (m, n) of unit length and frames Y^T (q, m)."""
     length = solution.sequence_length
     q = len(frames)

@@ -4,27 +4,22 @@ A column of W are the weights of all template frames for one query frame, sequen
 lead to Eq. 7, which is Eq. 5 where lambda2 is 0.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Matrix = NDArray[Any]
+from smal.arrays import AnyArray, Indices
 
 
-def l21_norm(matrix: Matrix) -> float:
+def l21_norm(matrix: AnyArray) -> float:
     """Sum of the l2 norms of the rows (Eq. 1)."""
     return float(np.linalg.norm(np.asarray(matrix, dtype=np.float64), axis=1).sum())
 
 
-def sequence_starts(rows: NDArray[np.intp], sequence_length: int) -> NDArray[np.intp]:
+def sequence_starts(rows: Indices, sequence_length: int) -> Indices:
     """Where another sequence starts among these template frames, which ascend."""
     return np.flatnonzero(np.diff(rows // sequence_length, prepend=-1))
 
 
-def s1_norm(
-    weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None
-) -> float:
+def s1_norm(weights: AnyArray, sequence_length: int, rows: Indices | None = None) -> float:
     """Sum of l2 norms of weights (p, q), of each query frame and sequence (Eq. 6); of all rows, or some, ascending."""
     if sequence_length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
@@ -36,9 +31,9 @@ def s1_norm(
 
 
 def objective(
-    templates: Matrix,
-    query: Matrix,
-    weights: Matrix,
+    templates: AnyArray,
+    query: AnyArray,
+    weights: AnyArray,
     sequence_length: int,
     lambda1: float,
     lambda2: float,

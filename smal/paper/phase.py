@@ -1,16 +1,14 @@
 """The phase of a query: the frame of a template sequence at which its last frame is, as W tells it."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.paper.state_matching import Solution
 
 _NO_WEIGHT = 1e-9  # Share of the largest weight of a block below which a weight is rounding.
 
 
-def phase(weights_block: NDArray[Any]) -> float:
+def phase(weights_block: AnyArray) -> float:
     """Template frame at which the last query frame is, from the rows (l, q) of W of the matched sequence.
 
     Row r with weight on query frame i says that the query is r - i frames ahead: the shift is the weighted median of

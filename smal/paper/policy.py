@@ -3,13 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from smal.arrays import Floats, Int32s, Int64s
 from smal.paper.transitions import NO_ACTION, Transitions
-
-Array = NDArray[np.float64]
 
 _TIE = 1e-9  # Actions whose values differ by less, relative to the largest value, are tied.
 _MAX_ITERATIONS = 100_000
@@ -18,8 +16,8 @@ _MAX_ITERATIONS = 100_000
 class Policy(NamedTuple):
     """The action of every state (states,), `NO_ACTION` in goal states and dead ends, and V (states,)."""
 
-    action: NDArray[np.int32]
-    value: Array
+    action: Int32s
+    value: Floats
 
 
 def check_discount(gamma: float) -> None:
@@ -28,7 +26,7 @@ def check_discount(gamma: float) -> None:
         raise ValueError(f"gamma must be at least 0 and below 1, got {gamma}")
 
 
-def _best_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int64]:
+def _best_pairs(transitions: Transitions, pair_values: Floats) -> Int64s:
     """Best pair of every state, or -1; ties go to what the expert preferred."""
     states, first, size = np.unique(transitions.state, return_index=True, return_counts=True)
     best = np.repeat(np.maximum.reduceat(pair_values, first), size)
@@ -40,7 +38,7 @@ def _best_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int6
     return pairs
 
 
-def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.csr_array:
+def policy_matrix(transitions: Transitions, pairs: Int64s) -> sparse.csr_array:
     """P of a policy given as one pair per state (-1: dead end, an empty row), sparse (states, states)."""
     chosen = np.flatnonzero(pairs >= 0)
     shape = transitions.states, transitions.pairs
@@ -48,7 +46,7 @@ def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.
     return sparse.csr_array(choose @ transitions.matrix)
 
 
-def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> Policy:
+def policy_iteration(transitions: Transitions, reward: Floats, gamma: float) -> Policy:
     """Howard's policy iteration, for R (states,) and 0 <= gamma < 1 (else ValueError): improve until nothing does."""
     check_discount(gamma)
     pairs = transitions.expert_pairs()

@@ -1,11 +1,10 @@
 """The paper's execution, first half: from camera frames to a state (Eq. 7 and 9)."""
 
 from collections import deque
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.paper.execution import Recognition
 from smal.paper.model import PaperModel
 from smal.paper.novelty import describe_match
@@ -24,10 +23,10 @@ class Recognizer:
 
     def reset(self) -> None:
         """Forget all frames, for a new episode."""
-        self._frames: deque[NDArray[np.float32]] = deque(maxlen=self._model.sequence_length)
+        self._frames: deque[Float32s] = deque(maxlen=self._model.sequence_length)
         self._last_tick: int | None = None
 
-    def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
+    def observe(self, tick: int, raw_features: AnyArray, due: bool) -> Recognition:
         """Take the raw features (m,) of one frame; answer if an answer is due.
 
         Unless the frame follows the last one, the window starts anew: a sequence never spans a dropped frame. Features

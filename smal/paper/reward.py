@@ -19,14 +19,12 @@ objective picks one where the expert's actions win by as much as possible.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linprog
 
+from smal.arrays import Floats
 from smal.paper.policy import check_discount, policy_matrix
 from smal.paper.transitions import Transitions
-
-Array = NDArray[np.float64]
 
 
 class RewardError(RuntimeError):
@@ -36,7 +34,7 @@ class RewardError(RuntimeError):
 class Reward(NamedTuple):
     """R(s) of every state (states,), within [-1, 1], and the optimal value of the program."""
 
-    state_reward: Array
+    state_reward: Floats
     objective: float
 
 
@@ -70,7 +68,7 @@ class _Program:
         )
         self.margin_bound = np.where(expert >= 0, np.inf, 0.0)
 
-    def solve(self, penalty: float, total: float = np.inf) -> tuple[Array, float]:
+    def solve(self, penalty: float, total: float = np.inf) -> tuple[Floats, float]:
         """Maximize the margins less `penalty` ||R||_1, with |R| <= 1 and ||R||_1 <= total: variables, optimum."""
         n = self.n
         # The last row is ||R||_1 <= total.

@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Uint8s
 from smal.features import extract
 from smal.movement import Atom
 from smal.paper.execution import DecisionMaker, PaperDecision
@@ -33,7 +31,7 @@ class PaperRobot:
 
     def step(
         self,
-        image: NDArray[np.uint8],
+        image: Uint8s,
         odometry: Sequence[float] | None = None,
         elapsed_s: float | None = None,
     ) -> Atom:

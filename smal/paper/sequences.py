@@ -1,7 +1,8 @@
 """How a demonstration is cut into sequences of l frames."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import Int64s
 
 
 def first_frame(frames: int, sequence_length: int) -> int:
@@ -9,7 +10,7 @@ def first_frame(frames: int, sequence_length: int) -> int:
     return frames % sequence_length
 
 
-def last_frames(frames: int, sequence_length: int) -> NDArray[np.int64]:
+def last_frames(frames: int, sequence_length: int) -> Int64s:
     """Last frame of every sequence of a demonstration, int64 (f // l,)."""
     return (
         np.arange(first_frame(frames, sequence_length), frames, sequence_length)

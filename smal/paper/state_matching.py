@@ -11,42 +11,39 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smal.paper.objective import Matrix
+from smal.arrays import AnyArray, Floats, Indices
 from smal.paper.working_set import WorkingSet
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A solution of Eq. 7 and its duality gap, of n template and q query frames."""
 
-    active: NDArray[np.intp]  # (p,) template frames (rows of W) that may have a weight, ascending.
-    active_weights: Array  # (p, q) their rows of W; all other rows are zero.
+    active: Indices  # (p,) template frames (rows of W) that may have a weight, ascending.
+    active_weights: Floats  # (p, q) their rows of W; all other rows are zero.
     shape: tuple[int, int]  # (n, q).
     sequence_length: int
     objective: float  # Eq. 7 at W.
     duality_gap: float  # Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
     iterations: int  # Newton steps in all rounds of the working set.
     converged: bool  # Whether the gap is within the tolerance that was asked for.
-    residual_norms: Array  # (q,) ||y_i - X w_i||.
+    residual_norms: Floats  # (q,) ||y_i - X w_i||.
 
     @property
-    def weights(self) -> Array:
+    def weights(self) -> Floats:
         """W, float64 (n, q)."""
         weights = np.zeros(self.shape)
         weights[self.active] = self.active_weights
         return weights
 
     @cached_property
-    def active_blocks(self) -> NDArray[np.intp]:
+    def active_blocks(self) -> Indices:
         """Template sequences with weight, ascending (b,)."""
         return np.unique(self.active // self.sequence_length)
 
     @cached_property
-    def block_weights(self) -> Array:
+    def block_weights(self) -> Floats:
         """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
         where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)
         return np.asarray(
@@ -61,8 +58,8 @@ class Solution:
 
 
 def solve(
-    templates: Matrix,
-    query: Matrix,
+    templates: AnyArray,
+    query: AnyArray,
     sequence_length: int,
     lambda1: float,
     lambda2: float,
@@ -112,7 +109,7 @@ def solve(
 
 
 def _check(
-    X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, tolerance: float
+    X: AnyArray, Y: AnyArray, length: int, lambda1: float, lambda2: float, tolerance: float
 ) -> None:
     """Refuse input for which Eq. 7 or its duality gap means nothing."""
     if X.ndim != 2 or not np.issubdtype(X.dtype, np.floating):

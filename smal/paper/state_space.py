@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Int32s
 from smal.paper.novelty import describe_match
 from smal.paper.sequences import first_frame
 from smal.paper.state_matching import solve
@@ -21,8 +21,8 @@ class MemoryBoundError(MemoryError):
 class StateSpace:
     """What Algorithm 1 returns: X (m, n), state j in l columns from j l on, and s-streams of states, (f // l,)."""
 
-    templates: NDArray[np.float32]
-    streams: tuple[NDArray[np.int32], ...]
+    templates: Float32s
+    streams: tuple[Int32s, ...]
     sequence_length: int
 
     @property
@@ -32,7 +32,7 @@ class StateSpace:
 
 
 def learn_state_space(
-    demonstrations: Sequence[NDArray[np.float32]],
+    demonstrations: Sequence[Float32s],
     sequence_length: int,
     lambdas: tuple[float, float],
     tau: float,
@@ -96,8 +96,8 @@ def learn_state_space(
 
 
 def _known_state(
-    templates: NDArray[np.float32],
-    frames: NDArray[np.float32],
+    templates: Float32s,
+    frames: Float32s,
     lambdas: tuple[float, float],
     tau: float,
     tolerance: float,

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
+
+from smal.arrays import Floats, Int32s, Int64s
 
 NO_ACTION = -1  # The action of a goal state: there is nothing left to do.
 
@@ -19,15 +20,13 @@ class Transitions:
     demonstration stopped there without success and no other passed through.
     """
 
-    state: NDArray[np.int32]  # (p,) with the action the pairs.
-    action: NDArray[np.int32]
-    offsets: NDArray[
-        np.int64
-    ]  # (p + 1,) successors of pair i are the entries offsets[i] to offsets[i + 1].
-    next_state: NDArray[np.int32]  # (t,)
-    count: NDArray[np.int32]  # (t,) how often pair i led to that state; 0 for a goal that stays.
-    probability: NDArray[np.float64]  # (t,) T(s, a, s'); sums to 1 over the successors of a pair.
-    goals: NDArray[np.int32]  # Last states of the successful demonstrations, ascending.
+    state: Int32s  # (p,) with the action the pairs.
+    action: Int32s
+    offsets: Int64s  # (p + 1,) successors of pair i are the entries offsets[i] to offsets[i + 1].
+    next_state: Int32s  # (t,)
+    count: Int32s  # (t,) how often pair i led to that state; 0 for a goal that stays.
+    probability: Floats  # (t,) T(s, a, s'); sums to 1 over the successors of a pair.
+    goals: Int32s  # Last states of the successful demonstrations, ascending.
     states: int  # Number of states.
 
     @property
@@ -69,11 +68,11 @@ class Transitions:
         )
 
     @property
-    def pair_counts(self) -> NDArray[np.int64]:
+    def pair_counts(self) -> Int64s:
         """How often each pair was seen, (p,)."""
         return np.add.reduceat(self.count, self.offsets[:-1], dtype=np.int64)
 
-    def by_preference(self) -> NDArray[np.int64]:
+    def by_preference(self) -> Int64s:
         """Pairs sorted by state, and within a state by what the expert did: moving on, often, lower number.
 
         When two sequences in a row fall on one state, the first of their actions always leads from the state to
@@ -83,7 +82,7 @@ class Transitions:
         stays = np.asarray(self.matrix[np.arange(self.pairs), self.state]) >= 1.0
         return np.lexsort((self.action, -self.pair_counts, stays, self.state))
 
-    def expert_pairs(self) -> NDArray[np.int64]:
+    def expert_pairs(self) -> Int64s:
         """Preferred pair of every state, or -1 for a dead end; (states,)."""
         order = self.by_preference()
         seen, first = np.unique(self.state[order], return_index=True)
@@ -93,8 +92,8 @@ class Transitions:
 
 
 def learn_transitions(
-    state_streams: Sequence[NDArray[np.int32]],
-    action_streams: Sequence[NDArray[np.int32]],
+    state_streams: Sequence[Int32s],
+    action_streams: Sequence[Int32s],
     successful: Sequence[bool],
     states: int,
 ) -> Transitions:

@@ -8,17 +8,12 @@ One product of all templates with Theta in float32, with a bound on what roundin
 sequences out; the others are multiplied in float64. So no bound is too low.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Indices
 from smal.paper.duality_gap import bound_by_lengths, polar_bounds, quick_bounds, rounding
 from smal.paper.newton import FIRST_EPSILON, BlockProblem, minimize
 from smal.paper.objective import l21_norm, s1_norm
-
-Array = NDArray[np.float64]
-Columns = NDArray[np.intp]
 
 _FIRST = 4  # Sequences to start with.
 _MAX_ROUNDS = 200
@@ -41,8 +36,8 @@ class WorkingSet:
 
     def __init__(
         self,
-        rows: NDArray[np.float32],
-        query: Array,
+        rows: Float32s,
+        query: Floats,
         length: int,
         lambda1: float,
         lambda2: float,
@@ -58,7 +53,7 @@ class WorkingSet:
         self._rounding = rounding(
             m + q + 2
         )  # On the relative error of float64 products, and sums of these.
-        self._norms: Array = np.linalg.norm(query, axis=1) * (
+        self._norms: Floats = np.linalg.norm(query, axis=1) * (
             1.0 + self._rounding
         )  # ||y_i||, rounded up.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -71,7 +66,7 @@ class WorkingSet:
             raise ValueError("templates contain NaN or infinity, or overflow float32 products")
         underflow = m * float(np.finfo(np.float32).tiny)
         #: ||x_r||, rounded up.
-        self._lengths: Array = np.sqrt(
+        self._lengths: Floats = np.sqrt(
             squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow
         )
 
@@ -115,13 +110,13 @@ class WorkingSet:
             )
             self._set = np.union1d(self._set, lacking)
 
-    def _frames(self, blocks: Columns) -> Columns:
+    def _frames(self, blocks: Indices) -> Indices:
         """Template frames of sequences."""
         every = (blocks[:, None] * self._length + np.arange(self._length)).ravel()
-        existing: Columns = every[every < len(self._rows)]
+        existing: Indices = every[every < len(self._rows)]
         return existing
 
-    def _as_blocks(self, blocks: Columns, values: NDArray[Any]) -> NDArray[Any]:
+    def _as_blocks(self, blocks: Indices, values: AnyArray) -> AnyArray:
         """Shape what belongs to the frames of sequences (r, q) as (b, l, q); the last one may be shorter."""
         missing = blocks.size * self._length - len(values)
         padded = np.pad(values, ((0, missing), (0, 0))) if missing else values
@@ -160,12 +155,12 @@ class WorkingSet:
         self._start = np.stack([W * self._weight_scale, U, V])
         self.steps += steps
         self._worst = 1.0
-        self._theta: Array = (alpha / query_scale)[
+        self._theta: Floats = (alpha / query_scale)[
             :, None
         ] * self._query  # The dual point, a row a query frame (q, m).
         self._theta -= (B / template_scale).T @ self._frames_of_set
 
-    def _prove(self, tolerance: float) -> Columns:
+    def _prove(self, tolerance: float) -> Indices:
         """Bound all polars, and with them the optimum from below; return the frames that are lacking."""
         n, m = self._rows.shape
         size = float(np.linalg.norm(self._theta))
@@ -184,7 +179,7 @@ class WorkingSet:
         self._evaluate(float(polars.max()))
         return lacking
 
-    def _error(self, blocks: Columns, share: float) -> Array:
+    def _error(self, blocks: Indices, share: float) -> Floats:
         """Bound the polar of what rounding did to products: row r of G is off by at most ||x_r|| times a share."""
         radii = (
             share * self._as_blocks(blocks, self._lengths[self._frames(blocks)][:, None])[:, :, 0]
@@ -194,8 +189,8 @@ class WorkingSet:
         )
 
     def _examine(
-        self, blocks: Columns, values: Array, rounds: int, enough: float
-    ) -> tuple[Array, Columns]:
+        self, blocks: Indices, values: Floats, rounds: int, enough: float
+    ) -> tuple[Floats, Indices]:
         """Bound polars by X^T Theta of frames (r, q); say which frames lack, of the worst bounds above `enough`."""
         lambda1, lambda2 = self._lambdas
         frames = self._frames(blocks)
@@ -242,7 +237,7 @@ class WorkingSet:
             self.weights = weights
             self.residuals = residuals
 
-    def _cleaned(self) -> Array:
+    def _cleaned(self) -> Floats:
         """W of the working set, without the rows and columns of blocks that have weight only by smoothing."""
         problem = self._problem
         weights = self._inner.W

@@ -6,16 +6,13 @@ rare, and what runs off the end of the references is nowhere among them. Frames 
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from smal.arrays import AnyArray, Float32s, Floats
 from smal.features.extraction import still_wanted
-
-Array = NDArray[np.float32]
-Seen = NDArray[Any]
 
 SPEEDS: Final = (
     0.0,
@@ -56,14 +53,14 @@ class Chain:
         ones = np.ones(self._move.shape[0], np.float32)
         self._leaves = 1.0 - _JUMP - self._mixed(self._speeds.T, self._unmove @ ones)[:-1]
 
-    def first(self) -> Array:
+    def first(self) -> Float32s:
         """Return the belief before the first query."""
         states = self._move.shape[0] - 1
         return np.append(np.full(states, (1.0 - _FIRST_NONE) / states), _FIRST_NONE).astype(
             np.float32
         )
 
-    def ahead(self, belief: Array) -> Array:
+    def ahead(self, belief: Float32s) -> Float32s:
         """Return the belief, of sum 1, at the next query, before it is seen."""
         none = belief[-1]
         after = self._move @ self._mixed(self._speeds, belief)
@@ -71,7 +68,7 @@ class Chain:
         after[-1] = (1.0 - _RETURNS) * none + self._leaves @ belief[:-1]
         return after
 
-    def back(self, message: Array) -> Array:
+    def back(self, message: Float32s) -> Float32s:
         """Return what a message about the next query says about this one: the adjoint of `ahead`."""
         none = message[-1]
         mean = message[:-1].mean()
@@ -80,26 +77,26 @@ class Chain:
         before[-1] = (1.0 - _RETURNS) * none + _RETURNS * mean
         return before
 
-    def seen(self, belief: Array, ratios: Array) -> Array:
+    def seen(self, belief: Float32s, ratios: Float32s) -> Float32s:
         """Weigh a belief by what a query says, and scale it to a sum of 1."""
         weighed = belief.copy()
         weighed[:-1].reshape(self._shape)[:] *= ratios
         weighed /= weighed.sum()
         return weighed
 
-    def _mixed(self, speeds: Array, belief: Array) -> Array:
+    def _mixed(self, speeds: Float32s, belief: Float32s) -> Float32s:
         """Return a belief, or a message, after a change of speeds; of none nothing."""
         mixed = np.zeros_like(belief)
         np.matmul(speeds, belief[:-1].reshape(self._shape), out=mixed[:-1].reshape(self._shape))
         return mixed
 
-    def at_references(self, belief: Array) -> tuple[Array, float]:
+    def at_references(self, belief: Float32s) -> tuple[Float32s, float]:
         """Return the probabilities of the references (n,), and that none shows the query."""
         belief = belief / belief.sum()
         return belief[:-1].reshape(self._shape).sum(axis=0), float(belief[-1])
 
 
-def _changes() -> NDArray[np.float64]:
+def _changes() -> Floats:
     """Return the probabilities of each speed (a row) after each other one (a column)."""
     count = len(SPEEDS)
     changes = _KEPT * np.eye(count)
@@ -121,8 +118,8 @@ def _moved(references: int, advance: float) -> sparse.dia_array:
 
 
 def smoothed(
-    chain: Chain, seen: Seen, ratios: Callable[[Seen], Array]
-) -> Iterator[tuple[int, Array, float]]:
+    chain: Chain, seen: AnyArray, ratios: Callable[[AnyArray], Float32s]
+) -> Iterator[tuple[int, Float32s, float]]:
     """Yield each query, the probabilities of the references (n,) given all queries, and of none: forward-backward.
 
     Of what was seen, (q, n), `ratios` says what the likelihood ratios are, here against elsewhere. The last comes
@@ -130,7 +127,7 @@ def smoothed(
     """
     block = math.isqrt(len(seen) - 1) + 1
 
-    def forward(belief: Array, rows: Array) -> list[Array]:
+    def forward(belief: Float32s, rows: Float32s) -> list[Float32s]:
         """Return the beliefs at some queries, of the one before the first of them is seen."""
         still_wanted()
         found = [chain.seen(belief, rows[0])]

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import Bools, Float32s, Floats, Int64s
 
 Progress = Callable[[int], None]  # Called with the number of queries that are done.
 
@@ -27,9 +28,9 @@ class Matches:
     there is no match. `unknown` is the probability that no reference shows the query; 0 of a method that does not tell.
     """
 
-    reference: NDArray[np.int64]
-    score: NDArray[np.float64]
-    unknown: NDArray[np.float64]
+    reference: Int64s
+    score: Floats
+    unknown: Floats
 
     @classmethod
     def none(cls, queries: int) -> Self:
@@ -52,18 +53,18 @@ class Matches:
         enough = falling[expected >= precision]
         return self.above(np.nextafter(enough[-1], 0.0) if enough.size else math.inf)
 
-    def of(self, queries: NDArray[np.int64]) -> Self:
+    def of(self, queries: Int64s) -> Self:
         """Return the matches of some queries."""
         return type(self)(self.reference[queries], self.score[queries], self.unknown[queries])
 
     @property
-    def matched(self) -> NDArray[np.bool_]:
+    def matched(self) -> Bools:
         """Which queries have a match, (q,)."""
-        found: NDArray[np.bool_] = self.reference != NONE
+        found: Bools = self.reference != NONE
         return found
 
 
-def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
+def check_features(references: Float32s, queries: Float32s) -> None:
     """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
     if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
         raise ValueError(

@@ -3,18 +3,17 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.features import FeatureSettings, extract
 from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, check_features, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 
 Frames = Iterable[
-    NDArray[Any]
+    AnyArray
 ]  # Images in order, uint8 (height, width, 3), or features of all, (n, m).
 
 
@@ -75,7 +74,7 @@ def match(
     return way.match(known, asked, chosen, ignore)
 
 
-def _raw(frames: Frames, settings: FeatureSettings, parallel: Parallel) -> NDArray[np.float32]:
+def _raw(frames: Frames, settings: FeatureSettings, parallel: Parallel) -> Float32s:
     """Return features as they are given, or those of images."""
     if isinstance(frames, np.ndarray) and frames.ndim == 2:
         return np.asarray(frames, dtype=np.float32)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import Float32s
 from smal.features import Centering, FeatureSettings
 from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, Progress
@@ -16,7 +17,7 @@ from smal.place_recognition.places import match_places
 from smal.place_recognition.seqslam import match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses
 
-Features = NDArray[np.float32] | NDArray[np.float16]
+Features = Float32s | NDArray[np.float16]
 
 
 @dataclass(frozen=True)

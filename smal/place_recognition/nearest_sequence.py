@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 
 def match_nearest_sequence(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
@@ -32,7 +32,7 @@ def match_nearest_sequence(
     return matches
 
 
-def sums_along(rows: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
+def sums_along(rows: Float32s, steps: Sequence[int]) -> Float32s:
     """Sum a matrix (q, n) of queries and references along one straight line of l steps, from each of its ends.
 
     Steps are references before the end, 0 to l-1 queries before it. Entry (i, j) of the result

@@ -3,9 +3,7 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Float32s
 from smal.paper.phase import matched_phase
 from smal.paper.state_matching import solve
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
@@ -14,8 +12,8 @@ LAMBDA_SCALE: Final = 0.1  # a in lambda1 = lambda2 = a sqrt(l), as in learning.
 
 
 def match_as_in_the_paper(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:

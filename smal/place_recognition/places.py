@@ -15,14 +15,14 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Indices, Uint16s
 from smal.features.extraction import Parallel, in_parallel
 from smal.likelihood import GRID, log_ratio, over
-from smal.place_recognition.hidden_markov import Array, Chain, smoothed
+from smal.place_recognition.hidden_markov import Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
-Levels = NDArray[np.uint16]  # How far queries stand out at references, in steps of z.
+Levels = Uint16s  # How far queries stand out at references, in steps of z.
 Best = tuple[
     int, float, float
 ]  # A reference, how probable it is within the tolerance, and how probable none.
@@ -60,7 +60,7 @@ class TraversePart(NamedTuple):
     """Some queries, centred, in order: which of all is the first, and which are answered, not only looked at."""
 
     first: int
-    queries: Array
+    queries: Float32s
     own: slice
 
     def blocks(self) -> "list[TraversePart]":
@@ -84,7 +84,7 @@ class Evidence:
         self._ratio = np.append(np.exp(said), [1.0, 0.0]).astype(np.float32)
 
     @classmethod
-    def learn(cls, levels: Levels, there: Array) -> "Evidence":
+    def learn(cls, levels: Levels, there: Float32s) -> "Evidence":
         """Measure it on queries (q, n) that are believed to show references with probabilities (q, n)."""
         z = _Z[levels]
         prior = _PRIOR_QUERIES
@@ -102,7 +102,7 @@ class Evidence:
         correlation = float(off[1:] @ off[:-1] + _CORRELATION * usual) / float(off @ off + usual)
         return cls(mean, spread, min(max(correlation, 0.0), _MOST_CORRELATION))
 
-    def of(self, levels: Levels) -> Array:
+    def of(self, levels: Levels) -> Float32s:
         """Return the likelihood ratios of levels."""
         return self._ratio[levels]
 
@@ -111,7 +111,7 @@ class Places:
     """References (n, m), centred, of frames that stops are left out of; a loop leads to those so far ``apart``."""
 
     def __init__(
-        self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None
+        self, references: Float32s, frames: Indices, tolerance: int, apart: int | None
     ) -> None:
         self.chain = Chain(len(references))
         self._references = references
@@ -146,7 +146,7 @@ class Places:
         ][::-1]
         return found[part.own]
 
-    def best(self, there: Array, none: float) -> Best:
+    def best(self, there: Float32s, none: float) -> Best:
         """Return the frame that a query most probably shows, how probably one within the tolerance, and none."""
         best = there.argmax()
         return (
@@ -157,8 +157,8 @@ class Places:
 
 
 def match_places(
-    references: Array,
-    queries: Array,
+    references: Float32s,
+    queries: Float32s,
     tolerance: int | None = None,
     lag: int | None = None,
     progress: Progress = ignore,
@@ -202,7 +202,7 @@ def match_places(
     return found.of(np.searchsorted(asked, np.arange(len(queries)), "right") - 1)
 
 
-def moving(features: Array, standing: float) -> NDArray[np.intp]:
+def moving(features: Float32s, standing: float) -> Indices:
     """Return the frames of a traverse (n, m) that differ from the last of them by more: a stop is one place."""
     kept = [0]
     for frame in range(1, len(features)):
@@ -211,7 +211,7 @@ def moving(features: Array, standing: float) -> NDArray[np.intp]:
     return np.array(kept)
 
 
-def alike(references: Array, cosine: float) -> int:
+def alike(references: Float32s, cosine: float) -> int:
     """Return over how many frames the mean cosine of references (n, m) falls below one, at least 1."""
     for step in range(1, len(references)):
         if np.einsum("ij,ij->i", references[step:], references[:-step]).mean() < cosine:
@@ -260,7 +260,7 @@ def _learned(chain: Chain, stretches: list[Levels], progress: Progress = ignore)
     return evidence
 
 
-def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
+def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Float32s:
     """Return the probabilities (q, n) of a stretch."""
     return np.array([there for _, there, _ in smoothed(chain, levels, evidence.of)][::-1])
 
@@ -268,12 +268,12 @@ def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
 def _followed(
     places: Places,
     part: Callable[..., TraversePart],
-    frames: NDArray[np.intp],
+    frames: Indices,
     lag: int,
     progress: Progress,
 ) -> Iterator[Best]:
     """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
-    recent = deque[tuple[int, Array, Array]]()
+    recent = deque[tuple[int, Float32s, Float32s]]()
     chain = places.chain
 
     def oldest() -> Best:
@@ -299,5 +299,5 @@ def _followed(
         yield oldest()
 
 
-def _normal(z: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normal(z: Floats) -> Floats:
     return np.maximum(np.exp(-0.5 * np.square(z)), 1e-300)

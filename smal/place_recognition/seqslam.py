@@ -4,10 +4,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.distance import cdist
 
+from smal.arrays import Float32s, Floats, Int64s
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.nearest_sequence import sums_along
 
@@ -27,8 +27,8 @@ _NOISE: Final = 1e-5  # A standard deviation below this share of the mean differ
 
 
 def match_seqslam(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
@@ -74,11 +74,11 @@ def trajectories(length: int) -> list[list[int]]:
     return lines
 
 
-def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
+def enhanced(rows: Floats) -> Float32s:
     """Enhance local contrast (q, n): deviations from the mean of references around each, 0 where all are the same."""
 
-    def around(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        summed: NDArray[np.float64] = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
+    def around(values: Floats) -> Floats:
+        summed: Floats = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
         return summed
 
     inside = around(np.ones(rows.shape[1]))
@@ -91,7 +91,7 @@ def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
     return contrast.astype(np.float32)
 
 
-def _most_unique(costs: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _most_unique(costs: Float32s) -> tuple[Int64s, Floats]:
     """Return the reference of least cost (c, n) > 0 for each query (c,), and how unique it is; spoils the costs."""
     queries = np.arange(len(costs))
     best = costs.argmin(axis=1)

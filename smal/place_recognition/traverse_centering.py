@@ -5,11 +5,11 @@ of few queries is what these few places look like; of a single one it is all tha
 towards the mean of the references, as if some more frames had been seen.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.features import Centering, FeatureSettings
 
 PRIOR_FRAMES: Final = (
@@ -18,12 +18,12 @@ PRIOR_FRAMES: Final = (
 
 
 def centre_traverses(
-    references: NDArray[Any],
-    queries: NDArray[Any],
+    references: AnyArray,
+    queries: AnyArray,
     settings: FeatureSettings,
     *,
     causal: bool = False,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32s, Float32s]:
     """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean of those up to it."""
     known = Centering.fit(references, settings)
     total = PRIOR_FRAMES * known.mean.astype(np.float64)

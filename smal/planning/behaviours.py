@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats
 from smal.filter import Belief
 from smal.map import VisualMap
 from smal.movement import STANDS, Motion
@@ -21,7 +21,6 @@ from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.sought.witness import Glimpse
 
-Floats = NDArray[np.float64]
 Said = Literal["found", "not_here"]
 
 

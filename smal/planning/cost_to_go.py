@@ -8,10 +8,10 @@ never driven in one piece, and a belief that is spread over several drives has o
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from smal.arrays import Bools, Floats, Indices
 from smal.map import VisualMap
 from smal.planning.config import PLANNER_CONFIG
 
@@ -31,8 +31,8 @@ def cost_to_go(
     goal: str,
     go_over_s: float = PLANNER_CONFIG.go_over_s,
     tried: Iterable[int] = (),
-    closed: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    closed: Bools | None = None,
+) -> tuple[Floats, Indices]:
     """Compute the time to the goal from every keyframe, and the next keyframe.
 
     The robot changes drives at the first place from which the goal is nearer by the other drive. The time decreases
@@ -77,8 +77,8 @@ def _shortest(
     goal: str,
     go_over_s: float,
     tried: Iterable[int],
-    closed: NDArray[np.bool_] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    closed: Bools | None,
+) -> tuple[Floats, Indices]:
     """Run Dijkstra's algorithm from a virtual node beyond all goals, against the direction of driving."""
     count = len(visual_map.keyframes)
     drives = visual_map.key_drives

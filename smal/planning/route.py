@@ -8,16 +8,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from smal.arrays import Bools, Floats, Indices, Int32s
 from smal.filter import Belief
 from smal.map import VisualMap, in_common_axes, way_from
 from smal.movement import placed, seen_from, wrapped
 from smal.planning.cost_to_go import cost_to_go
 
-Floats = NDArray[np.float64]
 #: Nearer to the aim than this share of the lookahead, the direction to it is noise, and the aim's heading counts.
 _NEAR_AIM = 0.3
 
@@ -57,11 +56,11 @@ class Route:
     goal: str
     go_over_s: float
     to_go_s: Floats
-    guide: NDArray[np.intp]
+    guide: Indices
     offset: Floats
-    leads: NDArray[np.bool_]
+    leads: Bools
     tried: frozenset[int]
-    closed: NDArray[np.bool_]
+    closed: Bools
 
     @classmethod
     def plan(
@@ -70,7 +69,7 @@ class Route:
         goal: str,
         go_over_s: float,
         tried: AbstractSet[int] = frozenset(),
-        closed: NDArray[np.bool_] | None = None,
+        closed: Bools | None = None,
     ) -> "Route":
         """Plan the ways from all keyframes."""
         if closed is None:
@@ -81,7 +80,7 @@ class Route:
         leads = (taught.key_goals[guide] == goal) & ~was_tried
         return cls(taught, goal, go_over_s, to_go_s, guide, offset, leads, frozenset(tried), closed)
 
-    def leads_on(self, belief: Belief) -> NDArray[np.bool_]:
+    def leads_on(self, belief: Belief) -> Bools:
         """Return which particles (p,) have a way to the goal."""
         return np.isfinite(self.to_go_s[belief.keyframes])
 
@@ -161,9 +160,7 @@ class Route:
         return int(self.guide[belief.keyframes[belief.weights.argmax()]])
 
 
-def _guides(
-    taught: VisualMap, to_go_s: Floats, following: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], Floats]:
+def _guides(taught: VisualMap, to_go_s: Floats, following: Indices) -> tuple[Indices, Floats]:
     """Return for each keyframe its guide, and its own pose relative to the guide."""
     guide = np.arange(len(following))
     offset = np.zeros((len(following), 3))
@@ -179,7 +176,7 @@ def _guides(
     return guide, offset
 
 
-def _connected(taught: VisualMap) -> NDArray[np.int32]:
+def _connected(taught: VisualMap) -> Int32s:
     """Return the group of each drive (d,); drives of one group are linked by shared places."""
     count = len(taught.goals)
     one, other = taught.key_drives[taught.stitched].T

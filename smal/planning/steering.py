@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats
 from smal.map import VisualMap
 from smal.movement import STANDS, Motion, placed, seen_from, turns_ahead
 from smal.planning.config import PlannerConfig
 
-Floats = NDArray[np.float64]
 Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search", "blind"]
 
 

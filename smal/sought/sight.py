@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int32s
 from smal.camera import Image
 from smal.features.resizing import SHAPE
 from smal.sought.score import SCORES, Said
@@ -24,7 +25,7 @@ Codes = NDArray[np.float16]
 _ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
 
 
-def cells_of(picture: Image, step: int = 1) -> NDArray[np.float32]:
+def cells_of(picture: Image, step: int = 1) -> Float32s:
     """Return every ``step``-th cell of a small picture, (rows, columns, 27): as if it were as bright as any."""
     light = picture.astype(np.float32) / max(2.0 * float(picture.mean()), 1.0)
     seen = np.sqrt(np.minimum(light, 1.5))
@@ -34,7 +35,7 @@ def cells_of(picture: Image, step: int = 1) -> NDArray[np.float32]:
     return np.asarray(np.concatenate(each, axis=-1), dtype=np.float32)
 
 
-def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float32]:
+def nearest(cells: Float32s, codes: AnyArray) -> Float32s:
     """Return how far each cell (..., 27) is from the nearest of some codes (n, 27); infinitely, if there are none."""
     flat = cells.reshape(-1, NUMBERS)
     held = codes.astype(np.float32)
@@ -87,13 +88,11 @@ class Sight:
 
     sought: Codes  # Cells (n, 27) of what is sought, and (m, 27) of all else that was taught.
     others: Codes
-    windows: NDArray[
-        np.int32
-    ]  # (s, 2), rows and columns that it took, in cells of every second row and column.
+    windows: (
+        Int32s  # (s, 2), rows and columns that it took, in cells of every second row and column.
+    )
     far: float  # Distance from which two cells are not alike at all.
-    log_ratio: NDArray[
-        np.float64
-    ]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    log_ratio: Floats  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
     size: float  # Cells that spoke for it where the ways ended.
     #: How far below the middle of the view it was there, as a share of the height, above is negative; 0 where this does
     #: not tell how near it is.
@@ -140,19 +139,15 @@ class Sight:
         return Said(log_ratio, max(near, found.low / self.low) if self.low else near, found.left)
 
 
-def speaking(
-    cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float
-) -> NDArray[np.float32]:
+def speaking(cells: Float32s, sought: AnyArray, others: AnyArray, far: float) -> Float32s:
     """Return how much each cell speaks for what is sought, 0 to 1."""
     ours = nearest(cells, sought)
     theirs = nearest(cells, others)
-    speaks: NDArray[np.float32] = (
-        np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
-    )
+    speaks: Float32s = np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
     return speaks
 
 
-def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Window:
+def best_window(speaks: Float32s, windows: Int32s) -> Window:
     """Return the window of the highest mean; its score is 0 where nothing speaks."""
     total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
     best = Window(0.0, 0.0, 0.0)
@@ -175,19 +170,17 @@ def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Wind
 
 def content_of_sights(
     sights: Mapping[str, Sight],
-) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+) -> tuple[list[dict[str, Any]], dict[str, AnyArray]]:
     """Return what a file says of the sights of goals, and the arrays in it."""
     said = []
-    arrays = dict[str, NDArray[Any]]()
+    arrays = dict[str, AnyArray]()
     for number, (goal, one) in enumerate(sights.items()):
         said.append({"goal": goal, "far": one.far, "size": one.size, "low": one.low})
         arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}
     return said, arrays
 
 
-def sights_of_content(
-    said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]
-) -> dict[str, Sight]:
+def sights_of_content(said: list[dict[str, Any]], arrays: dict[str, AnyArray]) -> dict[str, Sight]:
     """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     found = {}
     for number, one in enumerate(said):

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Floats
 from smal.features.detectors import LONGEST, Detection
 from smal.sought.score import SCORES, Said
 
@@ -22,9 +22,7 @@ class Word:
 
     label: str
     size: float  # Of its box where the ways ended, share of the view.
-    log_ratio: NDArray[
-        np.float64
-    ]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    log_ratio: Floats  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
 
     def __post_init__(self) -> None:
         """ValueError where parts do not fit together: they may come from a file."""
@@ -62,14 +60,14 @@ def best(detections: Iterable[Detection], label: str) -> tuple[float, Detection 
 
 def content_of_words(
     words: Mapping[str, Word],
-) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+) -> tuple[list[dict[str, Any]], dict[str, AnyArray]]:
     """Return what a file says of the words on goals, and the arrays in it."""
     said = [{"goal": goal, "label": one.label, "size": one.size} for goal, one in words.items()]
     return said, {f"word {number}": one.log_ratio for number, one in enumerate(words.values())}
 
 
 def words_of_content(
-    said: Sequence[dict[str, Any]], arrays: dict[str, NDArray[Any]]
+    said: Sequence[dict[str, Any]], arrays: dict[str, AnyArray]
 ) -> dict[str, Word]:
     """Take the words on goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
     return {

@@ -8,12 +8,12 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.files.packed import unpacked
@@ -21,7 +21,7 @@ from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, evenly, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
-Describe = Callable[[Iterable[Image]], NDArray[np.float32]]  # Centred features (n, m) of n images.
+Describe = Callable[[Iterable[Image]], Float32s]  # Centred features (n, m) of n images.
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ class TaughtFrames:
     """
 
     images: Sequence[Image]
-    centred: Callable[[Iterable[int]], NDArray[np.float32]]
-    poses: NDArray[np.float64]
-    drives: NDArray[np.int32]
+    centred: Callable[[Iterable[int]], Float32s]
+    poses: Floats
+    drives: Int32s
     describe: Describe
-    movements: NDArray[np.float64]
+    movements: Floats
     odometry: bool = True
     camera: Camera | None = None
     config: CalibrationConfig = CALIBRATION
@@ -88,7 +88,7 @@ class TaughtFrames:
         """Whether the robot goes ahead while it turns."""
         return turns_ahead(self.movements)
 
-    def apart(self, frames: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def apart(self, frames: Indices) -> tuple[Floats, Floats]:
         """Return distances and angles between frames of one drive, (n, n) each.
 
         Whole turns of a car count: what is reckoned of its way does not lead back to where a lap began.
@@ -101,9 +101,7 @@ class TaughtFrames:
             turned if self.car else wrapped(turned)
         )
 
-    def pairs(
-        self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
-    ) -> list[_Pair]:
+    def pairs(self, wanted: Callable[[Floats, Floats], Bools]) -> list[_Pair]:
         """Find for each frame the next one of its drive whose way and turn from it are wanted."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
@@ -182,7 +180,7 @@ def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
 
 def turn_of_views(
     images: Sequence[Image],
-    atoms: Sequence[NDArray[np.int8]],
+    atoms: Sequence[Int8s],
     cameras: Sequence[Camera],
     describe: Describe,
     config: CalibrationConfig = CALIBRATION,
@@ -274,7 +272,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         reach = 4.0 * length
 
 
-def _near_and_far(count: int, most: int) -> NDArray[np.intp]:
+def _near_and_far(count: int, most: int) -> Indices:
     """Return all numbers below a count, or about so many, with pairs near each other and far apart.
 
     Those are evenly spread numbers, and after each of them some that are ever further away.
@@ -286,9 +284,7 @@ def _near_and_far(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.minimum(evenly(count, each)[:, None] + after, count - 1))
 
 
-def _turns_undone(
-    frames: TaughtFrames, camera: Camera, pairs: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _turns_undone(frames: TaughtFrames, camera: Camera, pairs: Indices) -> tuple[Floats, Floats]:
     """Compare frames, the first as it would have been seen with the second's heading: distances, cosines."""
     first, second = pairs[evenly(len(pairs), frames.config.most_frames // 2)].T
     steps = frames.poses[second] - frames.poses[first]
@@ -308,7 +304,7 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
     own = frames.centred(some)
     images = [frames.images[k] for k in some]
 
-    def turned_by(turn_rad: float) -> NDArray[np.float32]:
+    def turned_by(turn_rad: float) -> Float32s:
         return frames.describe(_far(camera).warp(image, turn_rad=turn_rad) for image in images)
 
     turned = list(in_parallel(turned_by, _TURNS_RAD))
@@ -317,9 +313,9 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
 
 
 def _half_way(
-    far: NDArray[np.float64],
-    cosines: NDArray[Any],
-    counts: NDArray[Any],
+    far: Floats,
+    cosines: AnyArray,
+    counts: AnyArray,
     best: float,
     unrelated: float,
 ) -> float:
@@ -338,13 +334,13 @@ def _half_way(
 class _Looks:
     """The views of k keyframes as a robot at each of them sees them."""
 
-    poses: NDArray[np.float64]  # (k, 3)
-    drives: NDArray[np.int32]  # (k,)
-    views: NDArray[np.int8]  # (k, 3, turns, r)
-    own: NDArray[np.float32]  # (k, r) straight ahead from the keyframe itself.
-    sample: NDArray[np.float32]  # Views that are the sample of elsewhere.
+    poses: Floats  # (k, 3)
+    drives: Int32s  # (k,)
+    views: Int8s  # (k, 3, turns, r)
+    own: Float32s  # (k, r) straight ahead from the keyframe itself.
+    sample: Float32s  # Views that are the sample of elsewhere.
 
-    def stands_out(self, cosines: NDArray[Any], key: int) -> NDArray[Any]:
+    def stands_out(self, cosines: AnyArray, key: int) -> AnyArray:
         """Return by how much cosines with the view of a keyframe stand out."""
         return standing_out(cosines, self.sample @ self.own[key])
 
@@ -353,7 +349,7 @@ class _Looks:
         near = range(max(key - 1, 0), min(key + 2, len(self.drives)))
         return [other for other in near if other != key and self.drives[other] == self.drives[key]]
 
-    def far(self, key: int, least: float) -> NDArray[np.bool_]:
+    def far(self, key: int, least: float) -> Bools:
         """Return which keyframes of the same drive are further away than this."""
         apart = np.hypot(*(self.poses - self.poses[key])[:, :2].T)
         return np.asarray((self.drives == self.drives[key]) & (apart > least))
@@ -367,7 +363,7 @@ class _Looks:
         cosine = unpacked(self.views[other, 1, turn]) @ self.own[key]
         return float(self.stands_out(cosine, key))
 
-    def both(self, key: int, far: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def both(self, key: int, far: Bools) -> Floats:
         """Return what a keyframe and the next say of places far away and of the next ones there, (2, n)."""
         on = np.flatnonzero(far[:-1] & far[1:] & (np.diff(self.drives) == 0))
         here, after = (self.stands_out(self.own @ self.own[k], k) for k in (key, key + 1))
@@ -376,8 +372,8 @@ class _Looks:
 
 def likelihood_of_views(
     frames: TaughtFrames,
-    keyframes: NDArray[np.int32],
-    views: NDArray[np.int8],
+    keyframes: Int32s,
+    views: Int8s,
     length: float,
     config: MapConfig,
 ) -> tuple[Likelihood, float]:
@@ -398,7 +394,7 @@ def likelihood_of_views(
     here: list[float | None] = []
     elsewhere = []
     alike = []
-    chains: list[NDArray[Any]] = [np.empty((2, 0))]
+    chains: list[AnyArray] = [np.empty((2, 0))]
     for key in evenly(count, frames.config.most_frames // 4).tolist():
         far = looks.far(key, config.elsewhere * length)
         elsewhere.append(looks.stands_out(places[far[some]] @ own[key], key).ravel())

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int8s
 from smal.camera import Camera, Image
 from smal.features.extraction import Parallel, in_parallel
 from smal.map import GOAL_NAME
@@ -30,16 +31,14 @@ class Demonstration:
 
     name: str  # Its episode.
     #: (f, m) raw features (`smal.features.extract`), without dropped frames; rows may be read when they are wanted.
-    features: NDArray[np.float32] | Sequence[NDArray[np.float32]]
-    atoms: NDArray[
-        np.int8
-    ]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
+    features: Float32s | Sequence[Float32s]
+    atoms: Int8s  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
     successful: bool = True  # Whether it ended at the goal.
     recovery: bool = False  # Whether it began off the route, to show the way back to it.
     images: Sequence[Image] | None = (
         None  # RGB; read when they are wanted. The map of views is made of them.
     )
-    odometry: NDArray[np.float64] | None = None  # (f, 3) x, y and heading in radians by the wheels.
+    odometry: Floats | None = None  # (f, 3) x, y and heading in radians by the wheels.
     episode: str = (
         ""  # Which drive it is a part of, where frames between parts were lost; its name if empty.
     )
@@ -47,7 +46,7 @@ class Demonstration:
     camera: Camera | None = None  # Estimated from the images if not given.
     #: (f,) how fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does;
     #: on the spot if not given.
-    ahead: NDArray[np.float32] | None = None
+    ahead: Float32s | None = None
     #: Where in the last image the goal is, if somebody has drawn it: left, top, right, bottom, shares of its size.
     box: Box | None = None
 
@@ -77,7 +76,7 @@ class Demonstration:
             )
 
     @property
-    def rows(self) -> NDArray[np.float32]:
+    def rows(self) -> Float32s:
         """All its features at once, (f, m)."""
         return (
             self.features
@@ -98,8 +97,8 @@ def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
 
 
 def every(
-    arrays: NDArray[Any] | Sequence[NDArray[Any]], parallel: Parallel = in_parallel
-) -> Iterable[NDArray[Any]]:
+    arrays: AnyArray | Sequence[AnyArray], parallel: Parallel = in_parallel
+) -> Iterable[AnyArray]:
     """Yield arrays one after the other; those that are made when they are asked for are made on every core."""
     return parallel(call, tasks_of(arrays, range(len(arrays))))
 
@@ -126,19 +125,17 @@ class Made(Sequence[Any]):
         )
 
 
-def task_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], number: int) -> Task:
+def task_of(arrays: AnyArray | Sequence[AnyArray], number: int) -> Task:
     """Return what makes one of some arrays."""
     return arrays.task(number) if isinstance(arrays, Made) else partial(np.asarray, arrays[number])
 
 
-def tasks_of(
-    arrays: NDArray[Any] | Sequence[NDArray[Any]], numbers: Sequence[int]
-) -> Sequence[Task]:
+def tasks_of(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> Sequence[Task]:
     """Return what makes some of them; nothing is read before it is asked for."""
     return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
 
 
-def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:
+def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:
     """Return sequences of arrays as one; none is read or copied before it is asked for."""
     ends = np.cumsum([len(part) for part in parts])
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Final, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from smal.arrays import Float32s, Floats, Indices, Int8s
 from smal.camera import STRAIGHT, Camera, Image, Scene
 from smal.features import extract
 from smal.features.extraction import in_parallel
@@ -42,14 +42,12 @@ _LOOK_FROM: Final = 0.5
 class Followed:
     """A run of f frames as a map follows it."""
 
-    keyframes: NDArray[np.intp]  # (f,) the likeliest one.
-    offsets: NDArray[np.float64]  # (f, 3) from there: ahead, left, turned left in radians.
-    sure: NDArray[np.float64]  # (f,) probability of being within a correlation length of there.
-    says: NDArray[
-        np.float64
-    ]  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
+    keyframes: Indices  # (f,) the likeliest one.
+    offsets: Floats  # (f, 3) from there: ahead, left, turned left in radians.
+    sure: Floats  # (f,) probability of being within a correlation length of there.
+    says: Floats  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
     #: (f,) logarithm of how much likelier the view was, after all before it, than a view of elsewhere.
-    evidence: NDArray[np.float64]
+    evidence: Floats
     arrived: int  # Frame at which a robot would have said that it had arrived; f if none.
 
 
@@ -109,8 +107,8 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
 
     Runs of which nobody knows the camera give none.
     """
-    nearest: dict[int, tuple[float, Demonstration, int, NDArray[np.float64]]] = {}
-    seen: dict[int, list[NDArray[np.float32]]] = {}
+    nearest: dict[int, tuple[float, Demonstration, int, Floats]] = {}
+    seen: dict[int, list[Float32s]] = {}
     taught = model.mapped
     usual = _usually_says(model.mapped)
     for run in runs:
@@ -156,9 +154,7 @@ def _usually_says(taught: VisualMap) -> float:
     return float(np.median(taught.likelihood.of(np.array(z))))
 
 
-def _look(
-    model: Model, run: Demonstration, frame: int, offset: NDArray[np.float64]
-) -> NDArray[np.int8]:
+def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s:
     """Return the virtual views (3, turns, r) of a keyframe as a frame shows it that was taken beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
@@ -168,9 +164,7 @@ def _look(
     return packed(model.centering.apply(raw) @ taught.basis).reshape(taught.views.shape[1:])
 
 
-def _least(
-    views: NDArray[np.int8], rows: NDArray[np.intp], seen: Sequence[NDArray[np.float32]]
-) -> int:
+def _least(views: Int8s, rows: Indices, seen: Sequence[Float32s]) -> int:
     """Return the row without which these views lose least, of several the oldest; the first, taught one stays."""
     cosines = np.einsum("lptr,fr->flpt", unpacked(views[rows]), np.stack(seen)).max(axis=(2, 3))
     lost = [

@@ -9,9 +9,9 @@ from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from smal.arrays import Float32s, Floats, Int8s, Int32s
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
@@ -197,17 +197,15 @@ def demonstrations_of(
     ]
 
 
-def _extracted(image: Task, features: FeatureSettings) -> NDArray[np.float32]:
+def _extracted(image: Task, features: FeatureSettings) -> Float32s:
     return extract(image(), features)
 
 
-def _described(centering: Centering, views: Iterable[Image]) -> NDArray[np.float32]:
+def _described(centering: Centering, views: Iterable[Image]) -> Float32s:
     return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
 
 
-def _centred(
-    centering: Centering, features: Sequence[NDArray[np.float32]], some: Iterable[int]
-) -> NDArray[np.float32]:
+def _centred(centering: Centering, features: Sequence[Float32s], some: Iterable[int]) -> Float32s:
     return centering.apply(np.stack([features[frame] for frame in some]))
 
 
@@ -317,9 +315,7 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     return Ground(colours, max(extreme(scores), GROUND_CONFIG.least))
 
 
-def _choose_keyframes(
-    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float, config: MapConfig
-) -> NDArray[np.int32]:
+def _choose_keyframes(poses: Floats, drives: Int32s, length: float, config: MapConfig) -> Int32s:
     """Take the first and last frame of each drive, and all that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
@@ -343,16 +339,14 @@ def _maps_of(scene: Scene, aside: float, shape: tuple[int, ...]) -> list[Maps]:
     return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
 
 
-def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> NDArray[np.float32]:
+def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> Float32s:
     seen = image()
     return _described(
         centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2]))
     )
 
 
-def _in_components(
-    basis: NDArray[np.float32], rows_of: Callable[[Any], NDArray[np.float32]], of: object
-) -> NDArray[np.int8]:
+def _in_components(basis: Float32s, rows_of: Callable[[Any], Float32s], of: object) -> Int8s:
     return packed(rows_of(of) @ basis)
 
 
@@ -367,12 +361,12 @@ def _told(
 
 def _make_views(
     frames: TaughtFrames,
-    keyframes: NDArray[np.int32],
-    views_of: Callable[[Task], NDArray[np.float32]],
+    keyframes: Int32s,
+    views_of: Callable[[Task], Float32s],
     progress: Progress,
     parallel: Parallel,
     config: MapConfig,
-) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+) -> tuple[Int8s, Float32s]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     each = len(virtual_poses(0.0))
@@ -392,7 +386,7 @@ def _make_views(
     return views, basis
 
 
-def _components(sample: NDArray[np.float32], config: MapConfig) -> NDArray[np.float32]:
+def _components(sample: Float32s, config: MapConfig) -> Float32s:
     """Return the leading principal components of rows (s, m), (m, r), those of much variance made smaller."""
     products = sample @ sample.T
     # All components take three times as long.
@@ -403,7 +397,5 @@ def _components(sample: NDArray[np.float32], config: MapConfig) -> NDArray[np.fl
     values = values[kept][::-1]
     vectors = vectors[:, kept][:, ::-1]
     # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
-    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + config.whitened)).astype(
-        np.float32
-    )
+    basis: Float32s = (sample.T @ vectors / values ** (0.5 + config.whitened)).astype(np.float32)
     return basis

@@ -5,8 +5,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats, Int8s
 from smal.movement import Atom, Movement
 
 #: The opposite of each atom, and how the way ahead and the turn of the two compare.
@@ -18,9 +18,7 @@ _MIRRORED: Final = {
 }
 
 
-def atom_movements(
-    poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]
-) -> NDArray[np.float64]:
+def atom_movements(poses: Sequence[Floats], atoms: Sequence[Int8s]) -> Floats:
     """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
 
     It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
@@ -42,7 +40,7 @@ def atom_movements(
     return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
 
 
-def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[np.float64]:
+def _movements_of(way: Floats, atoms: Int8s) -> Floats:
     """Measure what each atom did in one drive."""
     made = atoms[:-1]
     steps = [Movement.between(*pair) for pair in pairwise(way)]

@@ -15,8 +15,8 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Indices
 from smal.camera import STEP_DEG, STRAIGHT
 from smal.features.extraction import in_parallel
 from smal.files.packed import BATCH, unpacked
@@ -26,7 +26,6 @@ from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 
 #: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
 _Stitch = tuple[int, int, list[float]]
-_Indices = NDArray[np.intp]
 
 
 def stitched(visual_map: VisualMap) -> VisualMap:
@@ -50,7 +49,7 @@ def stitched(visual_map: VisualMap) -> VisualMap:
     )
 
 
-def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.float64]]:
+def _best_of_each_drive(visual_map: VisualMap) -> tuple[Indices, Floats]:
     """Return for each keyframe the likeliest one of each drive (k, d), -1 where none is, and how it stands to that."""
     count = len(visual_map.keyframes)
     drives = visual_map.key_drives
@@ -84,7 +83,7 @@ def _best_of_each_drive(visual_map: VisualMap) -> tuple[_Indices, NDArray[np.flo
     return best, offsets
 
 
-def _peak(values: NDArray[np.float32], at: int) -> float:
+def _peak(values: Float32s, at: int) -> float:
     """Return where the parabola through the largest value and its neighbours is highest."""
     middle = min(max(at, 1), values.size - 2)
     before, here, after = (float(values[middle + k]) for k in (-1, 0, 1))
@@ -94,7 +93,7 @@ def _peak(values: NDArray[np.float32], at: int) -> float:
     return min(max(middle + 0.5 * (before - after) / curve, 0.0), values.size - 1.0)
 
 
-def _runs(visual_map: VisualMap, best: _Indices, one: int, other: int) -> list[_Indices]:
+def _runs(visual_map: VisualMap, best: Indices, one: int, other: int) -> list[Indices]:
     """Return the runs of mutual pairs of two drives that go on in order for a correlation length: keyframes of one."""
     here = np.flatnonzero(visual_map.key_drives == one)
     there = best[here, other]
@@ -111,10 +110,10 @@ def _runs(visual_map: VisualMap, best: _Indices, one: int, other: int) -> list[_
 
 
 def _reachable(
-    visual_map: VisualMap, runs: list[_Indices], there: _Indices, robot: NDArray[np.float64]
-) -> list[_Indices]:
+    visual_map: VisualMap, runs: list[Indices], there: Indices, robot: Floats
+) -> list[Indices]:
     """Return those runs to which both drives lead from the longest one, as the wheels tell."""
-    kept: list[_Indices] = []
+    kept: list[Indices] = []
     for run in sorted(runs, key=len, reverse=True):
         pairs = [
             (known, new)
@@ -130,7 +129,7 @@ def _reachable(
 
 
 def _off(
-    visual_map: VisualMap, there: _Indices, robot: NDArray[np.float64], one: int, other: int
+    visual_map: VisualMap, there: Indices, robot: Floats, one: int, other: int
 ) -> tuple[float, float]:
     """Return the way between two stitches, and by how many standard deviations of odometry the drives disagree."""
     noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
@@ -156,9 +155,7 @@ def _off(
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)
 
 
-def _joined(
-    visual_map: VisualMap, here: _Indices, there: _Indices, robot: NDArray[np.float64]
-) -> list[_Stitch]:
+def _joined(visual_map: VisualMap, here: Indices, there: Indices, robot: Floats) -> list[_Stitch]:
     """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
 
     Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
