@@ -128,7 +128,8 @@ def _swept_cells(ahead: Floats, left: Floats, way: Floats, half_width: float) ->
     along = ahead.ravel()[near, None] - way[:, 0]
     aside = left.ravel()[near, None] - way[:, 1]
     apart = np.hypot(along, aside)
-    return near[apart.min(axis=1, initial=math.inf) < half_width]
+    inside = apart.min(axis=1, initial=math.inf) < half_width
+    return np.asarray(near[inside])
 
 
 def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> float:

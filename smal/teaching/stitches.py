@@ -109,7 +109,7 @@ def _peak(values: Float32s, at: int) -> float:
     if curve >= 0.0:
         return float(at)
     vertex = middle + 0.5 * (before - after) / curve
-    return min(max(vertex, 0.0), values.size - 1.0)
+    return float(min(max(vertex, 0.0), values.size - 1.0))
 
 
 def _runs(visual_map: VisualMap, best: Indices, one: int, other: int) -> list[Indices]:
