@@ -1,4 +1,4 @@
-"""Colour modality: the image itself, seen from very far away (paper, section V: colour on 24 x 32)."""
+"""Colour modality: the image at a very low resolution (paper, section V: colour on 24 x 32)."""
 
 from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
