@@ -116,7 +116,7 @@ class TeachAndRepeat:
         return (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
 
     def step(self, image: Uint8s, odometry: Sequence[float]) -> Atom:
-        """Return the next atom for an image (height, width, 3), RGB, and the odometry (x, y, heading) of the episode."""
+        """Return the next atom for an RGB image (height, width, 3), and the odometry (x, y, heading) of the episode."""
         here = np.asarray(odometry, dtype=np.float64)
         seen = _prepared(image)
         route = self._route or self._begin(seen, here)

@@ -1,14 +1,14 @@
 """Solve Eq. 7 on few template frames: a primal-dual Newton method on smoothed norms.
 
-Algorithm 2 of the paper divides by norms that become zero and converges linearly, slowly where frames of a
-sequence resemble each other. We keep its idea (every norm is replaced by a quadratic) and change two things:
+Algorithm 2 of the paper divides by norms that become zero, and converges linearly: slowly if the frames of a sequence
+are similar. We keep its idea (every norm is replaced by a quadratic) and change two things:
 
 * each norm ||x|| is smoothed to sqrt(||x||^2 + epsilon^2), and epsilon falls as the duality gap falls;
-* the subgradients U (rows) and V (columns of blocks) are variables of their own, linearised as in Chan,
-  Golub & Mulet (1999), which makes Newton steps good far from the optimum too.
+* the subgradients U (rows) and V (columns of blocks) are separate variables, linearised as in Chan,
+  Golub & Mulet (1999), which makes Newton steps effective far from the optimum too.
 
 A stationary point of the smoothed problem satisfies X^T Theta = lambda1 U + lambda2 V with all of Theta, U, V
-in their unit balls, which is a point of the dual problem: the lower bound comes with the solution.
+in their unit balls, which is a point of the dual problem. So the solution includes its lower bound.
 """
 
 from dataclasses import dataclass
@@ -22,15 +22,17 @@ from smal.arrays import Floats, Indices
 from smal.paper.duality_gap import polar_bounds
 from smal.paper.objective import sequence_starts
 
-FIRST_EPSILON = 0.3  # Where smoothing starts without a better guess; lengths are near 1.
+FIRST_EPSILON = 0.3  # Initial smoothing without a better guess; lengths are near 1.
 _LAST_EPSILON = 1e-9
 _FASTEST = 0.2
 _GAP_TO_EPSILON = 0.7
 _MAX_STEPS = 150
-_RIDGE = 1e-11  # Rounding must not make a Newton system indefinite; it changes the path, never the bound.
+_RIDGE = (
+    1e-11  # Keeps a Newton system definite under rounding; it changes the path, never the bound.
+)
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-8
-# p^3 q from which on conjugate gradients are tried, and beyond which nothing else.
+# p^3 q from which on conjugate gradients are tried, and beyond which they are the only method.
 _LARGE = 3e6
 _TOO_LARGE = 1e9
 _ACCURATE = 1e-2
@@ -44,7 +46,7 @@ class BlockProblem:
     """Eq. 7 restricted to p template frames, in terms of inner products.
 
     `gram` (p, p) is X^T X, `correlations` (p, q) X^T Y, and `squares` (q,) ||y_i||^2, all positive, near 1; `frames`
-    (p,) says which template frames, ascending.
+    (p,) are the template frames, ascending.
     """
 
     gram: Floats
@@ -62,7 +64,7 @@ class BlockProblem:
 
     @cached_property
     def block(self) -> Indices:
-        """Of every row the number of its sequence among the b that are here, (p,)."""
+        """Number of the sequence of every row, among the b sequences, (p,)."""
         return np.repeat(np.arange(self.starts.size), np.diff(self.starts, append=self.frames.size))
 
     def sums(self, A: Floats) -> Floats:
@@ -70,38 +72,37 @@ class BlockProblem:
         return np.add.reduceat(A, self.starts)[self.block] if len(A) else A
 
     def as_blocks(self, A: Floats) -> Floats:
-        """Put rows (p, q) where they are in their sequences, with zeros between them: (b, l, q)."""
+        """Place rows (p, q) at their positions in their sequences, with zeros between them: (b, l, q)."""
         blocks = np.zeros((self.starts.size, self.sequence_length, A.shape[1]))
         blocks[self.block, self.frames % self.sequence_length] = A
         return blocks
 
     def slopes(self, W: Floats) -> Floats:
-        """X^T R for the residuals R = Y - X W, (p, q)."""
+        """Return X^T R for the residuals R = Y - X W, (p, q)."""
         slopes: Floats = self.correlations - self.gram @ W
         return slopes
 
     def norms(self, W: Floats, epsilon: float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """Find the norms of residuals (q,), rows (p, 1) and columns of blocks (p, q), smoothed."""
+        """Return the smoothed norms of residuals (q,), rows (p, 1) and columns of blocks (p, q)."""
         residuals = self.squares - (W * (self.correlations + self.slopes(W))).sum(axis=0)
         square = epsilon * epsilon
         d = np.sqrt(np.maximum(residuals, _ROUNDING * self.squares) + square)
         return d, np.sqrt(_rows(W * W) + square), np.sqrt(self.sums(W * W) + square)
 
     def objective(self, W: Floats, epsilon: float = 0.0) -> float:
-        """Eq. 7 at W (p, q), smoothed."""
+        """Return the smoothed Eq. 7 at W (p, q)."""
         d, e, f = self.norms(W, epsilon)
         return float(d.sum() + self.lambda1 * e.sum() + self.lambda2 * f[self.starts].sum())
 
     def smoothing_for(self, excess: float) -> float:
         """Return the epsilon that costs about as much as the excess of the objective: 0.3 epsilon a norm, doubled."""
         p, q = self.correlations.shape
-        return float(
-            _GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size)
-        )
+        norms = q + self.lambda1 * p + self.lambda2 * q * self.starts.size
+        return float(_GAP_TO_EPSILON * excess / norms)
 
 
 class Iterate(NamedTuple):
-    """W, the dual point Theta = Y diag(alpha) - X B, subgradients U of rows, V of columns: (p, q), but alpha (q,)."""
+    """W, the dual point Theta = Y diag(alpha) - X B, subgradients U of rows, V of columns: (p, q); alpha (q,)."""
 
     W: Floats
     alpha: Floats
@@ -110,7 +111,7 @@ class Iterate(NamedTuple):
     V: Floats
 
     def gap(self, problem: BlockProblem) -> float:
-        """Relative duality gap of the restricted problem."""
+        """Return the relative duality gap of the restricted problem."""
         gradients = problem.as_blocks(problem.correlations * self.alpha - problem.gram @ self.B)
         lambdas = (problem.lambda1, problem.lambda2)
         guess = problem.as_blocks(self.U)
@@ -124,8 +125,8 @@ def minimize(
 ) -> tuple[Iterate, float, int]:
     """Minimize Eq. 7 over the weights of a few template frames, to a relative duality gap.
 
-    Start with W, U and V (p, q), or, where U is zero, with subgradients of the smoothed norms; and with less smoothing
-    for a better start. Returns the best that was reached, the smoothing at the end, and the Newton steps.
+    The start is W, U and V (p, q); if U is zero, the subgradients are those of the smoothed norms. A better start needs
+    less smoothing. Returns the best iterate, the final smoothing, and the number of Newton steps.
     """
     d, e, f = problem.norms(W, epsilon)
     now = Iterate(W, 1.0 / d, W / d, *((U, V) if U.any() else (W / e, W / f)))
@@ -140,7 +141,7 @@ def minimize(
         if gap < best_gap:
             best = now
             best_gap = gap
-        # A larger gap says that Newton's method has not yet caught up with epsilon.
+        # A growing gap means that Newton's method has not yet converged for this epsilon.
         wanted = problem.smoothing_for(gap * problem.objective(now.W))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
     return best, epsilon, steps
@@ -153,10 +154,9 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
     slopes = problem.slopes(W)
     penalty = problem.lambda1 / e + problem.lambda2 / f
     descent = slopes / d - penalty * W
-    # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
-    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * slopes).sum(
-        axis=0
-    )
+    # <theta_i, r_i> / d_i, at most 1: the share of a cone in the curvature of a residual norm.
+    fit = problem.squares - (problem.correlations * W).sum(axis=0)
+    radial = alpha * fit - (B * slopes).sum(axis=0)
     squares = np.maximum(d * d - epsilon * epsilon, _ROUNDING * problem.squares)
     along_rows = np.maximum(_rows(U * W), 0.0)
     along_columns = np.maximum(problem.sums(V * W), 0.0)
@@ -183,16 +183,15 @@ def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate
 def _moved(
     problem: BlockProblem, now: Iterate, step: Floats, d: Floats, e: Floats, f: Floats
 ) -> Iterate:
-    """Linearise the subgradients along the step and bring them back into their balls."""
+    """Linearise the subgradients along the step, and project them onto their balls."""
     W, alpha, B, U, V = now
     moved = W + step
     # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
     along = -(problem.slopes(W) * step).sum(axis=0) / (d * d)
     alpha = 1.0 / d - alpha * along
     B = moved / d - B * along
-    squares = alpha * alpha * problem.squares + (
-        B * (problem.gram @ B - 2.0 * alpha * problem.correlations)
-    ).sum(axis=0)
+    inner = problem.gram @ B - 2.0 * alpha * problem.correlations
+    squares = alpha * alpha * problem.squares + (B * inner).sum(axis=0)
     shrink = np.sqrt(np.maximum(squares, 1.0))
     U = moved / e - U * _rows(W * step) / (e * e)
     V = moved / f - V * problem.sums(W * step) / (f * f)
@@ -212,7 +211,7 @@ class _System(NamedTuple):
     of_columns: Floats
 
     def solve(self, descent: Floats) -> Floats:
-        """Find the direction (p, q): exactly, or by conjugate gradients where that is too much."""
+        """Return the direction (p, q): exact, or by conjugate gradients for a large system."""
         size = len(descent) ** 3 * descent.shape[1]
         if size > _LARGE:
             direction, accurate = self.by_conjugate_gradients(descent)
@@ -255,19 +254,18 @@ class _System(NamedTuple):
         """Multiply with D (p, q)."""
         product: Floats = self.problem.gram @ D / self.d + self.diagonal * D
         product -= self.of_residuals * (self.of_residuals * D).sum(axis=0)
-        product -= self.of_rows * _rows(self.of_rows * D) + self.of_columns * self.problem.sums(
-            self.of_columns * D
-        )
+        by_columns = self.of_columns * self.problem.sums(self.of_columns * D)
+        product -= self.of_rows * _rows(self.of_rows * D) + by_columns
         return product
 
 
 def _rows(A: Floats) -> Floats:
-    """Sum up every row (p, 1)."""
+    """Return the sum of every row (p, 1)."""
     sums: Floats = A.sum(axis=1, keepdims=True)
     return sums
 
 
 def _outer(A: Floats) -> Floats:
-    """Outer product of every column of (p, q) with itself, (q, p, p)."""
+    """Return the outer product of every column of (p, q) with itself, (q, p, p)."""
     product: Floats = A.T[:, :, None] * A.T[:, None, :]
     return product

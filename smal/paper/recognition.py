@@ -5,14 +5,14 @@ from collections import deque
 import numpy as np
 
 from smal.arrays import AnyArray, Float32s
-from smal.paper.execution import Recognition
+from smal.paper.execution import Recognition, Status
 from smal.paper.model import PaperModel
 from smal.paper.novelty import describe_match
 from smal.paper.state_matching import solve
 
 
 class Recognizer:
-    """Keeps the last l frames and matches them with the states of a model, each time to a relative duality gap."""
+    """Matches the last l frames with the states of a model, each time to a relative duality gap."""
 
     def __init__(self, model: PaperModel, tolerance: float = 1e-3) -> None:
         self._model = model
@@ -22,15 +22,15 @@ class Recognizer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all frames, for a new episode."""
+        """Start a new episode."""
         self._frames: deque[Float32s] = deque(maxlen=self._model.sequence_length)
         self._last_tick: int | None = None
 
     def observe(self, tick: int, raw_features: AnyArray, due: bool) -> Recognition:
-        """Take the raw features (m,) of one frame; answer if an answer is due.
+        """Process the raw features (m,) of one frame, and recognize the state if a decision is due.
 
-        Unless the frame follows the last one, the window starts anew: a sequence never spans a dropped frame. Features
-        of the wrong length, NaN or infinity raise ValueError, and the frame is not taken in.
+        A dropped frame restarts the window, so that a sequence is always complete. Features of the wrong length, NaN or
+        infinity raise ValueError, and the frame is ignored.
         """
         if raw_features.ndim != 1:
             raise ValueError(
@@ -46,7 +46,5 @@ class Recognizer:
         frames = np.stack(self._frames)
         solution = solve(self._templates, frames.T, *self._parameters)
         match = describe_match(solution, self._templates, frames)
-        gap = solution.duality_gap
-        return Recognition(
-            "unknown" if match.state is None else "recognized", tick, duality_gap=gap, **vars(match)
-        )
+        status: Status = "unknown" if match.state is None else "recognized"
+        return Recognition(status, tick, duality_gap=solution.duality_gap, **vars(match))
