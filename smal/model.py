@@ -37,7 +37,7 @@ class Model(Stored):
         if features != size:
             raise ValueError(f"the map has views of {features} features, a frame has {size}")
         if self.ground is not None and len(self.ground.colours) != len(self.mapped.keyframes):
-            raise ValueError("the ground is known of other keyframes than those of the map")
+            raise ValueError("the ground has other keyframes than the map")
 
     @property
     def feature_settings(self) -> FeatureSettings:

@@ -78,7 +78,7 @@ def intervals_of(figures: Floats) -> Intervals:
     """Return the intervals with the middle 95 % of the figures of `bootstrap`.
 
     With few blocks they are too narrow. The most confident wrong answer decides recall at 100 % precision, and a third
-    of the draws lack it: its interval covered the median of other draws in 61 to 71 % (that of the area in 93 %).
+    of the draws lack it: its interval covered the median of other draws in 61 to 71 % (of the area: 93 %).
     """
     auc, recall = np.nanpercentile(figures, (2.5, 97.5), axis=0).T.tolist()
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))

@@ -60,7 +60,7 @@ class _Route(NamedTuple):
 
 
 class TeachAndRepeat:
-    """Repeats the drive whose keyframe correlates best with the first image.
+    """Repeats the drive with the keyframe that correlates best with the first image.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> It
 
 
 def still_wanted() -> None:
-    """Cancel a long computation in a thread of `in_parallel` whose result is no longer needed, as after Ctrl-C."""
+    """Cancel a long computation in a thread of `in_parallel` without further need, as after Ctrl-C."""
     if hasattr(_here, "over") and _here.over.is_set():
         raise CancelledError
 

@@ -142,7 +142,7 @@ def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     with _explained(name):
         meta = json.loads(file.read(_header_size(file.read(_FIXED.size), name, version)))["meta"]
         if not isinstance(meta, dict):
-            raise TypeError("it says nothing of itself")
+            raise TypeError("the metadata are missing")
         return meta
 
 

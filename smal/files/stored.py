@@ -75,10 +75,10 @@ class Stored(ABC):
         meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
         try:
             if not isinstance(meta, dict):
-                raise TypeError("it does not say what it is")
+                raise TypeError("the metadata are missing")
             scheme = meta.pop("scheme")
             if not isinstance(scheme, str) or scheme not in _KINDS:
-                raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
+                raise ValueError(f"unsupported scheme: {scheme!r}")
             module, class_name = _KINDS[scheme]
             # The paper's classes are imported only for their files.
             kind = getattr(import_module(module), class_name)

@@ -25,21 +25,22 @@ Floats = NDArray[np.float64]
 class GridConfig:
     """Parameters of the grid and of the way around obstacles; lengths are in radii of the robot."""
 
-    depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
-    #: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
-    #: noise and of a floor that is not quite even. A wheel climbs less.
+    #: Columns of a depth image in use: half a degree apart, which is 4 cm at 5 m.
+    depth_columns: int = 160
+    #: Minimum height of an obstacle above the plane of the ground, metres, and its increase a metre ahead, for noise
+    #: and uneven floors. A wheel climbs less.
     ground_m: float = 0.05
     ground_slope: float = 0.02
-    tilt_deg: float = (
-        5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
-    )
-    least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
-    gap_rows: int = (
-        5  # Rows of a column that may show no ground before it ends: specks without texture.
-    )
-    least_shown: float = 0.5  # Share of columns that must show the ground, or a thing before it.
-    #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
-    #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
+    #: Maximum pitch and roll of a camera that shakes, or of a kerb under a wheel.
+    tilt_deg: float = 5.0
+    #: Minimum pixels of an obstacle in a column: fewer are noise.
+    least_pixels: int = 3
+    #: Maximum rows without ground within the free part of a column: specks without texture.
+    gap_rows: int = 5
+    #: Minimum share of columns with ground, or an obstacle before it.
+    least_shown: float = 0.5
+    #: Evidence of a hit, and bounds of the evidence of a cell: above 0 it is occupied, below 0 it is free. A ray
+    #: through the cell subtracts 1, so that a person who has left is forgotten within half a second.
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
@@ -56,21 +57,26 @@ class GridConfig:
     sways_m: float = (
         0.1  # Who has come, and stands, is kept off so much further than things, metres.
     )
-    deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
-    cells_radius: int = 4  # Cells a radius.
-    grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
-    margin: float = 0.25  # What stays between the robot and what it stops before.
-    slowest: float = 0.05  # Slower than this share of its speed a robot stands.
-    may_go_aside: float = (
-        6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
-    )
-    #: Distance from things beyond which more is of no use, and what a metre costs more right beside them.
+    #: Assumed depth of an obstacle behind its visible face.
+    deep: float = 2.0
+    #: Cells a radius.
+    cells_radius: int = 4
+    #: Reach of the grid: about 5 m for a robot of 0.4 m.
+    grid: int = 12
+    #: Distance between a stopped robot and the obstacle.
+    margin: float = 0.25
+    #: Share of the speed below which a robot stands.
+    slowest: float = 0.05
+    #: Maximum distance from the taught way: 2.4 m for a robot of 0.4 m, where the filter still localises.
+    may_go_aside: float = 6.0
+    #: Clearance beyond which more has no benefit, and the extra cost of a metre without clearance.
     room: float = 2.0
     tight_cost: float = 2.0
-    #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
+    #: Distance at which the robot waits before an obstacle without a way round; nearer, it hides the taught views.
     stands_before: float = 6.0
-    most_turns: int = 180  # Turns to each side that are tried: a degree apart.
-    #: What a metre costs more a correlation length beside the way, and over ground that nobody has seen.
+    #: Candidate turns to each side: a degree apart.
+    most_turns: int = 180
+    #: Extra cost of a metre a correlation length beside the way, and over unknown ground.
     aside_cost: float = 1.5
     unknown_cost: float = 0.5
 
@@ -81,21 +87,31 @@ GRID_CONFIG: Final = GridConfig()
 class Mount(NamedTuple):
     """Mount of a level depth camera on a round robot that turns on the spot."""
 
-    focal: float  # Focal length over the image's width; its axis meets the middle.
-    height_m: float  # Of the camera, above the ground.
-    ahead_m: float  # Of the camera, ahead of the middle of the robot.
-    radius_m: float  # Of the robot.
-    top_m: float  # Height of the robot's highest point.
+    #: Focal length over the image's width; the axis meets the middle of the image.
+    focal: float
+    #: Height of the camera above the ground.
+    height_m: float
+    #: Distance of the camera ahead of the middle of the robot.
+    ahead_m: float
+    #: Radius of the robot.
+    radius_m: float
+    #: Height of the robot.
+    top_m: float
 
 
 class Scan(NamedTuple):
     """Result of one depth image for each column; distances are along the camera's axis."""
 
-    across: Floats  # (n,) how far the column looks to the left, a metre ahead; evenly, from the left to the right.
-    free_m: Floats  # (n,) how far the ground is free.
-    hit_m: Floats  # (n,) how near something stands; infinity where nothing does.
-    top_m: Floats  # (n,) how high that is seen to be.
-    falls: float  # How much the lowest rays fall a metre: what is nearer may lie below them.
+    #: (n,) offset of the column to the left, a metre ahead; evenly spaced, from the left to the right.
+    across: Floats
+    #: (n,) distance of free ground.
+    free_m: Floats
+    #: (n,) distance of the nearest obstacle; infinite without any.
+    hit_m: Floats
+    #: (n,) visible height of the obstacle.
+    top_m: Floats
+    #: Fall of the lowest rays a metre: nearer objects can be below them.
+    falls: float
 
 
 def above_ground(
@@ -116,7 +132,7 @@ def scan(
     every = max(1, math.ceil(depth_m.shape[1] / config.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
     if ahead.shape[0] < max(config.least_pixels, config.gap_rows + 1) or ahead.shape[1] < 2:
-        return None  # Too few rows to tell ground from things.
+        return None  # Too few rows to distinguish ground from obstacles.
     valid = np.isfinite(ahead) & (ahead > 0.0)
     below, across = (
         (np.arange(count) * every + every // 2 + 0.5 - size / 2) / (mount.focal * depth_m.shape[1])

@@ -65,7 +65,7 @@ class Ground:
         colours = self.colours
         shaped = colours.dtype == np.uint8 and colours.ndim == 3 and colours.shape[2] == 3
         if not (shaped and colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
-            raise ValueError("the parts of what the ground looks like do not fit together")
+            raise ValueError("the parts of the ground do not fit together")
 
     def strange_m(self, picture: Image, keyframes: Indices, way: Floats, scene: Floats) -> float:
         """Return the distance to the first unexpected ground along a way (s, 2), or infinity.

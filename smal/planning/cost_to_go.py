@@ -45,7 +45,7 @@ def cost_to_go(
     go_over_s : float
         Extra cost of changing drives, seconds, besides the turn and the way between them.
     tried : iterable of int
-        Drives that lead to the goal but whose end was visited in vain.
+        Drives to the goal with an end that was visited in vain.
     closed : array (k,), optional
         Keyframes from which no drive goes on.
 

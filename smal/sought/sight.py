@@ -140,7 +140,7 @@ class Sight:
         )
         if wrong or not finite:
             raise ValueError(
-                f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}"
+                f"the parts of the target do not fit together: {', '.join(wrong) or 'cells'}"
             )
 
     def says(self, picture: Image) -> Said | None:

@@ -33,7 +33,7 @@ class Word:
         table = self.log_ratio.shape == SCORES.shape and bool((np.abs(self.log_ratio) < 1e3).all())
         if not (named and 0.0 < self.size <= 1.0 and table):
             raise ValueError(
-                f"the parts of what a detector says do not fit together: {str(label)[:LONGEST]!r}"
+                f"the parts of the detector's calibration do not fit together: {str(label)[:LONGEST]!r}"
             )
 
     def says(self, detections: Iterable[Detection]) -> Said:

@@ -145,5 +145,5 @@ def test_a_file_whose_sights_do_not_fit_is_refused_in_one_line(tmp_path: Path) -
         harmed.save(tmp_path / "way.smal")
     finally:
         sight.cache_clear()
-    with pytest.raises(ModelError, match="what is sought do not fit together: far"):
+    with pytest.raises(ModelError, match="the target do not fit together: far"):
         Model.load(tmp_path / "way.smal")
