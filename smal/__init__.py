@@ -1,12 +1,12 @@
-"""Teach a robot a way by driving it once; then it goes there by itself, from its camera and its wheels.
+"""Teach a robot a way by driving it once; the robot then drives it by camera and odometry.
 
-Read in this order: a `robot` takes a frame. Its `filter` follows it over the `model`, a map of how the way looks to a
-`camera`: `particles` are where it may be, `likelihood` is what a view says of a place, `movement` what the wheels say.
-`planning` says what to do. Tuned numbers are in `settings`.
+Read in this order. `robot` processes a frame. Its `filter` estimates the place in the `model`, a map of the views of a
+`camera` along the way. `particles` represent possible places, `likelihood` weighs a view at a place, and `movement`
+models the odometry. `planning` decides the motion.
 
-`teaching` makes the map of drives; what drives imports nothing of it. `sought` sees what the robot was sent to find,
-`obstacles` goes round what stands in its way. Beside that are `paper`, everything of Sequence-based Multimodal
-Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017); `place_recognition` of two traverses; and `evaluation`.
+`teaching` builds the map from drives; driving imports nothing from it. `sought` detects the target, and `obstacles`
+plans around obstacles. Beside these are `paper`, all of Sequence-based Multimodal Apprenticeship Learning (Han, Yang,
+Zhang & Zhang, ICRA 2017), `place_recognition` between two traverses, and `evaluation`.
 """
 
 from importlib import import_module
@@ -46,7 +46,7 @@ __all__ = list(_FILES)
 
 
 def __getattr__(name: str) -> object:
-    """Import what is asked for, when it is: a process that only extracts features loads nothing else."""
+    """Import a public name on first use: a process that only extracts features loads nothing else."""
     if name not in _FILES:
         raise AttributeError(f"module 'smal' has no attribute {name!r}")
     return getattr(import_module(f"smal.{_FILES[name]}"), name)

@@ -1,39 +1,42 @@
-"""How a camera sees, and views from where nobody drove: how it would have seen what it saw from aside, or turned.
+"""Camera models, and virtual views: images warped to a pose beside or turned from the pose of the camera.
 
-A wide lens bends what it sees. Calibrations name the models of OpenCV and ROS. A camera that nobody has calibrated is
-taken to be rectilinear (what is straight stays straight) or equidistant (fisheye), whichever predicts views better.
+A wide lens distorts the image. Calibrations name the models of OpenCV and ROS. An uncalibrated camera is modelled as
+rectilinear (straight lines stay straight) or equidistant (fisheye), whichever predicts views better.
 
-One drive shows every place from one pose. A robot that drifts sees it from others, for each of which the paper needs a
-demonstration. We warp the taught image instead. A pure turn is exact whatever the scene is. For a step we need
-distances, and take the simplest scene that has any: flat ground under the camera, and everything above it at one
-distance. Camera, height and distance are those by which views that were taught predict others of the same drive best
-(`smal.teaching.calibration`), so that nobody has to measure them.
+One drive shows every place from one pose. A robot that drifts sees it from other poses, for each of which the paper
+needs a demonstration. We warp the taught image instead. A pure turn is exact for every scene. A step needs distances,
+and we take the simplest scene that has any: flat ground under the camera, and everything above it at one distance.
+`smal.teaching.calibration` fits the camera, its height and the distance, so that taught views predict others of the
+same drive best. Nothing has to be measured by hand.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]  # RGB, uint8 (height, width, 3).
-#: Turns of virtual views; how far apart they are; and which of them is not turned. 5 degrees are about twenty pixels,
-#: the width of a cell of HOG, within which a view stays alike; beyond 40 hardly anything of the taught image is left.
+from smal.arrays import AnyArray, Floats, Uint8s
+
+Image = Uint8s  # RGB, uint8 (height, width, 3).
+#: Turns of virtual views. 5 degrees are about twenty pixels, the width of a HOG cell, within which a view hardly
+#: changes. Beyond 40 degrees hardly anything of the taught image is left.
 TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
+#: Spacing of the turns.
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])
+#: Index of the view that is not turned.
 STRAIGHT: Final = TURNS_DEG.size // 2
-Maps = tuple[NDArray[Any], NDArray[Any]]
+Maps = tuple[AnyArray, AnyArray]
 
 Lens = Literal["plumb_bob", "rational_polynomial", "equidistant"]
-#: What a rectilinear lens sees is less than a right angle from its axis.
+#: Largest angle from the axis. A rectilinear lens sees less than a right angle.
 _MOST_RAD: Final = {
     "plumb_bob": math.radians(89.0),
     "rational_polynomial": math.radians(89.0),
     "equidistant": math.pi,
 }
-#: Of fields of view from 170 to 5 degrees, over the width of the image.
+#: Limits of the focal length over the width of the image: fields of view from 170 to 5 degrees.
 _LEAST_FOCAL = 0.04
 _MOST_FOCAL = 12.0
 _MOST_DISTORTION: Final = 1e6
@@ -41,16 +44,16 @@ _MOST_DISTORTION: Final = 1e6
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that looks level, and as far to the left as to the right; ValueError says why no camera sees so."""
+    """A level camera; ValueError if no camera has these values."""
 
-    focal: float  # Focal length over the image's width, 0.04 to 12; the same across and down.
-    lens: Lens = (
-        "plumb_bob"  # A model of OpenCV and ROS; without distortion this one is rectilinear.
-    )
-    #: Its coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; those that are left
-    #: out are 0. A lens that is not centred on its sensor (p1, p2) is taken to be.
+    #: Focal length over the image's width, 0.04 to 12, equal across and down.
+    focal: float
+    #: A model of OpenCV and ROS; "plumb_bob" without distortion is rectilinear.
+    lens: Lens = "plumb_bob"
+    #: Coefficients in the order of ROS: k1, k2, p1, p2, k3 to k6, or k1 to k4 of "equidistant"; missing ones are 0. The
+    #: tangential ones (p1, p2) are ignored.
     distortion: tuple[float, ...] = ()
-    #: Where the axis meets the image, right of and below its middle, over the image's width; -0.5 to 0.5.
+    #: Principal point, right of and below the middle of the image, over the image's width; -0.5 to 0.5.
     centre: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -62,62 +65,66 @@ class Camera:
             raise ValueError(
                 f"the lens must be one of {', '.join(get_args(Lens))}, got {str(self.lens)[:80]!r}"
             )
-        if len(self.distortion) > 8 or not all(
-            abs(one) <= _MOST_DISTORTION for one in self.distortion
-        ):
+        moderate = all(abs(coefficient) <= _MOST_DISTORTION for coefficient in self.distortion)
+        if len(self.distortion) > 8 or not moderate:
             raise ValueError(
                 f"distortion must be at most 8 numbers of -{_MOST_DISTORTION:g} to {_MOST_DISTORTION:g}"
             )
-        if not all(abs(one) <= 0.5 for one in self.centre):
+        if not all(abs(offset) <= 0.5 for offset in self.centre):
             raise ValueError("the axis of a camera must meet its image")
 
     @classmethod
     def of_field(cls, field_deg: float, lens: Lens = "plumb_bob") -> "Camera":
-        """Return the camera without distortion that sees so far from the left to the right, in degrees."""
+        """Return the camera without distortion that has a horizontal field of view, in degrees."""
         half = math.radians(field_deg) / 2.0
-        return cls(0.5 / (half if lens == "equidistant" else math.tan(half)), lens)
+        radius = half if lens == "equidistant" else math.tan(half)
+        return cls(0.5 / radius, lens)
 
     @property
     def field_deg(self) -> float:
-        """How far it sees from the left to the right of its image."""
-        return 2.0 * math.degrees(float(self.angle(0.5 / self.focal)))
+        """Horizontal field of view, degrees."""
+        half = float(self.angle(0.5 / self.focal))
+        return 2.0 * math.degrees(half)
 
-    def radius(self, angle_rad: NDArray[Any]) -> NDArray[np.float64]:
-        """Return how far from the middle it shows what is at an angle from its axis, in focal lengths."""
+    def radius(self, angle_rad: AnyArray) -> Floats:
+        """Return the distance from the principal point at an angle from the axis, in focal lengths."""
         angles, radii = self._table
-        # Its angles are evenly spaced: `np.interp`, which looks for them, takes four times as long.
+        # The angles are evenly spaced: `np.interp` searches them and takes four times as long.
         at = np.clip(np.asarray(angle_rad) / angles[1], 0.0, len(angles) - 1)
         below = np.minimum(at.astype(np.intp), len(angles) - 2)
-        return np.asarray(radii[below] + (at - below) * (radii[below + 1] - radii[below]))
+        slope = radii[below + 1] - radii[below]
+        return np.asarray(radii[below] + (at - below) * slope)
 
-    def angle(self, radius: NDArray[Any] | float) -> NDArray[np.float64]:
-        """Return the angle from its axis of what it shows so far from the middle, the opposite of `radius`."""
+    def angle(self, radius: AnyArray | float) -> Floats:
+        """Return the angle from the axis at a distance from the principal point, the inverse of `radius`."""
         angles, radii = self._table
         return np.asarray(np.interp(radius, radii, angles))
 
     def middle(self, shape: tuple[int, ...]) -> tuple[float, float]:
-        """Return the column and the row at which the axis meets an image of this shape (rows, columns)."""
+        """Return the column and the row of the principal point in an image of this shape (rows, columns)."""
         rows, columns = shape
         right, down = self.centre
-        return (columns - 1) / 2.0 + columns * right, (rows - 1) / 2.0 + columns * down
+        column = (columns - 1) / 2.0 + columns * right
+        row = (rows - 1) / 2.0 + columns * down
+        return column, row
 
-    @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit asks for the same rays hundreds of times
-    def rays(
-        self, shape: tuple[int, ...]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the direction of each pixel of an image of this shape: right, down, ahead, of length 1."""
+    @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit needs the same rays hundreds of times
+    def rays(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
+        """Return the direction of each pixel of an image of this shape: right, down, ahead, of unit length."""
+        rows, columns = shape
         middle_u, middle_v = self.middle(shape)
-        focal = self.focal * shape[1]
-        v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
+        focal = self.focal * columns
+        v, u = np.mgrid[0:rows, 0:columns]
         across = (u - middle_u) / focal
         down = (v - middle_v) / focal
         out = np.maximum(np.hypot(across, down), 1e-9)
         angle = self.angle(out)
-        return np.sin(angle) * across / out, np.sin(angle) * down / out, np.cos(angle)
+        sin = np.sin(angle)
+        return sin * across / out, sin * down / out, np.cos(angle)
 
     @cached_property
-    def _table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Angles, and how far from the middle they are shown: up to where more angle is no longer further out."""
+    def _table(self) -> tuple[Floats, Floats]:
+        """Angles and distances from the principal point, up to the largest angle where the distance still grows."""
         angles = np.linspace(0.0, _MOST_RAD[self.lens], 2**14)
         k = np.zeros(8)
         k[: len(self.distortion)] = self.distortion
@@ -125,8 +132,10 @@ class Camera:
             radii = angles * np.polynomial.Polynomial([1.0, *k[:4]])(angles**2)
         else:
             x = np.tan(angles)
-            above = np.polynomial.Polynomial([1.0, k[0], k[1], k[4]])(x**2)
-            radii = x * above / np.polynomial.Polynomial([1.0, *k[5:]])(x**2)
+            squared = x**2
+            above = np.polynomial.Polynomial([1.0, k[0], k[1], k[4]])(squared)
+            below = np.polynomial.Polynomial([1.0, *k[5:]])(squared)
+            radii = x * above / below
         falls = np.flatnonzero(~(np.diff(radii) > 0.0))
         end = falls[0] + 1 if falls.size else len(angles)
         return angles[:end], radii[:end]
@@ -134,10 +143,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera over flat ground, before a wall all round: its height, and the distance of all above the ground.
-
-    Both are above 0, in one unit.
-    """
+    """A camera over flat ground, inside a cylindrical wall. Height and distance are above 0, in one unit."""
 
     camera: Camera
     height: float
@@ -146,45 +152,49 @@ class Scene:
     def warp(
         self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0
     ) -> Image:
-        """Return what is seen from ahead and left of where an image (height, width, 3) was taken, and turned left.
+        """Return the view from a pose ahead and left of the camera, and turned left.
 
-        Lengths are in the unit of the scene. What the image does not show repeats its border.
+        Parameters
+        ----------
+        image : array (height, width, 3)
+        ahead, left : float
+            Step, in the unit of the scene.
+        turn_rad : float
         """
         return remapped(image, self.maps(image.shape[:2], ahead, left, turn_rad))
 
     def maps(self, shape: tuple[int, ...], ahead: float, left: float, turn_rad: float) -> Maps:
-        """Return where each pixel of the other view lies in an image of this shape, for `remapped`."""
+        """Return the position of each pixel of the other view in an image of this shape, for `remapped`."""
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
         focal = self.camera.focal * shape[1]
         middle_u, middle_v = self.camera.middle(shape)
-        # Of each pixel, in axes of the camera that took the image.
         x, y, z = self.camera.rays(shape)
-        right = math.cos(turn_rad) * x - math.sin(turn_rad) * z
-        deep = math.sin(turn_rad) * x + math.cos(turn_rad) * z
-        # How far along the ray the ground or the wall is, whichever comes first.
+        cos = math.cos(turn_rad)
+        sin = math.sin(turn_rad)
+        # The ray of each pixel, in axes of the camera that took the image.
+        right = cos * x - sin * z
+        deep = sin * x + cos * z
+        # Distance along the ray to the ground or the wall, whichever is nearer.
         # Roots of sums of squares: `np.hypot` takes four times as long.
-        reach = 1.0 / np.maximum(
-            y / self.height, np.sqrt(right * right + deep * deep) / self.distance
-        )
+        across = np.sqrt(right * right + deep * deep)
+        reach = 1.0 / np.maximum(y / self.height, across / self.distance)
         x = reach * right - left
         y = reach * y
         z = reach * deep + ahead
         off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
-        # Far outside of the image its border is repeated.
-        radius = np.minimum(self.camera.radius(np.arctan2(off, z)), 100.0) * focal / off
-        return cv2.convertMaps(
-            (radius * x + middle_u).astype(np.float32),
-            (radius * y + middle_v).astype(np.float32),
-            cv2.CV_16SC2,
-        )
+        # Pixels far outside of the image repeat its border.
+        angle = np.arctan2(off, z)
+        radius = np.minimum(self.camera.radius(angle), 100.0) * focal / off
+        columns = (radius * x + middle_u).astype(np.float32)
+        rows = (radius * y + middle_v).astype(np.float32)
+        return cv2.convertMaps(columns, rows, cv2.CV_16SC2)
 
 
 def remapped(image: Image, maps: Maps) -> Image:
-    """Return another view of an image (height, width, 3); maps are made once for many images (`Scene.maps`)."""
+    """Return another view of an image (height, width, 3); the maps are computed once for many images."""
     import cv2  # noqa: PLC0415 - see above
 
-    return np.asarray(
-        cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-        dtype=np.uint8,
-    )
+    columns, rows = maps
+    view = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(view, dtype=np.uint8)

@@ -1,28 +1,29 @@
-"""Where the robot is: a Bayes filter over taught places, the robot's offset there, and "lost".
+"""Bayes filter over taught places, the robot's offset there, and the state "lost".
 
-The hidden state is a pose beside a taught keyframe: which keyframe, how far ahead and to the left of it, and how far
-turned; or that the robot is nowhere near what was taught. A particle filter (Gordon, Salmond and Smith 1993; Thrun,
-Burgard and Fox 2005, chapters 4 and 8) keeps it:
+The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead and to the left of it, the turn), or
+"lost": far from everything that was taught. A particle filter (Gordon, Salmond and Smith 1993; Thrun, Burgard and Fox
+2005, chapters 4 and 8) estimates it.
 
-* *Prediction* moves every particle by what the wheels say (or by what the atom usually does), with noise.
-* *Update* weighs it by what the view says of its place (`smal.likelihood`), for as much of the view as is new. "Lost"
-  has the likelihood 1, as a place elsewhere has.
-* A *jump* is the one thing that the wheels do not tell: the robot was carried, or the filter follows a wrong place.
-  It may happen with every new view, and is the likelier the less a view looks like the one just before.
-* A second set of particles is where the robot is if it has jumped. Scouts join it with every view: drawn by what the
-  view says, half of them near the last pose that was sure. When it has become the likelier one, the two become one.
+* *Prediction* moves each particle by the odometry, or by the usual movement of the atoms, with noise.
+* *Update* weighs each particle by the likelihood of the view (`smal.likelihood`), for the part of the view that is
+  new. "Lost" has the likelihood 1, like any other place.
+* A *jump* covers movements that the odometry misses: the robot was carried, or the filter follows a wrong place.
+  A jump can happen with every new view. It is more likely when the view differs much from the view before.
+* A second set of particles follows the hypothesis of a jump. Scouts join it with every view. They are drawn by the
+  likelihood of the view, half of them near the last certain pose. When this set becomes more likely than the first,
+  the two sets are joined.
 
-The paper instead matches the last l frames anew at every decision (`smal.paper.recognition`): without a memory, places
-that look alike for longer than l frames are not told apart.
+The paper instead matches the last l frames anew at every decision (`smal.paper.recognition`). Without a memory it
+confuses places that look alike for longer than l frames.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Indices
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
 from smal.frozen import Frozen
@@ -31,49 +32,67 @@ from smal.map import VisualMap
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, placed
 from smal.particles import FILTER_CONFIG, FilterConfig, Particles, ViewEvidence, systematic
 
-#: Whether the last picture showed anything: a picture without texture shows nothing, nor does one that stays the same
-#: while the wheels move.
+#: State of the camera. A picture without texture is "blank". A picture that stays the same while the wheels move is
+#: "frozen".
 CameraState = Literal["sees", "blank", "frozen"]
 
-
-PLACES: Final = 64  # Places that a decision is made of, the heaviest.
+#: Number of places in a summary of a belief, the heaviest first.
+PLACES: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Where the robot may be: p particles beside keyframes, and how probable each is."""
+    """Estimated position of the robot: p particles beside keyframes, and their probabilities."""
 
-    keyframes: NDArray[np.intp]
-    #: (p, 3) how far ahead and to the left of its keyframe each is, in the map's unit, and turned left, radians.
-    offsets: NDArray[np.float64]
-    weights: NDArray[np.float64]  # Probabilities given that the robot is not lost; they sum to 1.
-    lost: float  # Probability, 0 to 1, that the robot is nowhere near what was taught.
-    cosine: float  # Mean cosine of the last view with the views of these places.
-    #: Way that nine tenths of the weight have been followed for, since they were drawn, in the map's unit.
+    keyframes: Indices
+    #: (p, 3) way ahead and to the left of the keyframe, in the map's unit, and turn to the left, radians.
+    offsets: Floats
+    #: Probabilities given that the robot is not lost; they sum to 1.
+    weights: Floats
+    #: Probability, 0 to 1, that the robot is far from everything that was taught.
+    lost: float
+    #: Mean cosine of the last view with the views of these places.
+    cosine: float
+    #: Way over which nine tenths of the weight have been followed since they were drawn, in the map's unit.
     tracked: float
-    #: Logarithm of how much likelier the last view was, after all before it, than a view of elsewhere.
+    #: Log likelihood ratio of the last view, given all views before, to a view of elsewhere.
     evidence: float = 0.0
-    unseen: float = 0.0  # Way since a view last spoke for the robot's place, in the map's unit.
+    #: Way since a view last supported the robot's place, in the map's unit.
+    unseen: float = 0.0
     camera: CameraState = "sees"
 
     def summary(self, most: int = PLACES) -> "Belief":
-        """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
+        """Return the belief with one mean particle for each keyframe.
+
+        Parameters
+        ----------
+        most : int
+            Maximum number of keyframes; the heaviest are kept.
+        """
         keys, where = np.unique(self.keyframes, return_inverse=True)
         weights = np.bincount(where, self.weights)
         safe = np.maximum(weights, 1e-300)
+
+        def mean(values: Floats) -> Floats:
+            return np.asarray(np.bincount(where, self.weights * values) / safe)
+
         ahead, left, turned = self.offsets.T
-        # The mean of turns is that of directions: those of a robot that looks back are on both sides of half a turn.
-        columns = (ahead, left, np.cos(turned), np.sin(turned))
-        x, y, cos, sin = (np.bincount(where, self.weights * column) / safe for column in columns)
-        mean = np.stack([x, y, np.arctan2(sin, cos)], axis=1)
+        # Turns are averaged as directions: half a turn to the left and half a turn to the right are the same.
+        mean_turn = np.arctan2(mean(np.sin(turned)), mean(np.cos(turned)))
+        offsets = np.stack([mean(ahead), mean(left), mean_turn], axis=1)
         order = np.argsort(-weights, kind="stable")[:most]
         order = order[weights[order] > 0.0]
-        kept = weights[order] / weights[order].sum()
-        return replace(self, keyframes=keys[order], offsets=mean[order], weights=kept)
+        kept = weights[order]
+        return replace(
+            self,
+            keyframes=keys[order],
+            offsets=offsets[order],
+            weights=kept / kept.sum(),
+        )
 
 
 class _Odds(NamedTuple):
-    """Of the tracked particles; of those that jumped; of the scouts that will be sent; of being lost."""
+    """Probabilities of the tracked particles, the jumped ones, the scouts to send, and "lost"."""
 
     tracked: float
     jumped: float
@@ -82,11 +101,11 @@ class _Odds(NamedTuple):
 
 
 class Newness:
-    """How new a view is, 0 to 1: the part of it that earlier views did not already tell.
+    """How new a view is, 0 to 1: the part of its information that earlier views did not contain.
 
-    It is new against the last one that was counted in full, by its looks. A robot that drives compares it with other
-    places, too: half of what two views say alike is owed to the places, which change by the way. So many small changes
-    make one new view; one that comes back, or noise while the robot stands, makes none.
+    A view is compared with the last view that was counted in full. A moving robot also sees other places: half of the
+    correlation of two views comes from the places, which change with the way. Therefore many small changes add up to
+    one new view. A view that comes back, or noise while the robot stands, adds none.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -95,19 +114,20 @@ class Newness:
         self._used = 0.0
         self.step = np.zeros(3)
 
-    def of(self, centred: NDArray[np.float32]) -> float:
-        """Return how new the next view is, by its centred features (m,), and remember it.
+    def of(self, centred: Float32s) -> float:
+        """Return how new the next view is, by its centred features (m,), and store it.
 
-        Its components would not do: of what the map has never seen they hold little but noise, always new.
+        Components are unsuitable: for a scene that the map does not contain they are mostly noise, which is always new.
         """
-        if (
-            self._map.likelihood.correlation(float(centred @ self._last))
-            < self._map.next_correlation
-        ):
-            self._used = 0.0  # What has been told was of something else.
+        correlation = self._map.likelihood.correlation
+        like_last = correlation(float(centred @ self._last))
+        if like_last < self._map.next_correlation:
+            # The earlier views showed another scene.
+            self._used = 0.0
         self._last = centred
-        looks = self._map.likelihood.correlation(float(centred @ self._counted))
-        same = min(looks, math.sqrt(looks * self._map.expected(self.step)))
+        like_counted = correlation(float(centred @ self._counted))
+        by_place = math.sqrt(like_counted * self._map.expected(self.step))
+        same = min(like_counted, by_place)
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -119,15 +139,15 @@ class Newness:
 
 
 class Filter:
-    """Follows the robot from frame to frame.
+    """Estimates the robot's place from frame to frame.
 
     Parameters
     ----------
     visual_map : VisualMap
     centering : Centering
-        Of the features.
+        Centering of the features.
     seed : int
-        Of the particles' noise: the same frames and movements give the same belief.
+        Seed of the particles' noise. Equal frames and movements give an equal belief.
     config : FilterConfig
     """
 
@@ -142,18 +162,20 @@ class Filter:
         self._config = config
         self._centering = centering
         self._seed = seed
-        # Made here, and not while the first frame waits.
+        # Cached properties are computed here, so that the first frame does not wait.
         _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
         self.reset()
 
     def reset(self, belief: Belief | None = None) -> None:
-        """Forget everything, for a new episode; or but a belief, which may be a summary."""
+        """Start a new episode.
+
+        Parameters
+        ----------
+        belief : Belief, optional
+            Belief to start from (a summary is enough). By default the robot starts at the beginning of a drive.
+        """
         self._rng = np.random.default_rng(self._seed)
-        keyframes = self._rng.choice(np.unique(self._map.key_range[0]), self._config.particles)
-        aside = max(self._map.aside, self._config.start_s * self._map.speed)
-        self._tracked = self._beside(
-            keyframes, np.zeros(keyframes.size), aside, self._config.first_turn_deg
-        )
+        self._tracked = self._at_starts()
         self._jumped: Particles | None = None
         at_start, anywhere, lost = self._config.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
@@ -162,49 +184,61 @@ class Filter:
         self._started = False
         self._unseen = 0.0
         self._camera: CameraState = "sees"
-        #: The last view that told something, and the step from there.
+        #: Components of the last new view, and the step since then.
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._since = np.zeros(3)
-        #: Drive and pose where it was last sure to be, moved on by the wheels, and the way since.
-        self._sure: tuple[int, NDArray[np.float64], float] | None = None
+        #: Drive and pose of the last certain position, moved on by the odometry, and the way since.
+        self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
-            which = systematic(belief.weights, self._config.particles, self._rng)
-            keyframes = belief.keyframes[which]
-            between = self._map.correlation_length / self._map.config.views_a_length
-            self._tracked = self._beside(
-                keyframes, np.zeros(which.size), between / 2.0, STEP_DEG / 2.0
-            )
-            here = self._map.key_poses[keyframes]
-            self._tracked.poses += placed(belief.offsets[which], here) - here
-            self._tracked.tracked += belief.tracked
+            self._tracked = self._drawn_from(belief)
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
             self._started = True
 
+    def _at_starts(self) -> Particles:
+        """Scatter particles about the first keyframes of all drives."""
+        starts = np.unique(self._map.key_range[0])
+        keyframes = self._rng.choice(starts, self._config.particles)
+        aside = max(self._map.aside, self._config.start_s * self._map.speed)
+        straight = np.zeros(keyframes.size)
+        return self._beside(keyframes, straight, aside, self._config.first_turn_deg)
+
+    def _drawn_from(self, belief: Belief) -> Particles:
+        """Scatter particles about the places of a belief, by their weights."""
+        which = systematic(belief.weights, self._config.particles, self._rng)
+        keyframes = belief.keyframes[which]
+        spacing = self._map.correlation_length / self._map.config.views_a_length
+        straight = np.zeros(which.size)
+        particles = self._beside(keyframes, straight, spacing / 2.0, STEP_DEG / 2.0)
+        key_poses = self._map.key_poses[keyframes]
+        particles.poses += placed(belief.offsets[which], key_poses) - key_poses
+        particles.tracked += belief.tracked
+        return particles
+
     def observe(
         self,
-        raw_features: NDArray[Any],
+        raw_features: AnyArray,
         movement: Movement = STILL,
         noise: MotionNoise = BY_ODOMETRY,
     ) -> Belief:
-        """Take one frame.
+        """Update the belief by one frame.
 
         Parameters
         ----------
         raw_features : array (m,)
             From `smal.features.extract`.
         movement : Movement
-            Since the frame before; that before the first frame does not count.
+            Movement since the frame before; ignored for the first frame.
         noise : MotionNoise
-            Of the movement.
+            Noise of the movement.
 
         Raises
         ------
         ValueError
-            Features of the wrong length, or features or a movement that are NaN or infinite: the frame does not count.
+            If the features have the wrong length, or the features or the movement are not finite. The frame is ignored.
         """
         if raw_features.ndim != 1:
             raise ValueError(
-                f"the features of one frame are wanted, got the shape {raw_features.shape}"
+                f"invalid features: shape {raw_features.shape}; pass those of one frame, (m,)"
             )
         if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
             raise ValueError(
@@ -223,9 +257,9 @@ class Filter:
             if self._sure is not None:
                 drive, pose, way = self._sure
                 self._sure = drive, placed(step, pose), way + abs(movement.ahead)
-        self._odds = self._odds._replace(
-            tracked=max(self._odds.tracked, 1e-12)
-        )  # From 0 it never came back.
+        # A probability of 0 never recovers.
+        tracked = max(self._odds.tracked, 1e-12)
+        self._odds = self._odds._replace(tracked=tracked)
         self._started = True
         self._evidence = 0.0
         if seen.newness > 0.0:
@@ -236,11 +270,11 @@ class Filter:
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
-    def _seen(self, centred: NDArray[np.float32]) -> ViewEvidence:
-        """Compare a view with those of the map.
+    def _seen(self, centred: Float32s) -> ViewEvidence:
+        """Compare a view with the views of the map.
 
-        It shows no place if it looks most like a blank picture, equally like all places, is the last one to the bit, or
-        stays the same while the wheels move.
+        A view carries no information if it is most like a blank picture, equally like all places, bit-identical to the
+        last view, or unchanged while the wheels move.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
@@ -251,44 +285,29 @@ class Filter:
         )
         middle, spread = scale(self._map.sample @ components)
         like_blank = float(components @ self._map.blank)
-        blank = not components.any() or spread <= 1e-6 or like_blank > cosines.max()
-        # A view of what was not taught may be less like a taught view than like none, and yet show something.
-        dead = blank and (like_blank > 0.5 or not components.any())
+        empty = not components.any()
+        blank = empty or spread <= 1e-6 or like_blank > cosines.max()
+        # A view of an untaught scene can be less like each taught view than like a blank picture.
+        dead = blank and (like_blank > 0.5 or empty)
         self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"
+        evidence = ViewEvidence(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
         if blank or self._frozen.yes or np.array_equal(components, self._last):
-            return ViewEvidence(components, keyframes, stand_for, cosines, middle, 0.0, 0.0)
-        return ViewEvidence(
-            components, keyframes, stand_for, cosines, middle, spread, self._newness.of(centred)
-        )
+            return evidence
+        return evidence._replace(spread=spread, newness=self._newness.of(centred))
 
     def _jump(self, seen: ViewEvidence, movement: Movement) -> None:
-        """Move probability from the followed particles to scouts and to "lost".
+        """Move probability from the tracked particles to scouts and to "lost".
 
-        With every new view a little; much more where it does not look like the one just before, though the robot has
-        hardly moved. Without views the wheels alone are believed less and less.
+        Every new view moves a little. A view that differs from the view before, though the robot has hardly moved,
+        moves much. Without views, confidence in the odometry decays.
         """
         tracked, jumped, sent, lost = self._odds
         if seen.spread == 0.0:
             kept = 0.5 ** (self._map.lengths(movement) / self._config.blind)
-            self._odds = _Odds(
-                kept * tracked, kept * jumped, sent, lost + (1.0 - kept) * (tracked + jumped)
-            )
+            strayed = (1.0 - kept) * (tracked + jumped)
+            self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + strayed)
             return
-        like_last = float(self._map.likelihood.of(seen.stands_out(seen.components @ self._last)))
-        # Of a view that is unlike the last one, either the robot has jumped, or something hides one of the two.
-        visible = 1.0 - float(self._tracked.shares[0])
-        rise = visible * math.expm1(max(-self._map.expected(self._since) * like_last, 0.0))
-        jump = (
-            self._config.jump
-            * seen.newness
-            * (1.0 + rise)
-            / (
-                1.0
-                + (self._config.jump + self._config.hides(self._map.config.hidden))
-                * seen.newness
-                * rise
-            )
-        )
+        jump = self._jump_probability(seen)
         _, anywhere, nowhere = self._config.first
         out = nowhere / (anywhere + nowhere)
         back = self._config.back * seen.newness
@@ -296,33 +315,46 @@ class Filter:
         found = lost * back
         kept = 1.0 - jump
         self._odds = _Odds(
-            tracked * kept,
-            jumped * kept,
-            sent + (gone * (1.0 - out) + found),
-            lost - found + gone * out,
+            tracked=tracked * kept,
+            jumped=jumped * kept,
+            sent=sent + (gone * (1.0 - out) + found),
+            lost=lost - found + gone * out,
         )
 
+    def _jump_probability(self, seen: ViewEvidence) -> float:
+        """Return the probability of a jump, given how much the view differs from the view before.
+
+        If two views differ, either the robot has jumped, or something hides the place in one of them.
+        """
+        z = seen.stands_out(seen.components @ self._last)
+        like_last = float(self._map.likelihood.of(z))
+        visible = 1.0 - float(self._tracked.shares[0])
+        surprise = max(-self._map.expected(self._since) * like_last, 0.0)
+        rise = visible * math.expm1(surprise)
+        hides = self._config.hides(self._map.config.hidden)
+        either = (self._config.jump + hides) * seen.newness * rise
+        return self._config.jump * seen.newness * (1.0 + rise) / (1.0 + either)
+
     def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
-        """Predict; a robot that is nowhere near what was taught any more is lost."""
+        """Predict; particles that leave the taught area become "lost"."""
         tracked, jumped, sent, lost = self._odds
         strayed = tracked * self._tracked.move(movement, noise, newness, self._rng)
-        others = (
-            0.0
-            if self._jumped is None
-            else jumped * self._jumped.move(movement, noise, newness, self._rng)
-        )
+        others = 0.0
+        if self._jumped is not None:
+            others = jumped * self._jumped.move(movement, noise, newness, self._rng)
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: ViewEvidence) -> None:
-        """Weigh all by a view, and send scouts.
+        """Weigh all particles by a view, and send scouts.
 
-        What nobody taught looks like taught places more often than these look like each other: by how far the followed
-        robot looks away, the view counts less.
+        An untaught scene resembles taught places more often than these resemble each other. Therefore the view counts
+        less the further the robot looks away from the taught views.
         """
         tracked, jumped, sent, lost = self._odds
-        looks = float(self._tracked.weights @ self._tracked.looks())
-        seen = seen._replace(newness=seen.newness * (looks + (1.0 - looks) * self._config.untaught))
-        # Scouts take the shares from before this view: that it is unlike the followed place says nothing of others.
+        looks = self._looks_at_taught()
+        counted = looks + (1.0 - looks) * self._config.untaught
+        seen = seen._replace(newness=seen.newness * counted)
+        # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:
@@ -330,13 +362,13 @@ class Filter:
         scouts, likelihood = self._scouts(seen, shares)
         sent *= likelihood
         if self._jumped is not None:
-            scouts = Particles.joined((self._jumped, jumped), (scouts, sent)).resampled(self._rng)
+            scouts = Particles.joined((self._jumped, jumped), (scouts, sent))
+            scouts.resampled(self._rng)
         self._jumped = scouts
         jumped = jumped + sent
         if jumped > tracked:
-            self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped)).resampled(
-                self._rng
-            )
+            self._tracked = Particles.joined((self._tracked, tracked), (scouts, jumped))
+            self._tracked.resampled(self._rng)
             self._jumped = None
             tracked = tracked + jumped
             jumped = 0.0
@@ -344,74 +376,80 @@ class Filter:
         self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
         self._evidence = math.log(total)
 
-    def _scouts(self, seen: ViewEvidence, shares: NDArray[np.float64]) -> tuple[Particles, float]:
-        """Draw particles by what one view says, where half is expected near the last sure pose, half anywhere.
+    def _looks_at_taught(self) -> float:
+        """Return how far the tracked robot looks at taught views, 0 to 1."""
+        return float(self._tracked.weights @ self._tracked.looks())
 
-        The second value is the likelihood of the view there.
-        """
+    def _scouts(self, seen: ViewEvidence, shares: Floats) -> tuple[Particles, float]:
+        """Draw particles by the likelihood of one view; also return the likelihood of the view there."""
         z = seen.stands_out(seen.cosines)
-        says = self._map.likelihood.mixed(shares, z, 1.0)
+        whole = self._map.likelihood.mixed(shares, z, 1.0)
         new = self._map.likelihood.mixed(shares, z, seen.newness)
-        prior = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
-        if self._sure is not None:
-            drive, pose, way = self._sure
-            reach = self._map.correlation_length + self._config.slip * way
-            apart = np.hypot(*(self._map.key_poses[:, :2] - pose[:2]).T) / reach
-            near = np.exp(-0.5 * np.square(apart)) * (self._map.key_drives == drive)
-            near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
-            prior = 0.5 * prior + 0.5 * near / TURNS_DEG.size
-        weights = prior[:, None] * says
+        prior = self._scout_prior(seen)[:, None]
+        weights = prior * whole
         drawn = systematic(weights.ravel(), self._config.particles, self._rng)
         chosen, turns = np.divmod(drawn, TURNS_DEG.size)
         scouts = self._beside(
-            seen.keyframes[chosen], np.radians(TURNS_DEG[turns]), self._map.aside, STEP_DEG / 2.0
+            seen.keyframes[chosen],
+            np.radians(TURNS_DEG[turns]),
+            self._map.aside,
+            STEP_DEG / 2.0,
         )
-        # They are drawn by all that the view says, of which a part alone is new.
-        rest = (new / says).ravel()[drawn]
-        scouts.weights = rest / rest.sum()
+        # They are drawn by the whole view, of which only a part is new.
+        correction = (new / whole).ravel()[drawn]
+        scouts.weights = correction / correction.sum()
         scouts.shares = shares
-        return scouts, float((prior[:, None] * new).sum())
+        return scouts, float((prior * new).sum())
+
+    def _scout_prior(self, seen: ViewEvidence) -> Floats:
+        """Return the prior of the keyframes (n,): half near the last certain pose, half uniform."""
+        prior: Floats = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
+        if self._sure is None:
+            return prior
+        drive, pose, way = self._sure
+        reach = self._map.correlation_length + self._config.slip * way
+        apart = self._map.key_poses[:, :2] - pose[:2]
+        distance = np.hypot(*apart.T) / reach
+        near = np.exp(-0.5 * np.square(distance)) * (self._map.key_drives == drive)
+        near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
+        return np.asarray(0.5 * prior + 0.5 * near / TURNS_DEG.size)
 
     def _beside(
         self,
-        keyframes: NDArray[np.intp],
-        turns: NDArray[np.float64],
+        keyframes: Indices,
+        turns: Floats,
         aside: float,
         turned_deg: float,
     ) -> Particles:
         """Scatter particles about keyframes."""
         spread = np.array([aside, aside, math.radians(turned_deg)])
-        poses = (
-            self._map.key_poses[keyframes]
-            + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
-        )
+        scatter = self._rng.uniform(-1.0, 1.0, (len(keyframes), 3))
+        poses = self._map.key_poses[keyframes] + scatter * spread
         poses[:, 2] += turns
-        made = Particles(self._map, keyframes, poses, self._config)
-        made.pace = self._rng.standard_normal(len(poses))
-        return made
+        particles = Particles(self._map, keyframes, poses, self._config)
+        particles.pace = self._rng.standard_normal(len(poses))
+        return particles
 
     def _note_sure(self) -> None:
-        """Remember the pose if it is sure: one place on one drive."""
+        """Store the pose if it is certain: one place on one drive."""
         tracked = self._tracked
         drives = self._map.key_drives[tracked.keyframes]
         drive = int(drives[tracked.weights.argmax()])
-        there = tracked.weights * (drives == drive)
-        x, y, _ = there @ tracked.poses / max(float(there.sum()), 1e-12)
-        heading = math.atan2(
-            there @ np.sin(tracked.poses[:, 2]), there @ np.cos(tracked.poses[:, 2])
-        )
+        weights = tracked.weights * (drives == drive)
+        share = float(weights.sum())
+        x, y, _ = weights @ tracked.poses / max(share, 1e-12)
+        headings = tracked.poses[:, 2]
+        heading = math.atan2(weights @ np.sin(headings), weights @ np.cos(headings))
         pose = np.array([x, y, heading])
-        scatter = math.sqrt(float(there @ ((tracked.poses - pose)[:, :2] ** 2).sum(axis=1)))
-        if (
-            self._odds.tracked * float(there.sum()) > self._config.located
-            and scatter < self._map.correlation_length
-        ):
+        apart = (tracked.poses - pose)[:, :2]
+        variance = float(weights @ (apart**2).sum(axis=1))
+        likely = self._odds.tracked * share > self._config.located
+        if likely and math.sqrt(variance) < self._map.correlation_length:
             self._sure = (drive, pose, 0.0)
 
     def _note_seen(self, seen: ViewEvidence, way: float) -> None:
-        """Add up the way since a view last spoke for the followed place; looking away from all views, none can."""
-        looks = float(self._tracked.weights @ self._tracked.looks())
-        self._unseen = max(self._unseen + way * looks, self._frozen.way)
+        """Add up the way since a view last supported the tracked place; a robot that looks away adds less."""
+        self._unseen = max(self._unseen + way * self._looks_at_taught(), self._frozen.way)
         if seen.spread > 0.0 and self._tracked.speaks > 1.0:
             self._unseen = 0.0
 
@@ -419,17 +457,18 @@ class Filter:
         tracked, jumped, _, lost = self._odds
         others = [] if self._jumped is None else [(self._jumped, jumped)]
         every = Particles.joined((self._tracked, tracked), *others)
-        # Nine tenths of the weight are not below.
+        # A tenth of the weight has been followed for less.
         order = np.argsort(every.tracked)
-        least = min(int(np.searchsorted(np.cumsum(every.weights[order]), 0.1)), order.size - 1)
+        shares = np.cumsum(every.weights[order])
+        least = min(int(np.searchsorted(shares, 0.1)), order.size - 1)
         return Belief(
-            every.keyframes,
-            every.offsets(),
-            every.weights,
-            lost / sum(self._odds),
-            min(every.cosine(seen), 1.0),
-            float(every.tracked[order[least]]),
-            self._evidence,
-            self._unseen,
-            self._camera,
+            keyframes=every.keyframes,
+            offsets=every.offsets(),
+            weights=every.weights,
+            lost=lost / sum(self._odds),
+            cosine=min(every.cosine(seen), 1.0),
+            tracked=float(every.tracked[order[least]]),
+            evidence=self._evidence,
+            unseen=self._unseen,
+            camera=self._camera,
         )

@@ -1,20 +1,20 @@
-"""Whether a camera still shows the world: its pictures must change while the wheels move."""
+"""Detection of a frozen camera: pictures must change while the wheels move."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.map import VisualMap
 from smal.movement import placed
 
-#: Share of the change that the map lets expect. A picture that changes by less, over the way from one keyframe to the
-#: next, is the same picture with the noise of its camera.
+#: Share of the change that the map predicts. A smaller change from one keyframe to the next is the noise of the camera:
+#: the picture is the same.
 CHANGES: Final = 0.1
 
 
 class Frozen:
-    """Compares each picture with one before, and the change with what the movement lets expect.
+    """Compares the change of the picture with the change that the movement predicts.
 
     Attributes
     ----------
@@ -27,19 +27,19 @@ class Frozen:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, for a new episode."""
-        self._before: NDArray[np.float32] | None = None
+        """Start a new episode."""
+        self._before: Float32s | None = None
         self._since = np.zeros(3)
         self._driven = 0.0
         self.yes = False
 
     @property
     def way(self) -> float:
-        """Way since the last picture that changed, in the map's unit, if the camera is frozen; else 0."""
+        """Way since the last change of the picture, in the map's unit; 0 if the camera is not frozen."""
         return self._driven if self.yes else 0.0
 
-    def look(self, centred: NDArray[np.float32], step: NDArray[Any]) -> None:
-        """Take the centred features (m,) of a picture, and the movement (3,) since the one before."""
+    def look(self, centred: Float32s, step: AnyArray) -> None:
+        """Process the centred features (m,) of a picture, and the movement (3,) since the picture before."""
         if self._before is None:
             self._before = centred
             return
@@ -47,7 +47,8 @@ class Frozen:
         self._driven += abs(float(step[0]))
         expected = self._map.expected(self._since)
         if expected >= self._map.next_correlation:
-            return  # The robot has hardly moved: a still picture is right.
+            # The robot has hardly moved: an unchanged picture is correct.
+            return
         same = self._map.likelihood.correlation(float(centred @ self._before))
         self.yes = 1.0 - same < CHANGES * (1.0 - expected)
         if not self.yes:

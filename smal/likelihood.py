@@ -1,127 +1,160 @@
-"""How much a view speaks for a place: log p(view | here) - log p(view | elsewhere), measured on what was taught.
+"""Likelihood of a view at a place: log p(view | here) - log p(view | elsewhere), measured on the taught drives.
 
-A view stands out at a place by z: its cosine with the view from there, less the median of its cosines with a fixed
-sample of taught views, over their spread. So noise, darkness and another season, which make all cosines small, change z
-little, and the size of the map does not enter.
+A view stands out at a place by z: its cosine with the view there, less the median of its cosines with a fixed sample
+of taught views, divided by their spread. Noise, darkness and another season lower all cosines and hardly change z. The
+size of the map has no influence either.
 
-*Elsewhere* z is distributed as it is between taught views of different places, look-alikes included. *Here* a view
-stands out by a share of what it did between neighbouring taught views, with the scatter of elsewhere: on the taught day
-by all of it, under other light or behind something by less. Nobody knows the share beforehand, but it lasts: the filter
-follows it as it follows the place. With the share 0 something hides the place, and a view says nothing.
+*Elsewhere*, z has the distribution that it has between taught views of different places, look-alikes included. *Here*,
+a view stands out by a share of the value between neighbouring taught views, with the scatter of elsewhere. On the
+taught day the share is 1; under other light or behind an obstacle it is less. The share is unknown beforehand but
+lasts, so the filter estimates it together with the place. With the share 0 something hides the place, and the view
+gives no evidence.
 
-Neighbouring views are no independent witnesses. They correlate by s^gamma, where s is their cosine; a view is new by
-(1 - s^gamma) / (1 + s^gamma), which is what one more value of a first-order autoregression tells.
+Neighbouring views are not independent. They correlate by s^gamma, where s is their cosine. A view is new by
+(1 - s^gamma) / (1 + s^gamma), the information of one more value of a first-order autoregression.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Floats, Indices
 from smal.keyframes import MAP_CONFIG, MapConfig
 
-GRID = np.arange(-6.0, 40.125, 0.25)  # What z is tabulated for; beyond it the ends hold.
-SHARES = np.linspace(0.0, 1.0, 5)  # Upper ends of the ranges of the share.
-#: Their probabilities on a day of which nothing is known.
+#: Grid of z. Beyond it the values at the ends hold.
+GRID = np.arange(-6.0, 40.125, 0.25)
+#: Upper ends of the ranges of the share.
+SHARES = np.linspace(0.0, 1.0, 5)
+#: Prior probabilities of the shares.
 ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)))
 _FINE = np.linspace(0.0, 1.0, 101)
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most so many of the numbers below a count, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+def evenly(count: int, most: int) -> Indices:
+    """Return at most `most` evenly spread integers below `count`."""
+    numbers = np.linspace(0, count - 1, min(count, most))
+    return np.unique(numbers.astype(np.intp))
 
 
-def scale(sample: NDArray[Any]) -> tuple[float, float]:
-    """Return the median of the cosines (n,) of a view with a sample of elsewhere, and their spread.
+def scale(sample: AnyArray) -> tuple[float, float]:
+    """Return the median and the spread of the cosines (n,) of a view with a sample of elsewhere.
 
     The spread is the median absolute deviation, scaled to the standard deviation of a normal distribution.
     """
     middle = float(np.median(sample))
-    return middle, 1.4826 * float(np.median(np.abs(sample - middle)))
+    deviation = float(np.median(np.abs(sample - middle)))
+    return middle, 1.4826 * deviation
 
 
-def standing_out(cosines: NDArray[Any], sample: NDArray[Any]) -> NDArray[Any]:
-    """Return by how much the cosines of a view stand out from those with a sample of elsewhere; 0 if it is blank."""
-    return over(cosines, *scale(sample))
+def standing_out(cosines: AnyArray, sample: AnyArray) -> AnyArray:
+    """Return the z values of the cosines of a view, given a sample of elsewhere; 0 for a blank view."""
+    middle, spread = scale(sample)
+    return over(cosines, middle, spread)
 
 
-def over(cosines: NDArray[Any], middle: float, spread: float) -> NDArray[Any]:
-    """Return cosines less the middle, over the spread; 0 where there is none."""
-    return (cosines - middle) / spread if spread > 1e-6 else np.zeros_like(cosines)
+def over(cosines: AnyArray, middle: float, spread: float) -> AnyArray:
+    """Return (cosines - middle) / spread; 0 if the spread is 0."""
+    if spread > 1e-6:
+        return (cosines - middle) / spread
+    return np.zeros_like(cosines)
 
 
-def log_ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log(here / elsewhere) at each `GRID` point, ascending: what stands out more never speaks less."""
+def log_ratio(here: Floats, elsewhere: Floats) -> Floats:
+    """Return log(here / elsewhere) at each `GRID` point, made ascending by isotonic regression."""
     from scipy.optimize import isotonic_regression  # noqa: PLC0415 - only learning needs it, and it is slow to import
 
     ratio = np.log(np.maximum(here, 1e-300) / elsewhere)
-    return np.asarray(isotonic_regression(ratio, weights=here + elsewhere).x, dtype=np.float64)
+    fitted = isotonic_regression(ratio, weights=here + elsewhere)
+    return np.asarray(fitted.x, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The log ratio for each z, and how fast views become new.
+    """Log likelihood ratio as a function of z, and the correlation of neighbouring views.
 
-    `log_ratio` (shares, z) is log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point,
-    ascending; neighbouring views correlate by their cosine to the power `gamma`, above 0.
+    Attributes
+    ----------
+    log_ratio : array (shares, z)
+        log p(z | here) - log p(z | elsewhere) for each of the `SHARES` at each `GRID` point, ascending.
+    gamma : float
+        Exponent, above 0: views of cosine s correlate by s^gamma.
     """
 
-    log_ratio: NDArray[np.float64]
+    log_ratio: Floats
     gamma: float
 
     @classmethod
     def fit(
         cls,
-        here: NDArray[Any],
-        elsewhere: NDArray[Any],
+        here: AnyArray,
+        elsewhere: AnyArray,
         independent: float,
         gamma: float,
         config: MapConfig = MAP_CONFIG,
     ) -> "Likelihood":
-        """Measure it on z of neighbouring taught views, and of views of different places.
+        """Measure the likelihood on z of neighbouring taught views, and of views of different places.
 
-        `independent` says how many of the latter are independent.
+        Parameters
+        ----------
+        here : array (n,)
+            z between neighbouring taught views.
+        elsewhere : array (m,)
+            z between views of different places.
+        independent : float
+            Number of independent values in `elsewhere`.
+        gamma : float
+        config : MapConfig
         """
         width = GRID[1] - GRID[0]
         edges = np.append(GRID, GRID[-1] + width) - width / 2.0
-        # Too few views stand out by much to be counted. Excesses over a high threshold are exponential; what n of them
-        # let expect of the next one, whose mean is not known, is a Pareto distribution (Lomax).
-        elsewhere = np.minimum(elsewhere, GRID[-1])
-        threshold = float(np.quantile(elsewhere, config.usual))
-        above = elsewhere[elsewhere > threshold] - threshold
-        mean = max(float(above.mean()), width) if above.size else 1.0
-        count = max((1.0 - config.usual) * independent, 1.0)
-        usual = np.histogram(elsewhere[elsewhere <= threshold], edges)[0].astype(np.float64)
-        tail = (1.0 + np.maximum(GRID - threshold, 0.0) / (count * mean)) ** (-count - 1.0) * (
-            threshold <= GRID
-        )
-        p0 = config.usual * usual / max(usual.sum(), 1.0) + (1.0 - config.usual) * tail / tail.sum()
-        p0 = np.convolve(p0, [0.25, 0.5, 0.25], mode="same") + 1e-300
+        p_elsewhere = _distribution(elsewhere, independent, edges, config.usual)
         zero = int(np.argmin(np.abs(GRID)))
+        positive = np.maximum(here, 0.0)
         rows = np.zeros((SHARES.size, GRID.size))
         for row, least, most in zip(rows[1:], SHARES[:-1], SHARES[1:], strict=True):
             shares = _FINE[(least <= _FINE) & (most >= _FINE)]
-            shown = np.clip(np.multiply.outer(shares, np.maximum(here, 0.0)).ravel(), 0.0, GRID[-1])
-            p1 = np.convolve(np.histogram(shown, edges)[0] / shown.size, p0)[
-                zero : zero + GRID.size
-            ]
-            row[:] = log_ratio(p1, p0)
-        # Any view may be hidden.
-        return cls(np.clip(rows, math.log(config.hidden), 50.0), gamma)
+            shown = np.multiply.outer(shares, positive).ravel()
+            shown = np.clip(shown, 0.0, GRID[-1])
+            counts, _ = np.histogram(shown, edges)
+            scattered = np.convolve(counts / shown.size, p_elsewhere)
+            p_here = scattered[zero : zero + GRID.size]
+            row[:] = log_ratio(p_here, p_elsewhere)
+        # Any view can be hidden.
+        rows = np.clip(rows, math.log(config.hidden), 50.0)
+        return cls(rows, gamma)
 
-    def of(self, z: NDArray[Any], share: int = -1) -> NDArray[np.float64]:
-        """Return the log ratio of each z, for one of the shares."""
+    def of(self, z: AnyArray, share: int = -1) -> Floats:
+        """Return the log ratio of each z for one of the shares."""
         return np.asarray(np.interp(z, GRID, self.log_ratio[share]))
 
-    def mixed(
-        self, shares: NDArray[np.float64], z: NDArray[Any], newness: float
-    ) -> NDArray[np.float64]:
-        """Return the likelihood ratio of each z where shares have these probabilities, of a view that is so new."""
-        return np.asarray(np.interp(z, GRID, shares @ np.exp(newness * self.log_ratio)))
+    def mixed(self, shares: Floats, z: AnyArray, newness: float) -> Floats:
+        """Return the likelihood ratio of each z, for probabilities of the shares and the newness of the view."""
+        ratio = np.exp(newness * self.log_ratio)
+        return np.asarray(np.interp(z, GRID, shares @ ratio))
 
     def correlation(self, cosine: float) -> float:
-        """Return how far two views of this cosine say the same, 0 to 1."""
-        return math.pow(min(max(cosine, 0.0), 1.0), self.gamma)
+        """Return the correlation of two views of this cosine, 0 to 1."""
+        limited = min(max(cosine, 0.0), 1.0)
+        return math.pow(limited, self.gamma)
+
+
+def _distribution(z: AnyArray, independent: float, edges: Floats, usual: float) -> Floats:
+    """Return the distribution of z over the `GRID`: a histogram up to the quantile `usual`, a fitted tail above.
+
+    Large z are too rare to count. Excesses over a high threshold are exponential. The predictive distribution of the
+    next of n such excesses, with an unknown mean, is a Pareto distribution (Lomax).
+    """
+    width = GRID[1] - GRID[0]
+    z = np.minimum(z, GRID[-1])
+    threshold = float(np.quantile(z, usual))
+    excess = z[z > threshold] - threshold
+    mean = max(float(excess.mean()), width) if excess.size else 1.0
+    count = max((1.0 - usual) * independent, 1.0)
+    counts, _ = np.histogram(z[z <= threshold], edges)
+    body = counts.astype(np.float64)
+    beyond = np.maximum(GRID - threshold, 0.0)
+    tail = (1.0 + beyond / (count * mean)) ** (-count - 1.0) * (threshold <= GRID)
+    mixture = usual * body / max(body.sum(), 1.0) + (1.0 - usual) * tail / tail.sum()
+    return np.convolve(mixture, [0.25, 0.5, 0.25], mode="same") + 1e-300

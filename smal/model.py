@@ -1,14 +1,13 @@
-"""A model: the map, the features of a frame, and what is known of the goals and of the ground.
+"""The model: the map, the features of a frame, the targets, and the ground.
 
-`smal.teaching.mapping` makes a model of drives, and a robot goes by it.
+`smal.teaching.mapping` builds a model from drives; a robot drives by it.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from numpy.typing import NDArray
-
+from smal.arrays import AnyArray
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored
 from smal.map import VisualMap
@@ -19,42 +18,46 @@ from smal.sought.word import Word, content_of_words, words_of_content
 
 @dataclass(frozen=True, eq=False)
 class Model(Stored):
-    """What `smal.fit` and `smal.learn` make, and `smal.Robot` takes: a map, and what centres a frame's features."""
+    """Result of `smal.fit` and `smal.learn`, and input of `smal.Robot`."""
 
     scheme = "filter"
 
     centering: Centering
     mapped: VisualMap
-    #: What is sought at each goal; of one that has none, a robot that has arrived says that it has found it.
+    #: Target of each goal. Without a target, a robot that has arrived reports the goal as found.
     sights: Mapping[str, Sight] = field(default_factory=dict)
-    words: Mapping[str, Word] = field(default_factory=dict)  # And what detectors say of it.
-    ground: Ground | None = None  # How the ground looks, if that is known.
+    #: Detections of the target of each goal.
+    words: Mapping[str, Word] = field(default_factory=dict)
+    #: Appearance of the ground, if known.
+    ground: Ground | None = None
 
     def __post_init__(self) -> None:
-        if len(self.mapped.basis) != self.feature_settings.size:
-            raise ValueError(
-                f"the map has views of {len(self.mapped.basis)} features, a frame has {self.feature_settings.size}"
-            )
+        features = len(self.mapped.basis)
+        size = self.feature_settings.size
+        if features != size:
+            raise ValueError(f"the map has views of {features} features, a frame has {size}")
         if self.ground is not None and len(self.ground.colours) != len(self.mapped.keyframes):
-            raise ValueError("the ground is known of other keyframes than those of the map")
+            raise ValueError("the ground has other keyframes than the map")
 
     @property
     def feature_settings(self) -> FeatureSettings:
-        """Features of a frame that it goes by."""
+        """Settings of the features of a frame."""
         return self.centering.settings
 
     @property
     def longest(self) -> int:
-        """Frames of the longest drive."""
+        """Number of frames of the longest drive."""
         return int(self.mapped.frames.max())
 
     def __repr__(self) -> str:
-        """Say what it is, not all its numbers."""
-        sees = "+".join(self.feature_settings.modalities)
-        return f"Model({len(self.mapped.keyframes)} keyframes of {len(self.mapped.goals)} drives, {sees})"
+        """Return a summary without the arrays."""
+        keyframes = len(self.mapped.keyframes)
+        drives = len(self.mapped.goals)
+        modalities = "+".join(self.feature_settings.modalities)
+        return f"Model({keyframes} keyframes of {drives} drives, {modalities})"
 
     def content(self) -> Content:
-        """Return what its file says of it, and the arrays in it."""
+        """Return the metadata and the arrays of the model file."""
         numbers, arrays = self.mapped.content()
         sights, cells = content_of_sights(self.sights)
         words, ratios = content_of_words(self.words)
@@ -66,11 +69,14 @@ class Model(Stored):
         return meta, arrays
 
     @classmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
-        """Make it of what a file says."""
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
+        """Build the model from the content of a file."""
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
         words = words_of_content(meta["words"], arrays)
-        ground = Ground(arrays.pop("ground"), meta["strange"]) if "strange" in meta else None
+        ground = None
+        if "strange" in meta:
+            ground = Ground(arrays.pop("ground"), meta["strange"])
         mapped = VisualMap.of_content(meta["map"], arrays)
-        return cls(Centering(mean, FeatureSettings.of_content(meta)), mapped, sights, words, ground)
+        centering = Centering(mean, FeatureSettings.of_content(meta))
+        return cls(centering, mapped, sights, words, ground)

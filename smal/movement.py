@@ -1,4 +1,4 @@
-"""How the robot moves between two frames: by its wheels' odometry, or by what each atom movement usually does."""
+"""Movement of the robot between two frames, by odometry or by the usual movement of each atom."""
 
 import math
 from collections.abc import Sequence
@@ -9,13 +9,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: What a robot is told: linear velocity, ahead, and angular velocity, to the left, as shares of its own, -1 to 1.
+from smal.arrays import AnyArray, Floats
+
+#: Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
 Motion = tuple[float, float]
 STANDS: Final[Motion] = 0.0, 0.0
 
 
 class Atom(IntEnum):
-    """What the robot does between one camera frame and the next."""
+    """A discrete motion between two camera frames."""
 
     STOP = 0
     FORWARD = 1
@@ -28,7 +30,7 @@ class Atom(IntEnum):
 class Movement:
     """A small planar movement: the way along the heading, and the turn, counter-clockwise, in radians.
 
-    The way is in metres, or in units of one forward atom where nothing tells metres; negative backwards.
+    The way is in metres, or in forward atoms without odometry; it is negative backwards.
     """
 
     ahead: float
@@ -37,75 +39,79 @@ class Movement:
     @classmethod
     def between(cls, before: Sequence[float], after: Sequence[float]) -> "Movement":
         """Return the movement from one pose (x, y, heading in radians) to the next."""
-        (x0, y0, heading) = before
-        (x1, y1, new) = after
-        ahead = (x1 - x0) * math.cos(heading) + (y1 - y0) * math.sin(heading)
-        return cls(
-            math.copysign(math.hypot(x1 - x0, y1 - y0), ahead),
-            math.remainder(new - heading, math.tau),
-        )
+        x0, y0, heading0 = before
+        x1, y1, heading1 = after
+        ahead = (x1 - x0) * math.cos(heading0) + (y1 - y0) * math.sin(heading0)
+        distance = math.hypot(x1 - x0, y1 - y0)
+        turn_rad = math.remainder(heading1 - heading0, math.tau)
+        return cls(math.copysign(distance, ahead), turn_rad)
 
 
 STILL = Movement(0.0, 0.0)
 
 
 class MotionNoise(NamedTuple):
-    """How far the robot's movement differs from the reported one: standard deviations."""
+    """Standard deviations of the robot's movement from the reported movement."""
 
-    #: Of the way after a correlation length, as a share of it; grows with the square root of the way.
+    #: Error of the way after a correlation length, as a share of it; grows with the square root of the way.
     ahead: float
-    turn: float  # Of a turn after a radian, radians; grows with the square root of the turn.
-    pace: float  # Of the logarithm of the true speed over the reported one.
-    pace_lengths: float = 10.0  # Way over which a pace lasts, correlation lengths.
-    #: Degrees of heading a correlation length: carpets and kerbs; grows with the square root of the way.
+    #: Error of a turn after a radian, radians; grows with the square root of the turn.
+    turn: float
+    #: Error of the logarithm of the true speed over the reported speed.
+    pace: float
+    #: Way over which a pace lasts, correlation lengths.
+    pace_lengths: float = 10.0
+    #: Degrees of heading a correlation length (carpets, kerbs); grows with the square root of the way.
     drift_deg: float = 1.5
 
 
-#: Wheels slip a little, and those of two robots disagree by a twentieth.
+#: Wheels slip a little, and the odometry of two robots differs by a twentieth.
 BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05)
-#: Only the usual movement of an atom is known: people drive half as fast, or half as fast again.
+#: Only the usual movement of an atom is known. People drive half as fast, or half as fast again.
 BY_ATOMS: Final = MotionNoise(ahead=0.1, turn=0.1, pace=0.5)
 
 
-def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
-    """Bring angles into [-pi, pi)."""
+def wrapped(angle_rad: AnyArray) -> AnyArray:
+    """Wrap angles into [-pi, pi)."""
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses (..., 3) as seen from others (..., 3): ahead, left, and turned left in [-pi, pi)."""
+def seen_from(poses: Floats, frames: Floats) -> Floats:
+    """Return poses (..., 3) relative to frames (..., 3): ahead, left, and turned left in [-pi, pi)."""
     x, y, turned = np.moveaxis(poses - frames, -1, 0)
     cos = np.cos(frames[..., 2])
     sin = np.sin(frames[..., 2])
-    return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(turned)], axis=-1)
+    ahead = cos * x + sin * y
+    left = -sin * x + cos * y
+    return np.stack([ahead, left, wrapped(turned)], axis=-1)
 
 
-def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the poses (..., 3) that are seen so from others (..., 3), the opposite of `seen_from`; turns add up."""
+def placed(offsets: Floats, frames: Floats) -> Floats:
+    """Return the poses (..., 3) at offsets from frames (..., 3), the inverse of `seen_from`; turns add up."""
     ahead, left, turned = np.moveaxis(offsets, -1, 0)
     x, y, heading = np.moveaxis(frames, -1, 0)
     cos = np.cos(heading)
     sin = np.sin(heading)
-    return np.stack(
-        [x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1
-    )
+    placed_x = x + cos * ahead - sin * left
+    placed_y = y + sin * ahead + cos * left
+    return np.stack([placed_x, placed_y, turned + heading], axis=-1)
 
 
-def turns_ahead(movements: NDArray[np.float64]) -> bool:
-    """Tell by `atom_movements` (5, 2) if the robot is a car: turning to either side it goes over half its way ahead."""
+def turns_ahead(movements: Floats) -> bool:
+    """Return whether the robot is a car, by `atom_movements` (5, 2): its turns go over half the way of FORWARD."""
     ahead = np.abs(movements[:, 0])
-    return bool(ahead[[Atom.LEFT, Atom.RIGHT]].min() > 0.5 * ahead[Atom.FORWARD])
+    turning = ahead[[Atom.LEFT, Atom.RIGHT]].min()
+    return bool(turning > 0.5 * ahead[Atom.FORWARD])
 
 
-def dead_reckoning(
-    atoms: NDArray[np.integer[Any]], movements: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Add up what atoms (f,) usually do (`atom_movements`, (5, 2)): x, y and heading of every frame, (f, 3).
+def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: Floats) -> Floats:
+    """Integrate the usual movements of atoms (f,) into poses (f, 3): x, y and heading, from (0, 0, 0).
 
-    From (0, 0, 0); a turn is made half before the way ahead and half after.
+    Half of each turn precedes the way ahead. `movements` (5, 2) are `atom_movements`.
     """
     ahead, turn = movements[atoms[:-1]].T
-    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    heading = np.append(0.0, np.cumsum(turn))
     middle = heading[:-1] + turn / 2.0
-    x, y = (np.concatenate([[0.0], np.cumsum(ahead * part(middle))]) for part in (np.cos, np.sin))
+    x = np.append(0.0, np.cumsum(ahead * np.cos(middle)))
+    y = np.append(0.0, np.cumsum(ahead * np.sin(middle)))
     return np.stack([x, y, heading], axis=1)

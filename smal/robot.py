@@ -1,13 +1,13 @@
-"""`Robot` takes an image and returns a motion; `Localizer` (the filter and the wheels) and `Planner` do the work."""
+"""`Robot`: from a camera image to a motion, by the `Localizer` (filter and odometry) and the `Planner`."""
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
@@ -21,35 +21,58 @@ from smal.planning import Decision, Planner, Said, chosen_goal
 from smal.sought.sight import TARGET_CONFIG
 from smal.sought.witness import Glimpse, Witness
 
-NO_GROUND = "the model does not know how the ground looks, which a robot that watches goes by; learn it again"
+NO_GROUND = (
+    "the model does not know how the ground looks, which a robot that watches needs; learn it again"
+)
 
 
 class Located(NamedTuple):
-    """Where a robot is after one frame, and what it sees there: all that a decision goes by but obstacles."""
+    """Result of one frame: the belief, and the view of the target and of the ground."""
 
-    whole: Belief  # Over all particles.
-    belief: Belief  # Over the heaviest places.
-    seen: Glimpse | None  # Whether what is sought is in view; None where nothing can tell.
-    strange: float  # How far ahead the ground looks like none of the taught ground; infinity where none does.
+    #: Belief over all particles.
+    whole: Belief
+    #: Belief over the heaviest places.
+    belief: Belief
+    #: Probability that the target is in view; None without a target detector.
+    seen: Glimpse | None
+    #: Distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught.
+    strange: float
 
 
 @dataclass(frozen=True)
 class TaughtPlace:
-    """Where in what was taught."""
+    """A place on a taught drive, and the robot's offset from it."""
 
     drive: int
-    frame: int  # Counted over all drives of the map.
-    ahead: float  # Of the robot as seen from there, with `left`: metres, or forward atoms without odometry.
+    #: Number of the frame, counted over all drives of the map.
+    frame: int
+    #: Offset of the robot from that frame, with `left`: metres, or forward atoms without odometry.
+    ahead: float
     left: float
-    turned_rad: float  # To the left.
-    probability: float  # Of being beside that frame, given that the robot is not lost.
+    #: Turn to the left.
+    turned_rad: float
+    #: Probability that the robot is beside that frame, given that it is not lost.
+    probability: float
 
 
 class Localizer:
-    """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
+    """Estimates the robot's place from frame to frame by features, and by odometry or the usual movement of atoms.
 
-    The seed is of the filter's noise; `goal` is where it is sent, and may be left out where all drives lead to one. One
-    that `watches` looks for strange ground: ValueError where the model does not know the ground.
+    Parameters
+    ----------
+    model : Model
+    seed : int
+        Seed of the filter's noise.
+    goal : str, optional
+        Goal of the robot. It can be omitted if all drives lead to the same goal.
+    watches : bool
+        Whether to detect unexpected ground.
+    config : FilterConfig
+
+    Raises
+    ------
+    ValueError
+        If `watches` is set and the model has no ground.
     """
 
     def __init__(
@@ -64,21 +87,23 @@ class Localizer:
             raise ValueError(NO_GROUND)
         self._watches = watches
         self._map = mapped = model.mapped
-        self.features = model.feature_settings  # That it goes by.
+        #: Features that the model was learned on.
+        self.features = model.feature_settings
         self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed, config)
-        goal = mapped.goals[0] if goal is None and len({*mapped.goals}) == 1 else goal
+        if goal is None and len({*mapped.goals}) == 1:
+            goal = mapped.goals[0]
         sight = model.sights.get(goal or "")
         word = model.words.get(goal or "")
         self._witness = Witness(sight, word) if sight or word else None
-        to_end = (mapped.key_poses - mapped.key_poses[mapped.key_range[1]])[:, :2]
-        self._near = (mapped.key_goals == goal) & (
-            np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
-        )
+        _, last = mapped.key_range
+        to_end = (mapped.key_poses - mapped.key_poses[last])[:, :2]
+        near_end = np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
+        self._near = (mapped.key_goals == goal) & near_end
         self.reset()
 
     def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
-        """Forget everything, for a new episode, or but a belief, and the pose by the wheels at its frame."""
+        """Start a new episode, optionally from a belief and the odometry pose at its frame."""
         self._filter.reset(belief)
         self._pose = pose if self._map.odometry else None
         self._since_near = math.inf
@@ -96,24 +121,32 @@ class Localizer:
         made: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
     ) -> Located:
-        """Take one frame; odometry, what was made, time and errors are as in `observe`."""
+        """Process one frame; odometry, motions, time and errors are as in `observe`."""
         whole = self.observe(percept.features, odometry, made, elapsed_s)
         seen = self.seen(percept.picture, whole, percept.detected)
         belief = whole.summary()
-        return Located(
-            whole,
-            belief,
-            seen,
-            self.strange(percept.picture, belief) if self._watches else math.inf,
-        )
+        strange = self.strange(percept.picture, belief) if self._watches else math.inf
+        return Located(whole, belief, seen, strange)
 
     def seen(
-        self, picture: NDArray[np.uint8] | None, belief: Belief, detected: Iterable[Detection] = ()
+        self, picture: Uint8s | None, belief: Belief, detected: Iterable[Detection] = ()
     ) -> Glimpse | None:
-        """Return whether what is sought is in view of a frame (`resizing.small`); None where nobody knows.
+        """Return the probability that the target is in view.
 
-        `detected` is what the detectors among the features find in it (`smal.features.extraction.detect`).
-        Far from where it was taught to be, nobody looks; who turns there is still there, whatever that looks like.
+        The target detector runs only near a taught goal. Turning on the spot keeps it active, whatever the belief.
+
+        Parameters
+        ----------
+        picture : array, optional
+            Small picture of the frame (`smal.features.resizing.small`).
+        belief : Belief
+        detected : iterable of Detection
+            Detections of the frame (`smal.features.extraction.detect`).
+
+        Returns
+        -------
+        Glimpse or None
+            None without a target detector.
         """
         if self._witness is None:
             return None
@@ -122,47 +155,54 @@ class Localizer:
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
-        return (
-            Glimpse(0.0, 0.0)
-            if picture is None
-            else self._witness.look(picture, self._time_s, detected)
-        )
+        if picture is None:
+            return Glimpse(0.0, 0.0)
+        return self._witness.look(picture, self._time_s, detected)
 
-    def strange(self, picture: NDArray[np.uint8] | None, belief: Belief) -> float:
-        """Return how far ahead the ground looks like none of the taught ground, in the map's unit (`PlannerConfig`).
-
-        It is infinity where nothing does, and where the model does not know the ground.
-        """
+    def strange(self, picture: Uint8s | None, belief: Belief) -> float:
+        """Return the distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught."""
         best = int(belief.weights.argmax())
+        offset = belief.offsets[best]
         if self._ground is None or picture is None or belief.lost > 0.5:
             self._strange_s = 0.0
             self._strange = math.inf
-        elif abs(belief.offsets[best, 2]) < math.radians(self._map.config.spacing_deg):
+        elif abs(offset[2]) < math.radians(self._map.config.spacing_deg):
             key = int(belief.keyframes[best])
-            way = way_from(self._map, key, belief.offsets[best], swept(self._map.speed))
-            far = self._ground.strange_m(
-                picture, beside(self._map, key, GROUND_CONFIG.keyframes), way, self._map.scene
-            )
-            # What shows for a moment is none.
+            way = way_from(self._map, key, offset, swept(self._map.speed))
+            neighbours = beside(self._map, key, GROUND_CONFIG.keyframes)
+            far = self._ground.strange_m(picture, neighbours, way, self._map.scene)
+            # A momentary detection is ignored.
             self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
             self._strange = far if self._strange_s >= GROUND_CONFIG.lasts_s else math.inf
-        # Turned aside it sees what the taught views have not shown, and what it saw is still there.
+        # A robot that is turned aside sees untaught ground; the last detection stays valid.
         return self._strange
 
     def observe(
         self,
-        raw_features: NDArray[Any],
+        raw_features: AnyArray,
         odometry: Sequence[float] | None = None,
         atoms: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
-        """Take the features (m,) of one frame, of `smal.features.extract`.
+        """Update the belief by the features of one frame.
 
-        Odometry is the pose by the wheels at the frame, x, y and heading in radians; it does not count where the drives
-        had none: the map then has another unit. Atoms were made since the frame before, for equal parts of the time;
-        they count where there is no odometry. A frame without either says nothing of the movement: the next pose does.
-        `elapsed_s` is the time since the frame before, a taught tick if not given. ValueError for a time or a pose that
-        is not finite, a negative time, or as `Filter.observe`.
+        Parameters
+        ----------
+        raw_features : array (m,)
+            From `smal.features.extract`.
+        odometry : sequence (3,), optional
+            Odometry pose at the frame: x, y, and heading in radians. It is ignored if the map was taught without
+            odometry, because the map then has another unit.
+        atoms : sequence of Atom or Motion
+            Executed since the frame before, for equal parts of the time. Used only without odometry. For a frame
+            without atoms and odometry, the movement follows from the next pose.
+        elapsed_s : float, optional
+            Time since the frame before, seconds; by default a taught tick.
+
+        Raises
+        ------
+        ValueError
+            If the time is negative, the time or the pose is not finite, or as in `Filter.observe`.
         """
         if elapsed_s is not None and not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
             raise ValueError(
@@ -183,27 +223,41 @@ class Localizer:
         self._strange = max(self._strange - movement.ahead, 0.0)
         self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._time_s += self._step_s
-        # Not before: a frame that is refused is not taken in.
+        # Only now: a rejected frame must not change the state.
         if odometry is not None or atoms:
             self._pose = odometry
         return belief
 
     def _usual_movement(self, atoms: Sequence[Atom | Motion], elapsed_s: float | None) -> Movement:
-        """Return the movement that atoms or motions, made for equal parts of a time, usually are."""
+        """Return the usual movement of atoms or motions, executed for equal parts of a time."""
         ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
         table = self._map.movements
         full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
-        made = [np.multiply(one, full) if isinstance(one, tuple) else table[one] for one in atoms]
-        ahead, turn = np.mean(made, axis=0) * ticks
+        movements = [
+            np.multiply(atom, full) if isinstance(atom, tuple) else table[atom] for atom in atoms
+        ]
+        ahead, turn = np.mean(movements, axis=0) * ticks
         return Movement(float(ahead), float(turn))
 
 
 class Robot:
-    """Finds the goal: takes an image, gives the motion to make next.
+    """Drives to the goal: takes images and returns motions.
 
-    The goal may be left out where all drives lead to one. The seed is of the filter's noise. A robot that `watches`
-    stops before ground that looks strange, where it has no depth. ValueError where the model has not this goal, or
-    several and none is named, or does not know the ground.
+    Parameters
+    ----------
+    model : Model
+    goal : str, optional
+        Goal of the robot. It can be omitted if all drives lead to the same goal.
+    seed : int
+        Seed of the filter's noise.
+    watches : bool
+        Whether the robot stops before unexpected ground when it has no depth image.
+
+    Raises
+    ------
+    ValueError
+        If the goal is not found, or is missing although the model has several, or `watches` is set and the model has
+        no ground.
     """
 
     belief: Belief  # After the last image.
@@ -219,36 +273,47 @@ class Robot:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, for a new episode."""
+        """Start a new episode."""
         self._localizer.reset()
         self._planner.reset()
-        #: What it has made since the last image: the motion of `step`, unless its owner sets another one, or an atom.
+        #: Motion since the last image: the result of `step`, unless the caller sets another motion or an atom.
         self.made: Atom | Motion = STANDS
         self._around: Surroundings | None = None
 
     def step(
         self,
-        image: NDArray[np.uint8],
+        image: Uint8s,
         odometry: Sequence[float] | None = None,
         elapsed_s: float | None = None,
-        depth: tuple[NDArray[np.float32], Mount] | None = None,
+        depth: tuple[Float32s, Mount] | None = None,
     ) -> Motion:
-        """Take one image (height, width, 3), RGB; return the motion to make until the next one.
+        """Return the motion until the next image.
 
-        A motion is a linear velocity, ahead, and an angular velocity, to the left, as shares of the robot's own, -1 to
-        1. Odometry is the pose by the wheels at the image, x, y and heading in radians; without it the robot is taken
-        to have made the last motion. `elapsed_s` is the time since the image before, as between taught images if
-        not given. `depth` is what a depth camera measures (height, width), metres, 0 where nothing, and how it sits:
-        with it, and odometry, the robot goes round what stands in its way.
+        Parameters
+        ----------
+        image : array (height, width, 3)
+            RGB, uint8.
+        odometry : sequence (3,), optional
+            Odometry pose at the image: x, y, and heading in radians. By default the last motion counts as executed.
+        elapsed_s : float, optional
+            Time since the image before, seconds; by default the time between taught images.
+        depth : (array (height, width), Mount), optional
+            Depth image in metres (0 = not measured), and the mount of its camera. With depth and odometry, the robot
+            drives around obstacles.
+
+        Returns
+        -------
+        (float, float)
+            Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
         """
-        located = self._localizer.locate(
-            perceive(image, self._localizer.features), odometry, [self.made], elapsed_s
-        )
+        percept = perceive(image, self._localizer.features)
+        located = self._localizer.locate(percept, odometry, [self.made], elapsed_s)
         self.belief = located.whole
         if odometry is None:
             self._around = None
         elif depth is not None:
-            self._around = self._around or Surroundings(depth[1].radius_m)
+            _, mount = depth
+            self._around = self._around or Surroundings(mount.radius_m)
             self._around.look(odometry, *depth)
         elif self._around is not None:
             self._around.move(odometry)
@@ -264,10 +329,11 @@ class Robot:
 
     @property
     def where(self) -> TaughtPlace:
-        """The likeliest place."""
+        """The most likely place."""
         best = self.belief.summary(1)
-        frame = int(self._map.keyframes[best.keyframes[0]])
-        share = float(self.belief.weights[self.belief.keyframes == best.keyframes[0]].sum())
+        keyframe = best.keyframes[0]
+        frame = int(self._map.keyframes[keyframe])
+        share = float(self.belief.weights[self.belief.keyframes == keyframe].sum())
         ahead, left, turned = best.offsets[0].tolist()
         return TaughtPlace(int(self._map.drives[frame]), frame, ahead, left, turned, share)
 
@@ -278,10 +344,10 @@ class Robot:
 
     @property
     def said(self) -> Said | None:
-        """What it says of the goal, having nothing left to do."""
+        """Announced result of the search; None while the robot is under way."""
         return self._planner.said
 
     @property
     def done(self) -> bool:
-        """Whether it has said something of its goal."""
+        """Whether the robot has announced its result."""
         return self.said is not None

@@ -1,1 +1,1 @@
-"""How well the method does: ground truth, precision and recall, success rates, and peers to compare with."""
+"""Evaluation: ground truth, precision and recall, success rates, and baselines."""

@@ -1,51 +1,54 @@
-"""What is right: one criterion for every method of place recognition, whatever it answers."""
+"""Ground truth: one criterion for all methods of place recognition."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Bools, Floats, Int64s
 from smal.place_recognition import Matches
 
-_BLOCK = 256  # Queries that are compared with all references at a time: 20 MB of each number for 10,000 references.
-Poses = NDArray[np.float64]
+_BLOCK = 256  # Queries that are compared with all references at a time; limits memory.
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What became of every query, in order, arrays (q,): its answer's score, whether it has one, and a right one."""
+    """Result for every query, in order, arrays (q,)."""
 
-    score: NDArray[np.float64]
-    answered: NDArray[np.bool_]
-    right: NDArray[np.bool_]
-    judged: NDArray[np.bool_]  # Those of which something is known; the others do not count at all.
-    findable: NDArray[
-        np.bool_
-    ]  # Judged ones that have a right reference: any answer to the other ones is wrong.
+    score: Floats
+    #: Whether the query has an answer, and a right answer.
+    answered: Bools
+    right: Bools
+    #: Queries with ground truth; the others do not count.
+    judged: Bools
+    #: Judged queries with a right reference. Any answer to the other queries is wrong.
+    findable: Bools
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalTruth:
-    """Right are references from a first to a last one; a query has as many intervals as its place is shown, or none."""
+    """Intervals of right references. A query has an interval for each visit of its place, or none."""
 
-    query: NDArray[np.int64]  # (k,) of each interval.
-    first: NDArray[np.int64]  # (k,), 0 <= first <= last.
-    last: NDArray[np.int64]
-    judged: NDArray[np.bool_]  # (q,), see `Judgement`.
+    #: (k,) query of each interval.
+    query: Int64s
+    #: (k,), 0 <= first <= last.
+    first: Int64s
+    last: Int64s
+    #: (q,), see `Judgement`.
+    judged: Bools
 
     @property
-    def findable(self) -> NDArray[np.bool_]:
+    def findable(self) -> Bools:
         """See `Judgement`."""
         return np.bincount(self.query, minlength=self.judged.size) > 0
 
     @property
     def tolerance(self) -> int:
-        """How many frames off a reference usually still is right: half of the median interval."""
+        """Usual tolerance of right references in frames: half of the median interval."""
         return int(np.median(self.last - self.first)) // 2
 
     def judge(self, matches: Matches) -> Judgement:
-        """Hold a method's answers against this truth of the same queries."""
+        """Judge the answers of a method to the same queries."""
         answers = matches.reference[self.query]
         inside = (answers >= self.first) & (answers <= self.last)
         right = matches.matched & (np.bincount(self.query, inside, self.judged.size) > 0)
@@ -53,21 +56,19 @@ class IntervalTruth:
 
 
 def judge_by_poses(
-    matches: Matches, references: Poses, queries: Poses, distance_m: float, angle_deg: float
+    matches: Matches, references: Floats, queries: Floats, distance_m: float, angle_deg: float
 ) -> Judgement:
-    """Judge answers: right is a reference within a distance and an angle of the query; poses (n, 3), (q, 3)."""
+    """Judge answers: right references are within a distance and an angle of the query; poses (n, 3), (q, 3)."""
 
-    def near(some: Poses, others: Poses) -> NDArray[np.bool_]:
+    def near(some: Floats, others: Floats) -> Bools:
         apart = some - others
         turn_rad = np.abs(np.remainder(apart[..., 2] + math.pi, 2 * math.pi) - math.pi)
-        close: NDArray[np.bool_] = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m
+        close: Bools = np.hypot(apart[..., 0], apart[..., 1]) <= distance_m
         return close & (turn_rad <= math.radians(angle_deg))
 
-    blocks = (
-        queries[start : start + _BLOCK, np.newaxis] for start in range(0, len(queries), _BLOCK)
-    )
+    starts = range(0, len(queries), _BLOCK)
+    blocks = (queries[start : start + _BLOCK, np.newaxis] for start in starts)
     findable = np.concatenate([near(block, references).any(axis=1) for block in blocks])
     right = matches.matched & near(queries, references[matches.reference])
-    return Judgement(
-        matches.score, matches.matched, right, np.ones(len(queries), dtype=np.bool_), findable
-    )
+    judged = np.ones(len(queries), dtype=np.bool_)
+    return Judgement(matches.score, matches.matched, right, judged, findable)

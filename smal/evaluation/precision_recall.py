@@ -1,6 +1,6 @@
-"""Precision and recall as in the paper's experiments: a threshold sweeps the scores, and what reaches it is answered.
+"""Precision and recall as in the paper's experiments: answers are accepted by a threshold on their scores.
 
-precision = right answers / answers,  recall = right answers / queries that have anything to find.
+precision = right answers / answers,  recall = right answers / findable queries.
 """
 
 import math
@@ -8,27 +8,27 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats, Int64s
 from smal.evaluation.ground_truth import Judgement
 
-_FEWEST_BLOCKS = 4  # The bootstrap draws from at least so many blocks: of fewer it learns nothing.
+_FEWEST_BLOCKS = 4  # Minimum number of blocks of the bootstrap.
 
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """Precision over recall (k,), a point for each score by falling thresholds; answers reach the threshold."""
+    """Precision and recall (k,), one point for each score, by falling thresholds."""
 
-    recall: NDArray[np.float64]
-    precision: NDArray[np.float64]
-    threshold: NDArray[np.float64]
+    recall: Floats
+    precision: Floats
+    threshold: Floats
 
     @classmethod
-    def of(cls, judgement: Judgement, times: NDArray[np.int64] | None = None) -> Self:
-        """Return the curve of a method's answers; ValueError when no query has anything to find.
+    def of(cls, judgement: Judgement, times: Int64s | None = None) -> Self:
+        """Return the curve of a method's answers.
 
-        Queries that are not judged do not count; of the others each counts once, or as often as `times` (q,) says. An
-        answer to one that has nothing to find is wrong.
+        Unjudged queries do not count. Each judged query counts once, or `times` (q,) times. An answer to a query
+        without a right reference is wrong. ValueError if no query is findable.
         """
         times = judgement.judged.astype(np.int64) if times is None else times * judgement.judged
         to_find = int(times[judgement.findable].sum())
@@ -36,24 +36,24 @@ class PrecisionRecall:
             raise ValueError("no query has anything to find: recall means nothing")
         order = np.flatnonzero(judgement.answered & (times > 0))
         order = order[np.argsort(-judgement.score[order], kind="stable")]
-        ends = np.flatnonzero(np.diff(judgement.score[order], append=-np.inf))
+        score = judgement.score[order]
+        ends = np.flatnonzero(np.diff(score, append=-np.inf))
         right = np.cumsum((times * judgement.right)[order])[ends]
-        return cls(
-            right / to_find, right / np.cumsum(times[order])[ends], judgement.score[order][ends]
-        )
+        answers = np.cumsum(times[order])[ends]
+        return cls(right / to_find, right / answers, score[ends])
 
     @property
     def auc(self) -> float:
         """Area under the curve, in [0, 1]: average precision, the sum of precision times step of recall.
 
-        Not the trapezoid's area: between two points of such a curve precision does not run along the straight line
-        but below it (Davis & Goadrich 2006), so that a method with few different scores would gain.
+        The trapezoidal area is biased: between two points of such a curve precision lies below the straight line (Davis
+        & Goadrich 2006), so that it favours methods with few different scores.
         """
         return float(self.precision @ np.diff(self.recall, prepend=0.0))
 
     @property
     def recall_at_100_precision(self) -> float:
-        """The highest recall without a wrong answer, in [0, 1]; 0 where the surest answer is wrong already."""
+        """The highest recall without a wrong answer, in [0, 1]; 0 if the most confident answer is wrong."""
         return float(self.recall[self.precision == 1.0].max(initial=0.0))
 
 
@@ -65,52 +65,52 @@ class Intervals(NamedTuple):
 
 
 def block_length(queries: int, length: int) -> int:
-    """Return how many successive queries the bootstrap keeps together.
+    """Return the number of successive queries in a block of the bootstrap.
 
-    Windows of `length` frames that overlap share frames, so that their errors come together; beyond that the cube
-    root of the number of queries is the usual order (Künsch 1989). At most a quarter of the queries.
+    Overlapping windows of `length` frames share frames, so that their errors are correlated. Beyond that, the cube root
+    of the number of queries is the usual order (Künsch 1989). A block has at most a quarter of the queries.
     """
-    return max(1, min(max(length, round(math.cbrt(queries))), queries // _FEWEST_BLOCKS))
+    usual = max(length, round(math.cbrt(queries)))
+    return max(1, min(usual, queries // _FEWEST_BLOCKS))
 
 
-def intervals_of(figures: NDArray[np.float64]) -> Intervals:
-    """Return the intervals between which the middle 95 % of the figures of `bootstrap` lie.
+def intervals_of(figures: Floats) -> Intervals:
+    """Return the intervals with the middle 95 % of the figures of `bootstrap`.
 
-    Few blocks make them too narrow. Recall at 100 % precision is decided by the surest wrong answer, which a third of
-    the draws lack: its interval covered the median of other draws in 61 to 71 % (that of the area in 93 %).
+    With few blocks they are too narrow. The most confident wrong answer decides recall at 100 % precision, and a third
+    of the draws lack it: its interval covered the median of other draws in 61 to 71 % (of the area: 93 %).
     """
     auc, recall = np.nanpercentile(figures, (2.5, 97.5), axis=0).T.tolist()
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))
 
 
-def bootstrap(
-    judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0
-) -> NDArray[np.float64]:
-    """Return area and recall at 100 % precision for other draws of the queries, float64 (resamples, 2).
+def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: int = 0) -> Floats:
+    """Return area and recall at 100 % precision for resampled queries, float64 (resamples, 2).
 
-    Successive queries see nearly the same: blocks of them are drawn (`block_length`), the last followed by the first
-    (Politis & Romano 1992). The same seed, block and judged queries give the same draws, so that differences of methods
-    are paired. NaN where a draw has nothing to find; ValueError as of `PrecisionRecall.of`.
+    Successive queries are nearly equal, so that blocks are drawn (`block_length`), in a circle (Politis & Romano 1992).
+    An equal seed, block and set of judged queries gives equal draws, so that differences of methods are paired. NaN if
+    a draw has no findable query; ValueError as in `PrecisionRecall.of`.
     """
     PrecisionRecall.of(judgement)
     judged = np.flatnonzero(judgement.judged)
-    # In the order of their scores, so that no draw has to be sorted.
+    # Sorted by score once, so that no draw must be sorted.
     order = np.argsort(-judgement.score, kind="stable")
     ordered = Judgement(*(getattr(judgement, part.name)[order] for part in fields(judgement)))
     figures = np.full((resamples, 2), np.nan)
-    starts = np.random.default_rng(seed).integers(
-        0, judged.size, (resamples, -(-judged.size // block), 1)
-    )
+    blocks = -(-judged.size // block)
+    starts = np.random.default_rng(seed).integers(0, judged.size, (resamples, blocks, 1))
     for row, begins in zip(figures, starts, strict=True):
-        drawn = judged[((begins + np.arange(block)) % judged.size).ravel()[: judged.size]]
+        positions = (begins + np.arange(block)) % judged.size
+        drawn = judged[positions.ravel()[: judged.size]]
         if judgement.findable[drawn].any():
-            curve = PrecisionRecall.of(ordered, np.bincount(drawn, minlength=order.size)[order])
+            times = np.bincount(drawn, minlength=order.size)
+            curve = PrecisionRecall.of(ordered, times[order])
             row[:] = curve.auc, curve.recall_at_100_precision
     return figures
 
 
 def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a success rate, 0 <= successes <= runs, runs >= 1; ValueError for others."""
+    """Return Wilson's 95 % interval of a success rate; ValueError unless 0 <= successes <= runs and runs >= 1."""
     from scipy.stats import binomtest  # noqa: PLC0415 - takes a second to load, and few need it
 
     low, high = binomtest(successes, runs).proportion_ci(method="wilson")

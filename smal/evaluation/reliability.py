@@ -1,11 +1,11 @@
-"""Whether scores are what they say: how often answers are right, and whether unknown places are known as such."""
+"""Reliability of scores: the calibration of answers, and the detection of unknown places."""
 
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats, Int64s
 from smal.evaluation.ground_truth import Judgement
 
 _BINS: Final = 10
@@ -13,32 +13,35 @@ _BINS: Final = 10
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Answers by their scores, probabilities, in tenths that have any (k,): mean score, share that is right, number."""
+    """Answers in tenths of the score, without empty ones (k,): mean score, share of right answers, number."""
 
-    said: NDArray[np.float64]
-    right: NDArray[np.float64]
-    count: NDArray[np.int64]
+    said: Floats
+    right: Floats
+    count: Int64s
 
     @classmethod
     def of(cls, judgement: Judgement) -> Self:
-        """Take the answers to judged queries."""
+        """Count the answers to judged queries."""
         asked = judgement.judged & judgement.answered
         score = judgement.score[asked]
         right = judgement.right[asked]
         tenth = np.minimum((score * _BINS).astype(np.int64), _BINS - 1)
         count = np.bincount(tenth, minlength=_BINS)
-        some = count > 0
-        said, true = (np.bincount(tenth, of, _BINS)[some] / count[some] for of in (score, right))
-        return cls(said, true, count[some])
+        full = count > 0
+        count = count[full]
+        mean_score = np.bincount(tenth, score, _BINS)[full] / count
+        share_right = np.bincount(tenth, right, _BINS)[full] / count
+        return cls(mean_score, share_right, count)
 
     @property
     def error(self) -> float:
-        """The expected calibration error: how far scores are off the share that is right, in the mean; 0 of none."""
-        return float(self.count @ np.abs(self.said - self.right)) / max(int(self.count.sum()), 1)
+        """The expected calibration error: mean difference of scores from the share of right answers; 0 if empty."""
+        off = np.abs(self.said - self.right)
+        return float(self.count @ off) / max(int(self.count.sum()), 1)
 
 
-def known_from_unknown(judgement: Judgement, sure: NDArray[np.float64]) -> float | None:
-    """Return how well sureness (q,) tells what can be found: area under the ROC curve; None if not both are there."""
+def known_from_unknown(judgement: Judgement, sure: Floats) -> float | None:
+    """Return the area under the ROC curve of confidences (q,) for findable queries; None without both kinds."""
     known = sure[judgement.findable]
     unknown = np.sort(sure[judgement.judged & ~judgement.findable])
     if not (known.size and unknown.size):

@@ -1,17 +1,17 @@
-"""Teach and repeat as the field does it: wheels tell the place along one drive, images correct it and the heading.
+"""Baseline of teach and repeat: odometry gives the place along one drive, images correct it and the heading.
 
 D. Dall'Osto, T. Fischer, M. Milford, "Fast and Robust Bio-inspired Teach and Repeat Navigation", IROS 2021 (github
 QVPR/teach-repeat), after T. Krajnik et al., "Navigation without localization: reliable teach and repeat based on the
-convergence theorem", IROS 2018: odometry replays the drive, and correcting the heading alone by the horizontal shift
-of the image keeps the error across the way bounded. Numbers without another reason are the authors' for their Jackal,
-whose camera sees 75 degrees too. It departs from them where the robot or its task does:
+convergence theorem", IROS 2018: odometry replays the drive, and correcting only the heading by the horizontal shift
+of the image bounds the error across the way. Numbers without another reason are the authors' for their Jackal, with a
+camera of 75 degrees too. Departures:
 
-- Distances are counted in forward atoms, so that one set of numbers does indoors and outdoors.
-- Their controller's speeds become atoms: a turn on the spot if the goal is off by more than one turning atom. Half of
-  that takes one and a half times as long for the same error, for with each turn the robot loses its speed.
-- It may begin beside any keyframe of any drive and turned (theirs too may begin at any, but on the way). So the heading
-  by the best keyframe counts in full at the start, first keyframes have an advantage, and a robot that recognizes
-  nothing looks round once, where theirs refuses to begin.
+- Distances are in forward atoms, so that one set of numbers works indoors and outdoors.
+- The speeds of their controller become atoms: a turn on the spot if the goal is off by more than one turning atom. Half
+  of that takes one and a half times as long for the same error, because each turn costs the robot its speed.
+- A run can start beside any keyframe of any drive, and turned (theirs at any keyframe, but on the way). Therefore the
+  heading by the best keyframe counts in full at the start, and first keyframes have an advantage. A robot that
+  recognises nothing looks around once, where theirs refuses to start.
 """
 
 import math
@@ -19,34 +19,34 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Uint8s
 from smal.movement import Atom, placed, seen_from
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.movements import atom_movements
 
 _T = TypeVar("_T")
-# Pixels of images that are compared, and the square that normalizes each.
+#: Size of compared images, and side of the square that normalises each pixel.
 COLUMNS = 115
 ROWS = 44
 PATCH = 9
-SPACING_ATOMS: Final = (
-    5.0  # Between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
-)
-TURNED_RAD: Final = math.radians(
-    15.0
-)  # Between keyframes, and heading error at which a goal is reached.
-# How far ahead it aims, and how near goals are a mere turn; in spacings.
+#: Distance between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
+SPACING_ATOMS: Final = 5.0
+#: Turn between keyframes, and heading error of a reached goal.
+TURNED_RAD: Final = math.radians(15.0)
+#: Lookahead, and distance within which a goal is a mere turn; in spacings.
 LOOKAHEAD = 1.3
 TURNING = 0.2
-SEARCH: Final = 3  # Keyframes before and after the current two that are compared.
-RECOGNIZED: Final = 0.1  # Correlation below which a keyframe says nothing.
+#: Keyframes before and after the current two that are compared.
+SEARCH: Final = 3
+#: Correlation below which a keyframe gives no evidence.
+RECOGNIZED: Final = 0.1
 #: Fraction by which one image corrects the heading (theirs for the MiRo; 0.01 leaves three times the error) and the way
 #: along (theirs; with 0.05 fewer searches succeed).
 TURN_GAIN = 0.1
 WAY_GAIN = 0.01
-#: Advantage in correlation of first keyframes, and what the best must reach to begin without a look round: chosen on
-#: the first frames of 36 drives in four simulated worlds, so that starts near the first one are told from others.
+#: Advantage in correlation of first keyframes, and minimum of the best to start without looking around. Both were
+#: chosen on the first frames of 36 drives in four simulated worlds, to detect starts near the first keyframe.
 FIRST = 0.1
 SURE = 0.3
 
@@ -55,15 +55,26 @@ class _Route(NamedTuple):
     """Frames, poses (k, 3) and padded images of the keyframes of one drive."""
 
     frames: list[int]
-    poses: NDArray[np.float64]
-    images: list[NDArray[np.float32]]
+    poses: Floats
+    images: list[Float32s]
 
 
 class TeachAndRepeat:
-    """Repeats the one of some drives, with images and odometry, whose keyframe correlates best with the first image.
+    """Repeats the drive with the keyframe that correlates best with the first image.
 
-    The camera's field of view is horizontal, above 0 and below pi. One that is told begins where a drive began.
-    ValueError when a drive lacks images or odometry, or the drives show no turn or no way ahead.
+    Parameters
+    ----------
+    drives : sequence of Demonstration
+        Drives with images and odometry.
+    field_of_view_rad : float
+        Horizontal field of view of the camera, above 0 and below pi.
+    told : bool
+        Whether the robot starts where a drive started.
+
+    Raises
+    ------
+    ValueError
+        If a drive lacks images or odometry, or the drives have no turn or no way ahead.
     """
 
     def __init__(
@@ -71,48 +82,41 @@ class TeachAndRepeat:
     ) -> None:
         self._field = field_of_view_rad
         self._told = told
-        taught = [
-            (_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives
-        ]
-        movements = atom_movements(
-            [odometry for _, odometry in taught], [drive.atoms for drive in drives]
-        )
+        images = [_kept(drive.images, drive.name) for drive in drives]
+        ways = [_kept(drive.odometry, drive.name) for drive in drives]
+        movements = atom_movements(ways, [drive.atoms for drive in drives])
         self._turn = abs(float(movements[Atom.LEFT, 1]))
         self._spacing = SPACING_ATOMS * float(movements[Atom.FORWARD, 0])
         if not (self._turn > 0.0 and self._spacing > 0.0):
             raise ValueError("the drives must show at least one turn and one way ahead")
-        self._routes = [self._route_of(*one) for one in taught]
+        self._routes = [self._route_of(*taught) for taught in zip(images, ways, strict=True)]
         self.reset()
 
     def reset(self) -> None:
-        """Forget the episode."""
+        """Start a new episode."""
         self._route: _Route | None = None
         self._index = 0
         self._looked_rad = 0.0
         self._looking = False
         self._heading = math.nan
-        self._best: tuple[float, int, int, tuple[float, float, float]] = (
-            -math.inf,
-            0,
-            0,
-            (0.0, 0.0, 0.0),
-        )
+        #: Correlation, route, keyframe and pose of the best match.
+        self._best = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
 
     @property
     def done(self) -> bool:
-        """Whether it has come to the end of its drive."""
+        """Whether the robot has reached the end of its drive."""
         return self._route is not None and self._index >= len(self._route.poses)
 
     @property
     def place(self) -> int | None:
-        """Taught frame of its drive in the middle between its last goal and the next; None while it looks round."""
+        """Taught frame in the middle between the last goal and the next; None while the robot looks around."""
         if self._route is None:
             return None
         frames = self._route.frames
         return (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
 
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
-        """Take one image, (height, width, 3) RGB, and this episode's odometry (x, y, heading); return what to do."""
+    def step(self, image: Uint8s, odometry: Sequence[float]) -> Atom:
+        """Return the next atom for an RGB image (height, width, 3), and the odometry (x, y, heading) of the episode."""
         here = np.asarray(odometry, dtype=np.float64)
         seen = _prepared(image)
         route = self._route or self._begin(seen, here)
@@ -121,7 +125,7 @@ class TeachAndRepeat:
         if 0 < self._index < len(route.poses) and not self._is_turn(route):
             self._correct(route, seen, here)
         while self._index < len(route.poses):
-            # The last goal and mere turns have nothing ahead of them to aim at.
+            # The last goal, and mere turns, have no lookahead.
             turning = self._is_turn(route)
             last = self._index == len(route.poses) - 1
             ahead = 0.0 if turning or last else LOOKAHEAD * self._spacing
@@ -135,39 +139,33 @@ class TeachAndRepeat:
         return Atom.STOP
 
     def _towards(self, off_rad: float) -> Atom:
-        """Return the atom that goes in a direction, from the heading to the left."""
+        """Return the atom for a direction, from the heading to the left."""
         if abs(off_rad) <= self._turn:
             return Atom.FORWARD
         return Atom.LEFT if off_rad > 0.0 else Atom.RIGHT
 
-    def _route_of(
-        self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]
-    ) -> _Route:
-        """Pick the first frame, the last, and one after each spacing or turn."""
+    def _route_of(self, images: Sequence[Uint8s], odometry: Floats) -> _Route:
+        """Select the first frame, the last, and one after each spacing or turn."""
         keys = [0]
         for frame, pose in enumerate(odometry):
             x, y, heading = seen_from(pose, odometry[keys[-1]])
-            if (
-                math.hypot(x, y) > self._spacing
-                or abs(heading) > TURNED_RAD
-                or frame == len(odometry) - 1
-            ):
+            far = math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD
+            if far or frame == len(odometry) - 1:
                 keys.append(frame)
         margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
-        return _Route(
-            keys, odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys]
-        )
+        padded = [np.pad(_prepared(images[key]), margin) for key in keys]
+        return _Route(keys, odometry[keys], padded)
 
-    def _match(self, seen: NDArray[np.float32], taught: NDArray[np.float32]) -> tuple[float, float]:
-        """Return how far left of the robot's heading the taught one is, radians, and the correlation then."""
+    def _match(self, seen: Float32s, taught: Float32s) -> tuple[float, float]:
+        """Return the turn to the taught heading, radians to the left, and the correlation there."""
         import cv2  # noqa: PLC0415 - see smal.features.hog
 
         correlations = cv2.matchTemplate(taught, seen, cv2.TM_CCOEFF_NORMED)[0]
         best = int(correlations.argmax())
         return (best - COLUMNS // 2) * self._field / COLUMNS, float(correlations[best])
 
-    def _begin(self, seen: NDArray[np.float32], here: NDArray[np.float64]) -> _Route | None:
-        """Find where the robot is; None as long as it has to turn left to look round."""
+    def _begin(self, seen: Float32s, here: Floats) -> _Route | None:
+        """Find the place of the robot; None while it must turn left to look around."""
         for number, route in enumerate(self._routes):
             for key, taught in enumerate(route.images[: 1 if self._told else -1]):
                 off, correlation = self._match(seen, taught)
@@ -186,28 +184,27 @@ class TeachAndRepeat:
         return self._route
 
     def _is_turn(self, route: _Route) -> bool:
-        """Whether the goal is where the last one was, turned."""
+        """Return whether the goal is at the last goal, turned."""
         x, y, _ = seen_from(route.poses[self._index], route.poses[self._index - 1])
         return math.hypot(x, y) < TURNING * self._spacing
 
     def _advance(self, route: _Route) -> None:
-        """Make the next keyframe the goal, as far from the last as it was taught."""
+        """Make the next keyframe the goal, at the taught distance from the last."""
         self._last = self._goal
         self._index = self._index + 1
         if self._index < len(route.poses):
             leg = seen_from(route.poses[self._index], route.poses[self._index - 1])
             self._goal = placed(leg, self._last)
 
-    def _correct(self, route: _Route, seen: NDArray[np.float32], here: NDArray[np.float64]) -> None:
-        """Turn the goal about the robot, and draw it nearer or push it away, by what keyframes around look like."""
+    def _correct(self, route: _Route, seen: Float32s, here: Floats) -> None:
+        """Turn the goal about the robot, and move it nearer or further, by the correlations with nearby keyframes."""
         reach = min(SEARCH, self._index - 1, len(route.poses) - 1 - self._index)
         nearby = route.images[self._index - 1 - reach : self._index + reach + 1]
         offs, correlations = np.array([self._match(seen, taught) for taught in nearby]).T
-        # The fraction of the way from the last goal to this one that is behind the robot, by odometry and by images.
+        # Fraction of the way from the last goal to this goal behind the robot, by odometry and by images.
         leg = seen_from(self._goal, self._last)[:2]
-        done = float(leg @ seen_from(here, self._last)[:2]) / max(
-            float(leg @ leg), np.finfo(float).tiny
-        )
+        driven = seen_from(here, self._last)[:2]
+        done = float(leg @ driven) / max(float(leg @ leg), np.finfo(float).tiny)
         turn = 0.0
         if 0.0 <= done <= 1.0 and correlations[reach : reach + 2].max() >= RECOGNIZED:
             turn = TURN_GAIN * float((1.0 - done) * offs[reach] + done * offs[reach + 1])
@@ -225,19 +222,19 @@ class TeachAndRepeat:
         self._goal = placed(goal, here + np.array([0.0, 0.0, turn]))
 
 
-def _kept(what: _T | None, name: str) -> _T:
-    if what is None:
+def _kept(recorded: _T | None, name: str) -> _T:
+    if recorded is None:
         raise ValueError(f"demonstration {name}: teach and repeat needs images and odometry")
-    return what
+    return recorded
 
 
-def _prepared(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return an image as (44, 115): grey, each pixel by mean and deviation of the square around it, within [-1, 1]."""
+def _prepared(image: Uint8s) -> Float32s:
+    """Return a grey image (44, 115), normalised by mean and deviation of the square around each pixel, in [-1, 1]."""
     import cv2  # noqa: PLC0415 - see above
 
     grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
     small = cv2.resize(grey, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA).astype(np.float32)
     mean = cv2.blur(small, (PATCH, PATCH))
-    # A deviation below one grey level is that of rounding.
+    # Deviations below one grey level are rounding.
     deviation = np.sqrt(np.maximum(cv2.blur(small * small, (PATCH, PATCH)) - mean * mean, 1.0))
     return np.clip((small - mean) / deviation, -1.0, 1.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Centering: what all frames share says nothing about where the robot is.
+"""Centering: the common part of all frames carries no information about the place.
 
 The paper matches uncentred descriptors. Their entries are all non-negative, so that any two frames have a
 cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
@@ -7,11 +7,11 @@ cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.features.settings import FeatureSettings
 
 # A modality closer to the mean than this (unit-length vectors) is rounding noise: it has no direction.
@@ -20,14 +20,15 @@ _LARGEST = 1e6
 
 
 class FeaturesError(ValueError):
-    """The features of a frame are of another size, or not finite."""
+    """Features of the wrong size, or not finite."""
 
 
 @dataclass(frozen=True, eq=False)
 class Centering:
-    """Turns raw features into the columns of X and Y."""
+    """Converts raw features to the columns of X and Y."""
 
-    mean: NDArray[np.float32]  # (m,) mean raw feature vector of the demonstrations.
+    #: (m,) mean raw feature vector of the demonstrations.
+    mean: Float32s
     settings: FeatureSettings
 
     def __post_init__(self) -> None:
@@ -35,13 +36,13 @@ class Centering:
             raise ValueError(
                 f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}"
             )
-        # Raw features are of unit length; beyond this bound, which a damaged file may pass, squares overflow.
+        # Raw features are of unit length. Without this bound, the squares of a damaged file overflow.
         if self.mean.dtype.kind != "f" or not (np.abs(self.mean) <= _LARGEST).all():
             raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod
-    def fit(cls, raw: NDArray[Any] | Iterable[NDArray[Any]], settings: FeatureSettings) -> Self:
-        """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
+    def fit(cls, raw: AnyArray | Iterable[AnyArray], settings: FeatureSettings) -> Self:
+        """Compute the mean of raw features (n, m), or of several such arrays, with at least one row in all."""
         total = np.zeros(settings.size)
         count = 0
         for part in [raw] if isinstance(raw, np.ndarray) else raw:
@@ -55,10 +56,10 @@ class Centering:
             raise ValueError(f"the mean needs features (n, {settings.size}) with n >= 1, got none")
         return cls((total / count).astype(np.float32), settings)
 
-    def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
-        """Centre and normalize raw features (..., m) of `extract`: float32 (..., m), of norm 1, all modalities alike.
+    def apply(self, raw: AnyArray) -> Float32s:
+        """Centre and normalise raw features (..., m) to norm 1, with equal weights of the modalities.
 
-        A modality that is equal to its mean stays zero. FeaturesError where the last axis is not m, or a value not
+        A modality that is equal to its mean stays zero. FeaturesError if the last axis is not m, or a value is not
         finite.
         """
         if raw.ndim == 0 or raw.shape[-1] != self.settings.size:

@@ -1,8 +1,6 @@
-"""Colour modality: the image itself, seen from very far away (paper, section V: colour on 24 x 32)."""
+"""Colour modality: the image at a very low resolution (paper, section V: colour on 24 x 32)."""
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized
 
@@ -11,7 +9,7 @@ COLUMNS = 32
 SIZE = ROWS * COLUMNS * 3
 
 
-def color_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def color_descriptor(image: Uint8s) -> Float32s:
     """Describe an RGB image by its colours on a 24 x 32 grid, (2304,).
 
     RGB of every grid cell, row by row, scaled to unit length. An all-black image has no direction and gives the zero

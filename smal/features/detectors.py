@@ -1,7 +1,7 @@
-"""What detectors find in an image: signs that can be read, and whatever a user's network draws boxes round.
+"""Detectors: signs that can be read, and boxes of a user's network.
 
-A detector is named among the modalities, and adds nothing to the feature vector: where nobody drove its word would be
-none. What it finds counts where a goal is looked for (`smal.sought.word`).
+A detector is listed among the modalities and adds nothing to the feature vector, because virtual views have no
+detections. Its detections count in the search for a goal (`smal.sought.word`).
 """
 
 from collections.abc import Sequence
@@ -9,50 +9,49 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from smal.arrays import AnyArray, Uint8s
 
 if TYPE_CHECKING:
     from cv2.aruco import ArucoDetector
     from cv2.typing import MatLike
 
-LONGEST = 100  # Characters of a label: of a longer text in a QR code the first.
+LONGEST = 100  # Characters of a label; the text of a QR code is cut.
 
 
 class Detection(NamedTuple):
-    """Something that a detector has found."""
+    """One detection."""
 
-    label: str  # The detector's name and which thing it is: "apriltag 7".
-    score: float  # How sure the detector is, 0 to 1.
-    box: tuple[
-        float, float, float, float
-    ]  # Left, top, right, bottom: shares of the image's width and height.
+    #: Name of the detector and of the object: "apriltag 7".
+    label: str
+    #: Confidence, 0 to 1.
+    score: float
+    #: Left, top, right, bottom: shares of the image's width and height.
+    box: tuple[float, float, float, float]
 
 
-def apriltags(image: NDArray[np.uint8]) -> list[Detection]:
-    """Find AprilTags of the family 36h11 in an RGB image; they have their numbers."""
+def apriltags(image: Uint8s) -> list[Detection]:
+    """Detect AprilTags of the family 36h11 in an RGB image; labels contain their numbers."""
     corners, numbers, _ = _tags().detectMarkers(_grey(image))
-    # Without any, the numbers are None.
-    return [
-        _sign("apriltag", int(n[0]), quad[0], image)
-        for n, quad in zip(numbers if corners else [], corners, strict=True)
-    ]
+    # Without detections, the numbers are None.
+    found = zip(numbers if corners else [], corners, strict=True)
+    return [_sign("apriltag", int(number[0]), quad[0], image) for number, quad in found]
 
 
-def qr_codes(image: NDArray[np.uint8]) -> list[Detection]:
-    """Find QR codes that can be read in an RGB image; they have their texts."""
+def qr_codes(image: Uint8s) -> list[Detection]:
+    """Detect readable QR codes in an RGB image; labels contain their texts."""
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     _, texts, corners, _ = cv2.QRCodeDetector().detectAndDecodeMulti(_grey(image))
-    return [
-        _sign("qr", text, quad, image) for text, quad in zip(texts, corners, strict=True) if text
-    ]
+    found = zip(texts, corners, strict=True)
+    return [_sign("qr", text, quad, image) for text, quad in found if text]
 
 
-def of_boxes(file: str, boxes: NDArray[Any], rows: int, columns: int) -> list[Detection]:
-    """Return what a network's first output (1, n, 6) says of an image of its size; ValueError where it is no such one.
+def of_boxes(file: str, boxes: AnyArray, rows: int, columns: int) -> list[Detection]:
+    """Return the detections of a network's first output (1, n, 6); ValueError for another shape.
 
-    Each box is left, top, right, bottom in pixels of the network's input, a score from 0 to 1, and a class: what
-    networks give that choose among their boxes themselves (YOLOv10; exports with `nms=True`).
+    Each box is left, top, right, bottom in pixels of the network's input, a score from 0 to 1, and a class. Networks
+    with built-in suppression have this output (YOLOv10; exports with `nms=True`).
     """
     if boxes.ndim != 3 or boxes.shape[0] != 1 or boxes.shape[2] != 6:
         raise ValueError(
@@ -63,9 +62,8 @@ def of_boxes(file: str, boxes: NDArray[Any], rows: int, columns: int) -> list[De
     scores = boxes[0, :, 4].clip(0.0, 1.0).tolist()
     classes = boxes[0, :, 5].tolist()
     return [
-        Detection(f"boxes {of:.0f}", score, (left, top, right, bottom))
-        for (left, top, right, bottom), score, of in zip(shares, scores, classes, strict=True)
-        if score > 0.0 and left < right and top < bottom
+        Detection(f"boxes {kind:.0f}", score, (left, top, right, bottom))
+        for (left, top, right, bottom), score, kind in zip(shares, scores, classes, strict=True)
     ]
 
 
@@ -76,13 +74,13 @@ def _tags() -> "ArucoDetector":
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
 
 
-def _grey(image: NDArray[np.uint8]) -> "MatLike":
+def _grey(image: Uint8s) -> "MatLike":
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def _sign(kind: str, name: object, corners: Sequence[Any], image: NDArray[np.uint8]) -> Detection:
+def _sign(kind: str, name: object, corners: Sequence[Any], image: Uint8s) -> Detection:
     left, top = np.min(corners, axis=0).tolist()
     right, bottom = np.max(corners, axis=0).tolist()
     rows, columns = image.shape[:2]

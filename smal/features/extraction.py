@@ -5,38 +5,37 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from typing import Any, Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s, Uint16s
 from smal.features import color
 from smal.features.detectors import Detection
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
 from smal.features.settings import FeatureSettings
 
-#: Each holds one decoded image, 300 MB of the largest that OpenCV is allowed to decode.
+#: Each worker holds one decoded image, up to 300 MB.
 _WORKERS: Final = min(4, os.cpu_count() or 1)
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
-_here = (
-    threading.local()
-)  # In each thread of `in_parallel`: the event that nobody waits for its answers any more.
+#: In each thread of `in_parallel`: the event that its results are no longer needed.
+_here = threading.local()
 
 
 class Parallel(Protocol):
-    """Yields what a function makes of each item, in order, as `map` of any `concurrent.futures.Executor` does."""
+    """Yields the results of a function for each item, in order, as `map` of any `concurrent.futures.Executor`."""
 
     def __call__(
         self, function: Callable[[Item], Answer], items: Iterable[Item], /
     ) -> Iterator[Answer]:
-        """Begin."""
+        """Start."""
         ...
 
 
 def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-    """Yield what a function makes of each item, in order; threads are a few items ahead, until nobody asks for more."""
+    """Yield the results of a function for each item, in order; threads are at most a few items ahead."""
     waiting = deque[Future[Answer]]()
     over = threading.Event()
 
@@ -58,23 +57,32 @@ def in_parallel(function: Callable[[Item], Answer], items: Iterable[Item]) -> It
 
 
 def still_wanted() -> None:
-    """End what works for seconds in a thread of `in_parallel` when nobody waits for it any more, as after Ctrl-C."""
+    """Cancel a long computation in a thread of `in_parallel` without further need, as after Ctrl-C."""
     if hasattr(_here, "over") and _here.over.is_set():
         raise CancelledError
 
 
-def extract(
-    image: NDArray[np.uint8], settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
-) -> NDArray[np.float32]:
-    """Compute the raw features (m,) of one frame, an RGB image (height, width, 3) of at least 24 rows and 32 columns.
+def extract(image: Uint8s, settings: FeatureSettings, depth_mm: Uint16s | None = None) -> Float32s:
+    """Compute the raw features (m,) of one frame.
 
-    They are the modalities one after the other, each of unit length (or zero, see the modality); not centred, which
-    `Centering.apply` does once the mean is known. The modality "depth" needs depth of the same view, of any size, in
-    millimetres, 0 where nothing is in range. ValueError for an image of another type or shape or that is too small, and
-    where a depth image is needed and missing.
+    They are the descriptors of the modalities in a row, each of unit length (or zero, see the modality), and not
+    centred (`Centering.apply`).
+
+    Parameters
+    ----------
+    image : array (height, width, 3)
+        RGB, uint8, at least 24 rows and 32 columns.
+    settings : FeatureSettings
+    depth_mm : array (height, width), optional
+        Depth of the same view in millimetres, uint16, of any size; 0 out of range. The modality "depth" needs it.
+
+    Raises
+    ------
+    ValueError
+        If an image has the wrong type or shape or is too small, or a depth image is missing.
     """
     check_image(image)
-    inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}
+    inputs: dict[Input, AnyArray] = {"color": np.ascontiguousarray(image)}
     if "depth" in settings.needs:
         if depth_mm is None:
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
@@ -91,14 +99,14 @@ def extract(
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
 
 
-def detect(image: NDArray[np.uint8], settings: FeatureSettings) -> list[Detection]:
-    """Return what the detectors among some modalities find in an RGB image; ValueError where one does not run."""
+def detect(image: Uint8s, settings: FeatureSettings) -> list[Detection]:
+    """Return the detections in an RGB image by the detectors among the modalities; ValueError if one does not run."""
     detectors = [modality_named(name).detect for name in settings.modalities]
-    return [found for one in detectors if one is not None for found in one(image)]
+    return [found for detector in detectors if detector is not None for found in detector(image)]
 
 
-def check_image(image: NDArray[np.uint8]) -> None:
-    """Raise ValueError if an image is none that `extract` takes."""
+def check_image(image: Uint8s) -> None:
+    """Raise ValueError if an image is invalid for `extract`."""
     if image.dtype != np.uint8:
         raise ValueError(f"an image must be an array of uint8, got {image.dtype}")
     if image.ndim != 3 or image.shape[2] != 3:

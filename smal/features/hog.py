@@ -1,17 +1,17 @@
 """Shape modality: histograms of oriented gradients (Dalal & Triggs 2005) on 240 x 320 grey values.
 
-The paper computes them as they are. Every block is brought to one length, so that where a view is plain (a wall, the
-sky) a camera's noise is all that a block shows; so we smooth before. Under noise of 15 grey levels and with a third of
-the frames hidden, that is the difference between a robot that looks around for ever and one that drives on, and where
-there is no noise nothing is lost: cells are 20 pixels wide.
+The paper computes them on the image itself. Every block is normalised, so that in plain parts of a view (a wall, the
+sky) a block describes only the noise of the camera. Therefore we smooth the image first. Under noise of 15 grey levels
+and with a third of the frames hidden, a robot without smoothing looks around for ever. Without noise nothing is lost,
+because cells are 20 pixels wide.
 """
 
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -23,9 +23,8 @@ COLUMNS = 320
 CELL = 20
 BINS = 9
 BLOCK = 2 * CELL
-SMOOTHING_PX = (
-    2.0  # Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
-)
+#: Standard deviation of the Gaussian against noise, pixels of the 240 x 320.
+SMOOTHING_PX = 2.0
 SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
 
 
@@ -37,11 +36,10 @@ def _hog() -> "cv2.HOGDescriptor":
     return cv2.HOGDescriptor((COLUMNS, ROWS), (BLOCK, BLOCK), (CELL, CELL), (CELL, CELL), BINS)
 
 
-def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an RGB image, brought to 240 rows and 320 columns of grey and smoothed, by its edges, (5940,).
+def hog_descriptor(image: Uint8s) -> Float32s:
+    """Describe an RGB image, resized to 240 rows and 320 columns of grey and smoothed, by its edges, (5940,).
 
-    11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any edge (constant grey)
-    has no direction and gives the zero vector.
+    11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. A constant image gives the zero vector.
     """
     import cv2  # noqa: PLC0415 - see above
 

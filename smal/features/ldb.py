@@ -1,16 +1,16 @@
 """LDB modality: local difference binary (Yang & Cheng 2012) of the whole image, as ABLE uses it (Arroyo et al. 2014).
 
-Which of two parts of the view is brighter, or darkens more to the right or downwards, outlasts most changes of
-exposure and light, of which the differences themselves tell. So the descriptor holds signs and no differences: the
-cosine of two descriptors without ties is 1 - 2 h / n, with h their Hamming distance and n their bits, and the papers'
-matching by Hamming distance is that by cosine.
+Three comparisons of two parts of the view (which is brighter, which darkens more to the right, and which downwards)
+survive most changes of exposure and light; the differences themselves do not. Therefore the descriptor contains signs
+only. The cosine of two descriptors without ties is 1 - 2 h / n, with their Hamming distance h and their number of bits
+n. So matching by cosine is the papers' matching by Hamming distance.
 """
 
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Indices, Int8s, Int32s, Uint8s
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
 
@@ -21,13 +21,12 @@ _PAIRS = sum(grid**2 * (grid**2 - 1) // 2 for grid in GRIDS)
 SIZE = 3 * _PAIRS
 
 
-def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Describe an RGB image, brought to 120 x 120 grey values, by which of its parts are brighter, (1386,).
+def ldb_descriptor(image: Uint8s) -> Float32s:
+    """Describe an RGB image, resized to 120 x 120 grey values, by comparing its parts, (1386,).
 
     For each grid (2 x 2, 3 x 3, 4 x 4, 5 x 5) and each of intensity, dx and dy: for all pairs of cells, first < second
     in reading order, the sign of first - second, all scaled to unit length. A tie is 0, and not one of two bits as in
-    the papers: a cloudless sky says nothing, instead of noise. An image of one grey is all ties and gives the zero
-    vector.
+    the papers: a cloudless sky gives no information instead of noise. A constant image gives the zero vector.
     """
     import cv2  # noqa: PLC0415 - containers that only need SIZE have no OpenCV
 
@@ -36,12 +35,12 @@ def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return unit_length(np.concatenate(signs))
 
 
-def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
-    """Return intensity, dx and dy of all cells of a grid (3, grid * grid), in whole numbers: no tie is rounded.
+def cell_sums(integral: Int32s, grid: int) -> Int32s:
+    """Return intensity, dx and dy of all cells of a grid (3, grid * grid), in integers, so that ties are exact.
 
-    Intensity is the sum over the cell, dx its right half less its left one, dy its lower half less its upper one; all
-    cells of a grid are of one size, so that sums compare like means. `integral` (121, 121) has the sums of all pixels
-    above and left; 2 * grid divides 120.
+    Intensity is the sum over the cell, dx its right half less its left half, dy its lower half less its upper half. All
+    cells of a grid have one size, so that sums compare like means. `integral` (121, 121) is the integral image;
+    2 * grid divides 120.
     """
     step = SIDE // (2 * grid)
     corners = integral[::step, ::step]
@@ -57,12 +56,12 @@ def cell_sums(integral: NDArray[np.int32], grid: int) -> NDArray[np.int32]:
     return np.stack([left + right, right - left, lower - upper]).reshape(3, -1)
 
 
-def _signs(sums: NDArray[np.int32]) -> NDArray[np.int8]:
+def _signs(sums: Int32s) -> Int8s:
     first, second = _pairs(sums.shape[1])
     return np.asarray(np.sign(sums[:, first] - sums[:, second]), dtype=np.int8).ravel()
 
 
 @cache
-def _pairs(cells: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _pairs(cells: int) -> tuple[Indices, Indices]:
     first, second = np.triu_indices(cells, k=1)
     return first, second

@@ -5,7 +5,7 @@ from typing import Final
 from smal.features import color, depth, detectors, gist, hog, ldb, onnx, thumbnail
 from smal.features.modality import Modality, detector
 
-#: Those that need no file.
+#: Modalities without a file.
 MODALITIES: Final = {
     modality.name: modality
     for modality in (
@@ -20,21 +20,18 @@ MODALITIES: Final = {
     )
 }
 
-MODALITY_NAMES = (
-    *MODALITIES,
-    f"{onnx.PREFIX}FILE",
-    f"{onnx.BOXES}FILE",
-)  # Names that users may give.
+#: Names for users.
+MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE", f"{onnx.BOXES}FILE")
 
 
 def modality_named(name: str) -> Modality:
-    """Return one of `MODALITIES`, or a network by its contents (`smal.features.onnx`), of which no file is read.
+    """Return one of `MODALITIES`, or a network by its contents (`smal.features.onnx`), without reading a file.
 
-    ValueError says in one line that there is none of this name.
+    ValueError if the name is unknown.
     """
     if name in MODALITIES:
         return MODALITIES[name]
-    # A damaged model may name a number.
+    # A damaged model can contain a number as name.
     if str(name).startswith(onnx.PREFIX):
         return onnx.onnx_modality(str(name))
     raise ValueError(f"unknown feature modality {name!r}; known are {', '.join(MODALITY_NAMES)}")

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Uint8s
 from smal.features.detectors import Detection
 
-# What a camera gives: RGB, uint8 (height, width, 3), or depth, uint16 (height, width) in millimetres.
+# Images of a camera: RGB, uint8 (height, width, 3), or depth, uint16 (height, width) in millimetres.
 Input = Literal["color", "depth"]
 
 
@@ -17,25 +17,33 @@ Input = Literal["color", "depth"]
 class Modality:
     """One way to describe a frame.
 
-    The name is what a fingerprint calls it: it names the calculation and nothing else, so of a network its contents and
-    not where its file lies. `needs` is the image of the frame, of any size from 32 x 24 on, that `describe` makes the
-    descriptor of: float32 (size,), of unit length or zero. A detector has none, and finds things in a frame.
+    Attributes
+    ----------
+    name
+        Part of the fingerprint. It identifies the calculation, so a network is named by its contents.
+    needs
+        Image for `describe`, of any size from 32 x 24 on.
+    describe
+        Returns the descriptor, float32 (size,), of unit length or zero. A detector has an empty descriptor.
+    detect
+        Returns the detections of a detector.
     """
 
     name: str
     size: int
     needs: Input
-    describe: Callable[[NDArray[Any]], NDArray[np.float32]]
-    detect: Callable[[NDArray[np.uint8]], list[Detection]] | None = None
+    describe: Callable[[AnyArray], Float32s]
+    detect: Callable[[Uint8s], list[Detection]] | None = None
 
 
-def detector(name: str, detect: Callable[[NDArray[np.uint8]], list[Detection]]) -> Modality:
-    """Return the modality that a detector is."""
-    return Modality(name, 0, "color", lambda _image: np.empty(0, dtype=np.float32), detect)
+def detector(name: str, detect: Callable[[Uint8s], list[Detection]]) -> Modality:
+    """Return the modality of a detector."""
+    nothing = np.empty(0, dtype=np.float32)
+    return Modality(name, 0, "color", lambda _image: nothing, detect)
 
 
-def unit_length(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return all values, in a row, as a float32 vector of unit length; zeros have no direction and stay."""
+def unit_length(values: AnyArray) -> Float32s:
+    """Return all values as a float32 vector of unit length; zeros stay zero."""
     vector = np.asarray(values, dtype=np.float32).ravel()
     norm = float(np.linalg.norm(vector))
     return vector / np.float32(norm) if norm > 0.0 else vector

@@ -1,13 +1,13 @@
-"""Network modality: the embedding of an image by any network in an ONNX file, or what a network draws boxes round.
+"""Network modality: the embedding of an image by any network in an ONNX file, or the boxes of a detector network.
 
-A user gives the file, as ``onnx:FILE``, of a detector as ``boxes:FILE`` (`smal.features.detectors.of_boxes` says what
-it gives; its embedding has the size 0). Everything else, models above all, names the network by what it is:
-``onnx:``, the SHA-256 of the file, ``:`` and the size of the embedding. Such a name opens no file: the network runs
-only in a process that was given its file.
+Users name the file, as ``onnx:FILE``, or ``boxes:FILE`` for a detector (`smal.features.detectors.of_boxes` describes
+its output; its embedding has the size 0). Models and messages name the network by its contents: ``onnx:``, the SHA-256
+of the file, ``:`` and the size of the embedding. Such a name opens no file: the network runs only in a process that
+was given its file.
 
 The file needs one input, float32 (1 or any, 3, height, width), for RGB: values 0 to 1, less the mean and divided by
-the standard deviation of each channel. These two are those of ImageNet, of a detector 0 and 1, unless the metadata of
-the file has `mean` and `std`, each three numbers separated by commas. Weights must be inside the file.
+the standard deviation of each channel. The defaults are those of ImageNet, for a detector 0 and 1; the metadata `mean`
+and `std` of the file, three numbers separated by commas each, override them. Weights must be inside the file.
 """
 
 import hashlib
@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Uint8s
 from smal.features.detectors import Detection, of_boxes
 from smal.features.modality import Modality, detector, unit_length
 from smal.features.resizing import resized
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 PREFIX = "onnx:"
 BOXES = "boxes:"
-# Of a network that takes any height or width.
+#: For a network that accepts any height or width.
 SIDE = 224
-LARGEST = 2**31  # Most bytes of a file: the format, protobuf, ends there.
-MOST_MEMORY = 4 * 2**30  # Bytes that a network may take beside its weights.
-_COPIES = 4  # How often its weights may be in memory while it is opened.
-LONGEST_S = 5.0  # Processor time of an image, seconds. A robot sees ten a second; evaluating a drive can be slower.
-_LONGEST_WAIT_S = 4 * LONGEST_S  # The same by the clock, on a machine with much to do.
+LARGEST = 2**31  # Maximum bytes of a file: the limit of protobuf.
+MOST_MEMORY = 4 * 2**30  # Maximum bytes of memory beside the weights.
+_COPIES = 4  # Maximum copies of the weights in memory while opening.
+LONGEST_S = 5.0  # Processor time of an image, seconds. A robot has ten images a second; evaluations can be slower.
+_LONGEST_WAIT_S = 4 * LONGEST_S  # The same by the clock, for a loaded machine.
 # No embedding has more entries than a raw image.
 _NAME = re.compile(r"onnx:([0-9a-f]{64}):(0|[1-9][0-9]{0,6})")
 Channels = tuple[float, float, float]
@@ -53,7 +53,7 @@ ONES = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A network that embeds images of some rows and columns, less the mean and divided by the std of channels, (3,).
+    """An open network for images of a fixed size, with the mean and std of its channels, (3,).
 
     The name of its file is for errors.
     """
@@ -62,29 +62,29 @@ class Network:
     session: "InferenceSession"
     rows: int
     columns: int
-    mean: NDArray[np.float32]
-    std: NDArray[np.float32]
+    mean: Float32s
+    std: Float32s
 
-    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe an RGB image, brought to the size of the network's input, by its embedding.
+    def describe(self, image: Uint8s) -> Float32s:
+        """Return the embedding of an RGB image, resized to the network's input.
 
-        That is the first output of the network, of unit length; of a map of features (1, channels, height, width) the
-        mean over height and width. ValueError where the network does not run, or its output is not finite.
+        It is the first output of the network, of unit length. A feature map (1, channels, height, width) is averaged
+        over height and width. ValueError if the network does not run, or its output is not finite.
         """
         output = self._run(image)
         pooled = output.mean(axis=(2, 3)) if output.ndim == 4 else output
         return unit_length(pooled)
 
-    def detect(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """Return what the network draws boxes round; ValueError as of `describe`, or as of `of_boxes`."""
+    def detect(self, image: Uint8s) -> list[Detection]:
+        """Return the detections of the network; ValueError as in `describe` or `of_boxes`."""
         return of_boxes(self.file, self._run(image), self.rows, self.columns)
 
-    def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _run(self, image: Uint8s) -> Float32s:
         small = resized(image, self.rows, self.columns).astype(np.float32)
         scaled = (small / np.float32(255.0) - self.mean) / self.std
         batch = np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
         run = _onnxruntime(self.file).RunOptions()
-        # How long a loop goes on can depend on the image.
+        # The duration of a loop can depend on the image.
         end = threading.Timer(_LONGEST_WAIT_S, setattr, (run, "terminate", True))
         end.daemon = True
         end.start()
@@ -108,14 +108,15 @@ class Network:
         return output
 
 
-_given: dict[str, Network] = {}  # The networks that the user gave to this process, by their names.
+#: Networks that were given to this process, by their names.
+_given: dict[str, Network] = {}
 
 
 @cache
 def open_network(file: str, kind: str = PREFIX) -> str:
-    """Read a network's file, as it is the first time; return the name of its modality.
+    """Read a network's file on the first call; return the name of its modality.
 
-    ValueError says in one line that onnxruntime is not installed, or the file is missing or none that fits (see above).
+    ValueError if onnxruntime is not installed, or the file is not found or unsuitable (see the module).
     """
     if not file:
         raise ValueError(f"the feature modality {kind!r} names no file; write {kind}FILE")
@@ -145,7 +146,7 @@ def open_network(file: str, kind: str = PREFIX) -> str:
 def _proven(file: str, kind: str, data: bytes) -> int:
     """Run a network in a child process with limits; return the size of its embedding, or raise ValueError.
 
-    A few bytes can describe a loop without an end, or a matrix that fills all memory.
+    A few bytes can describe an endless loop, or a matrix that fills all memory.
     """
     request = {
         "file": str(Path(file).absolute()),
@@ -164,7 +165,7 @@ def _proven(file: str, kind: str, data: bytes) -> int:
 
 
 def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
-    """Run a network, in a child process, on a blank image and on noise; ConfinedError where it is of no use."""
+    """Run a network, in a child process, on a blank image and on noise; ConfinedError if it is unsuitable."""
     file = request["called"]
     kind = request["kind"]
     data = Path(request["file"]).read_bytes()
@@ -172,20 +173,20 @@ def prove(request: dict[str, Any], work: Work) -> dict[str, Any]:
         network = _opened(file, kind, data)
         work.step("an image", request["longest_s"])
         shape = (network.rows, network.columns, 3)
-        # Only running it tells the size of an output whose shape depends on that of the input.
+        # The output shape can depend on the input shape, so the network must run.
         size = _run_once(network, kind, np.zeros(shape, dtype=np.uint8))
     except ValueError as error:
         raise ConfinedError(str(error)) from None
     work.step("an image", request["longest_s"])
-    with suppress(
-        ValueError
-    ):  # Noise is no picture: how long the network takes is all that counts.
-        _run_once(network, kind, np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8))
+    noise = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    # Only the time counts here: an error on noise is no reason to reject the network.
+    with suppress(ValueError):
+        _run_once(network, kind, noise)
     return {"digest": hashlib.sha256(data).hexdigest(), "size": size}
 
 
-def _run_once(network: Network, kind: str, image: NDArray[np.uint8]) -> int:
-    """Run a network on an image; return the size of the embedding, 0 of a detector."""
+def _run_once(network: Network, kind: str, image: Uint8s) -> int:
+    """Run a network on an image; return the size of the embedding, 0 for a detector."""
     if kind == PREFIX:
         return network.describe(image).size
     network.detect(image)
@@ -198,7 +199,7 @@ def _opened(file: str, kind: str, data: bytes) -> Network:
 
 
 def given_as(name: str) -> str:
-    """Return how the user gave a network to this process, ``onnx:FILE``; ValueError where nobody did."""
+    """Return the file of a network in this process, as ``onnx:FILE``; ValueError if it was not given."""
     kind = PREFIX if _parts(name)[1] else BOXES
     if name not in _given:
         raise ValueError(f"the network {name} is run only where its file is given, as {kind}FILE")
@@ -206,35 +207,33 @@ def given_as(name: str) -> str:
 
 
 def said(name: str) -> str:
-    """Return how the user gave a network to this process; of anything else its name."""
+    """Return the file of a network in this process; for any other modality its name."""
     return given_as(name) if name in _given else name
 
 
 def is_digest(name: str) -> bool:
-    """Whether a name is that of a network by its contents."""
+    """Return whether a name identifies a network by its contents."""
     return _NAME.fullmatch(name) is not None
 
 
 def onnx_modality(name: str) -> Modality:
-    """Return the modality of a network by its contents; without its file it can be named, and describes nothing.
+    """Return the modality of a network by its contents; without its file it can be named, but not run.
 
-    ValueError says in one line that this is no such name.
+    ValueError if the name is invalid.
     """
     digest, size = _parts(name)
 
-    def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def describe(image: Uint8s) -> Float32s:
         given_as(name)
         return _given[name].describe(image)
 
-    def detect(image: NDArray[np.uint8]) -> list[Detection]:
+    def detect(image: Uint8s) -> list[Detection]:
         given_as(name)
         return _given[name].detect(image)
 
-    return (
-        Modality(f"{PREFIX}{digest}", size, "color", describe)
-        if size
-        else detector(f"{BOXES}{digest}", detect)
-    )
+    if size:
+        return Modality(f"{PREFIX}{digest}", size, "color", describe)
+    return detector(f"{BOXES}{digest}", detect)
 
 
 def _parts(name: str) -> tuple[str, int]:
@@ -260,9 +259,9 @@ def _session(file: str, data: bytes) -> "InferenceSession":
     onnxruntime = _onnxruntime(file)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    # Its errors are raised as well; on standard error they would be said twice.
+    # Its errors are raised as well; standard error would repeat them.
     options.log_severity_level = 4
-    # Weights beside the file would escape its fingerprint: nothing lies in a folder of the name of a file.
+    # Weights beside the file would escape its fingerprint. No file lies in a folder with the name of a file.
     options.add_session_config_entry(
         "session.model_external_initializers_file_folder_path", str(Path(file).absolute())
     )
@@ -287,7 +286,7 @@ def _network(file: str, session: "InferenceSession", mean: Channels, std: Channe
 
 
 def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple[int, int]:
-    """Return rows and columns of the only input; a dimension that is no number may have any."""
+    """Return rows and columns of the only input; a dimension without a number accepts any size."""
     for kind, shape in inputs if len(inputs) == 1 else ():
         lengths = [length if isinstance(length, int) else None for length in shape]
         match (kind, lengths):
@@ -299,7 +298,7 @@ def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple
     )
 
 
-def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> NDArray[np.float32]:
+def _channels(file: str, meta: Mapping[str, str], key: str, usual: Channels) -> Float32s:
     if key not in meta:
         return np.array(usual, dtype=np.float32)
     try:

@@ -1,28 +1,28 @@
-"""What a robot goes by of one frame: its features, a small picture, and what detectors find."""
+"""Percept: the input of a robot from one frame."""
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Float32s, Uint8s, Uint16s
 from smal.features.detectors import Detection
 from smal.features.extraction import detect, extract
 from smal.features.resizing import small
 from smal.features.settings import FeatureSettings
 
-Picture = NDArray[np.uint8]
+Picture = Uint8s
 
 
 class Percept(NamedTuple):
-    """What a robot goes by of one frame."""
+    """Features, small picture and detections of one frame."""
 
-    features: NDArray[np.float32]  # (m,), as of `extract`.
-    picture: Picture | None  # The frame made small, as of `small`; None if nobody made it.
-    detected: tuple[Detection, ...]  # What the detectors among the features find.
+    #: (m,) features, as of `extract`.
+    features: Float32s
+    #: The small picture, as of `small`; None if missing.
+    picture: Picture | None
+    #: Detections by the detectors among the features.
+    detected: tuple[Detection, ...]
 
 
-def perceive(
-    image: Picture, settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
-) -> Percept:
-    """Return what a robot goes by of an image (height, width, 3), RGB; errors are as of `extract`."""
-    return Percept(extract(image, settings, depth_mm), small(image), tuple(detect(image, settings)))
+def perceive(image: Picture, settings: FeatureSettings, depth_mm: Uint16s | None = None) -> Percept:
+    """Return the percept of an image (height, width, 3), RGB; errors are as in `extract`."""
+    features = extract(image, settings, depth_mm)
+    return Percept(features, small(image), tuple(detect(image, settings)))

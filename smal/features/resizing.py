@@ -1,38 +1,36 @@
-"""Images of one size for every camera."""
+"""Resizing images of any camera to common sizes."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-SHAPE: Final = (
-    60,
-    80,
-)  # Rows and columns of `small`: a person who lies 5 m away takes 20 of the columns.
+from smal.arrays import AnyArray, Uint8s
+
+#: Rows and columns of `small`: a lying person 5 m away takes 20 of the columns.
+SHAPE: Final = (60, 80)
 
 
-def resized(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
-    """Bring an image (height, width) or (height, width, channels) of any size to some rows and columns."""
+def resized(image: AnyArray, rows: int, columns: int) -> AnyArray:
+    """Resize an image (height, width) or (height, width, channels)."""
     import cv2  # noqa: PLC0415 - recognition reads the sizes of descriptors in an image without OpenCV
 
     shrinks = image.shape[0] >= rows and image.shape[1] >= columns
-    # Area averaging is right for shrinking only; when enlarging it would repeat pixels and invent edges.
-    return cv2.resize(
-        image, (columns, rows), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    )
+    # Area averaging is for shrinking only: enlarging with it repeats pixels and creates edges.
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cv2.resize(image, (columns, rows), interpolation=method)
 
 
-def resized_grey(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:
-    """Bring an RGB image (height, width, 3) of any size to grey values (rows, columns)."""
+def resized_grey(image: Uint8s, rows: int, columns: int) -> Uint8s:
+    """Resize an RGB image (height, width, 3) to grey values (rows, columns)."""
     import cv2  # noqa: PLC0415 - see above
 
-    return np.asarray(
-        resized(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), rows, columns), dtype=np.uint8
-    )
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.asarray(resized(grey, rows, columns), dtype=np.uint8)
 
 
-def small(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the picture (60, 80, 3) of an RGB image in which a robot looks for what it was sent to find."""
+def small(image: AnyArray) -> Uint8s:
+    """Return the small picture (60, 80, 3) of an RGB image, the input of the target detector."""
     import cv2  # noqa: PLC0415 - see above
 
-    return np.asarray(cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    picture = cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(picture, dtype=np.uint8)

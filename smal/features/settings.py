@@ -1,4 +1,4 @@
-"""Which modalities describe a frame."""
+"""Selection of the modalities that describe a frame."""
 
 import hashlib
 import json
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.features import onnx
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
 
-# Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
+# Increased whenever a descriptor changes its output, so that a model never meets features it was not learned on.
 DESCRIPTOR_VERSION = 1
 
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """The modalities of a feature vector, in order; ValueError where one is unknown or repeated."""
+    """Modalities of a feature vector, in order; ValueError if one is unknown or repeated."""
 
     modalities: tuple[str, ...] = ("color", "hog")
 
@@ -32,7 +32,7 @@ class FeatureSettings:
                 raise ValueError(f"the feature modality {name} is named twice")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process with the names of the files of networks, which are read there."""
+        """Pickle with the files of the networks, which the other process reads."""
         return _arrived, (
             type(self),
             self.modalities,
@@ -46,17 +46,17 @@ class FeatureSettings:
 
     @classmethod
     def parse(cls, modalities: str) -> Self:
-        """Read what a user says: names separated by commas, for example ``color,hog``.
+        """Parse names separated by commas, for example ``color,hog``.
 
-        For ``onnx:FILE`` and ``boxes:FILE`` the file is read, and the network gets the name that its contents have. The
-        name of the file has no comma and no blank at its end. ValueError as above, or where a network's file cannot be
-        used, or was not given.
+        The file of ``onnx:FILE`` and ``boxes:FILE`` is read, and the network is named by its contents. The file name
+        must not contain a comma, or end with a blank. ValueError if a name is invalid, or a network's file is
+        unsuitable or missing.
         """
         return cls.of(_given(name.strip()) for name in modalities.split(","))
 
     @classmethod
     def of_content(cls, meta: dict[str, Any]) -> Self:
-        """Return the features that a model's file was learned on; ValueError where this program computes others."""
+        """Return the features of a model's file; ValueError if this program computes other features."""
         settings = cls(tuple(meta["modalities"]))
         if settings.fingerprint != meta["feature_fingerprint"]:
             raise ValueError(
@@ -66,12 +66,12 @@ class FeatureSettings:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What a model's file says of them."""
+        """Metadata for a model's file."""
         return {"modalities": self.modalities, "feature_fingerprint": self.fingerprint}
 
     @property
     def text(self) -> str:
-        """The modalities as `parse` reads them; ValueError where a network's file was not given to this process."""
+        """The modalities as `parse` reads them; ValueError if a network's file was not given to this process."""
         return ",".join(
             onnx.given_as(name) if name.startswith(onnx.PREFIX) else name
             for name in self.modalities
@@ -84,23 +84,23 @@ class FeatureSettings:
 
     @property
     def needs(self) -> frozenset[Input]:
-        """Which images of a frame these features are made of."""
+        """Images of a frame that these features need."""
         return frozenset(modality_named(name).needs for name in self.modalities)
 
     @property
     def describing(self) -> tuple[str, ...]:
-        """Those that are no detectors: what feature vectors are of."""
+        """The modalities with a descriptor, without the detectors."""
         return tuple(name for name in self.modalities if modality_named(name).size)
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        """Where each modality lies in a feature vector."""
+        """Slice of each modality in a feature vector."""
         ends = np.cumsum([modality_named(name).size for name in self.modalities]).tolist()
         return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
     def fingerprint(self) -> str:
-        """12 hex digits naming these raw features; of a network the contents of its file count."""
+        """12 hex digits that identify these raw features, including the contents of networks."""
         modalities = [modality_named(name) for name in self.modalities]
         text = json.dumps(
             [DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]]
@@ -108,10 +108,10 @@ class FeatureSettings:
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:
-    """Take the wanted modalities, in their order, out of raw features (..., m) of those that are held.
+def select(raw: AnyArray, held: FeatureSettings, wanted: FeatureSettings) -> AnyArray:
+    """Select modalities, in the wanted order, from raw features (..., m) of the held modalities.
 
-    ValueError where the last axis is not m, or a modality is wanted that is not held.
+    ValueError if the last axis is not m, or a wanted modality is missing.
     """
     if raw.ndim == 0 or raw.shape[-1] != held.size:
         raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")
@@ -136,7 +136,7 @@ def _arrived(
 
 
 def _given(name: str) -> str:
-    """Return the name of a modality that a user names."""
+    """Return the name of a modality, after reading the file of a network."""
     if onnx.is_digest(name):
         onnx.given_as(name)
         return name

@@ -1,1 +1,1 @@
-"""What was learned as files: one container, and what is stored in it."""
+"""Model files: one container format, and its contents."""

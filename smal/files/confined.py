@@ -1,10 +1,10 @@
-"""Work with the files of strangers in a child process with limits of memory and time, which can be cancelled.
+"""Processing of untrusted files in a child process with limits of memory and time, which can be cancelled.
 
-Libraries in C read these files. A hostile file can make them crash, loop, or take all memory. That ends the child
-process, and becomes an error of one line here.
+C libraries read these files. A hostile file can make them crash, loop, or take all memory. That ends the child
+process, and becomes a one-line error here.
 
-The bound of time is processor time, so that a machine with much to do refuses no sound file. It grows with the size of
-the file, and begins again at each step that the work reports: a recording may be as long as it is.
+The time limit is processor time, so that a loaded machine rejects no sound file. It grows with the size of the file,
+and restarts at each step that the work reports. So the length of a recording is not limited.
 """
 
 import ctypes
@@ -23,24 +23,26 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Final
 
-#: Variable of the environment: factor by which all limits are raised.
+#: Environment variable: factor of all limits.
 FACTOR: Final = "SMAL_LIMITS"
-#: Processor time of a step, seconds, and of each megabyte that it may read. Of sound files a map of 40,000 houses
-#: needed most: 37 s for its 17 MB.
+#: Processor time of a step, seconds, and of each megabyte that it can read. Of sound files, a map of 40,000 houses
+#: took longest: 37 s for its 17 MB.
 LEAST_S: Final = 30.0
 S_A_MEGABYTE: Final = 20.0
-_WAITING: Final = 20.0  # Wall time of a step by its processor time: a busy machine, or a disk that does not answer.
-_TURN_S: Final = 0.1  # How often the parent asks whether the work is to go on, seconds.
+_WAITING: Final = (
+    20.0  # Limit of the wall time over the processor time: a loaded machine, or a slow disk.
+)
+_TURN_S: Final = 0.1  # Interval at which the parent checks for cancellation, seconds.
 _PARENT_DIED: Final = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>.
 
 
 class ConfinedError(Exception):
-    """The work cannot be done; the text names the file and the reason in one line."""
+    """The work failed; the text contains the file and the reason in one line."""
 
 
 @dataclass(frozen=True)
 class WorkLimits:
-    """Most memory in bytes, and most processor time of the first step in seconds."""
+    """Maximum memory in bytes, and maximum processor time of the first step in seconds."""
 
     memory: int
     cpu_s: float
@@ -52,7 +54,7 @@ class WorkLimits:
 
 
 class Work:
-    """What the work in the child process reports to its parent."""
+    """Reports of the work in the child process to its parent."""
 
     def __init__(self, replies: IO[str], cpu_s: float) -> None:
         self._replies = replies
@@ -60,13 +62,13 @@ class Work:
         self._renew()
 
     def step(self, name: str, cpu_s: float) -> None:
-        """Begin a step with a limit of its own."""
+        """Begin a step with its own limit."""
         self._cpu_s = cpu_s * _factor()
         self.reply(step=name, cpu_s=self._cpu_s)
         self._renew()
 
     def tell(self, progress: object) -> None:
-        """Report progress, which renews the time of the step."""
+        """Report progress, which restarts the time of the step."""
         self.reply(progress=progress)
         self._renew()
 
@@ -96,25 +98,25 @@ def confined(
     Parameters
     ----------
     function : str
-        ``module:name`` of the function. It takes the request and a `Work`, and returns JSON. A `ConfinedError` of it
-        is raised here.
+        ``module:name`` of the function. It takes the request and a `Work`, and returns JSON. Its `ConfinedError` is
+        raised here.
     request : object
         JSON.
     limits : WorkLimits
-        Most memory and time.
+        Maximum memory and time.
     source : object
         Name of the file for errors.
     progress : callable
-        Called with what the function reports.
+        Called with the progress that the function reports.
     go_on : callable
-        Called ten times a second; an exception of it ends the work.
+        Called ten times a second; an exception from it ends the work.
     pass_fds : sequence of int
         Open files that the child inherits.
 
     Raises
     ------
     ConfinedError
-        The function raised it, broke down, or exceeded a limit.
+        If the function raised it, crashed, or exceeded a limit.
     """
     factor = _factor()
     limits = WorkLimits(int(limits.memory * factor), limits.cpu_s * factor)
@@ -141,7 +143,7 @@ def confined(
 
 
 class _Listener:
-    """Reads what a child process replies."""
+    """Reads the replies of a child process."""
 
     def __init__(self, child: subprocess.Popen[bytes], limits: WorkLimits, source: object) -> None:
         assert child.stdout is not None
@@ -220,23 +222,23 @@ def size_of(path: Path) -> int:
 
 
 def main() -> None:
-    """Do the work that the parent orders on standard input."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C is for the parent, which ends this process.
+    """Do the work that the parent sends on standard input."""
+    # Ctrl-C is for the parent, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PARENT_DIED, ctypes.c_ulong(signal.SIGKILL))
         if os.getppid() != int(sys.argv[1]):
             return
     order = json.load(sys.stdin)
     replies = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # A library that prints does not disturb the replies.
+    # The output of libraries must not disturb the replies.
+    os.dup2(2, 1)
     # Mapped files do not count: recordings are larger than this.
     resource.setrlimit(resource.RLIMIT_DATA, (order["memory"], order["memory"]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     work = Work(replies, order["cpu_s"])
     module, name = order["function"].split(":")
-    # Of this package: run as a program, this file has a second class of that name.
+    # From the package: as a program, this file defines a second class of that name.
     refusal = import_module("smal.files.confined").ConfinedError
     try:
         work.reply(result=getattr(import_module(module), name)(order["request"], work))

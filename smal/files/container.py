@@ -1,12 +1,12 @@
-"""One file of JSON and arrays: no pickle, nothing executed, every byte under a checksum.
+"""Container of JSON and arrays in one file: no pickle, no execution, every byte under a checksum.
 
 Layout: 8 bytes magic, format version (uint32), length of the header (uint64), both little endian; the header in
-UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}), filled up with spaces to a multiple of 8 bytes; the
-arrays one after the other, those of the largest items first, so that all are aligned, C order, little endian; 32 bytes
-SHA-256 of all that went before.
+UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}), padded with spaces to a multiple of 8 bytes; the
+arrays in a row, the largest items first, so that all are aligned, C order, little endian; 32 bytes SHA-256 of all bytes
+before.
 
-A file is read once, into memory that cannot change any more, and its checksum is that of these very bytes
-(`smal.files.held`). Arrays are views of it. All processes of a machine share one copy.
+A file is read once, into immutable memory, and the checksum is computed on these very bytes (`smal.files.held`). Arrays
+are views of it. All processes of a machine share one copy.
 """
 
 import errno
@@ -23,45 +23,41 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.files.held import held
 
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
 _ALIGNED = 8
 _DIGEST = 32  # Bytes of the checksum.
-LARGEST = 2**33  # Most bytes of a model: the map of 150 km.
-LARGEST_HEADER = (
-    2**24
-)  # Most bytes of its header, understood in 30 times as much memory; 100 a demonstration.
+LARGEST = 2**33  # Maximum bytes of a model: the map of 150 km.
+#: Maximum bytes of its header. Parsing takes 30 times as much memory; a demonstration takes 100 bytes.
+LARGEST_HEADER = 2**24
 _MOST_AXES = 8
-FULL = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-)  # Errors of a disk without room, a quota, and a limit of a process.
+#: Errors of a full disk, a quota, and a limit of a process.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DTYPES = {
     name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i8", "<i4", "|i1", "|u1", "|b1")
 }
 
 
 class ModelError(ValueError):
-    """A file is not a usable model; the message says in one line why."""
+    """A file is not a usable model; the message is one line."""
 
 
 class NoModelError(ModelError):
-    """A file cannot be opened, is too large, or does not begin as a model does."""
+    """A file cannot be opened, is too large, or does not begin like a model."""
 
 
 def one_line(error: Exception) -> str:
-    """Return the beginning of an error's message, with control characters (of untrusted files) replaced."""
+    """Return the beginning of an error's message, with control characters of untrusted files replaced."""
     return "".join(c if c.isprintable() else "?" for c in str(error)[:200])
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Write a file so that there is never a half-written one under its name; of a link, the file that it leads to."""
+    """Replace a file atomically; a link is followed."""
     path = path.resolve()
     with tempfile.NamedTemporaryFile(
         dir=path.parent, prefix=f".{path.name}.", delete=False
@@ -70,13 +66,13 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            # A temporary file is its owner's alone; services of another user must be able to read a model.
+            # A temporary file is private; services of another user must be able to read a model.
             Path(file.name).chmod(0o644)
             Path(file.name).replace(path)
         except BaseException as error:
             Path(file.name).unlink(missing_ok=True)
             if isinstance(error, OSError) and error.errno in FULL:
-                error.filename = str(path)  # The system names no file when there is no room.
+                error.filename = str(path)  # Without room, the system reports no file.
             raise
 
 
@@ -87,9 +83,9 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def write(
-    path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]
 ) -> None:
-    """Write a file, all of it or none; ModelError where it would be larger than what is read."""
+    """Write a file atomically; ModelError if it is too large for reading."""
     size = sum(array.nbytes for array in arrays.values())
     if size > LARGEST - LARGEST_HEADER:
         raise ModelError(
@@ -104,8 +100,8 @@ def write(
         file.write(digest.digest())
 
 
-def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256, in hex, with which `write` ends the file of this content."""
+def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> str:
+    """Return the SHA-256, in hex, at the end of a file with this content."""
     digest = hashlib.sha256()
     for part in _parts(version, meta, arrays):
         digest.update(part)
@@ -114,17 +110,18 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
 
 def read(
     file: IO[bytes], name: str, version: int
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
-    """Read a file that `write` wrote, of a version of the format: what it says, its arrays, and its checksum in hex.
+) -> tuple[dict[str, Any], dict[str, AnyArray], str]:
+    """Read a file of a version of the format: its metadata, its arrays, and its checksum in hex.
 
-    NoModelError where the file, which errors call `name`, cannot be read, is too large, or is of another kind;
-    ModelError where it is of another version, truncated or altered.
+    NoModelError if the file, called `name` in errors, cannot be read, is too large, or is of another kind.
+    ModelError if it has another version, or is truncated or altered.
     """
     with _explained(name):
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
             raise NoModelError(f"{name}: too large for a model: {size} bytes, at most {LARGEST}")
-        _header_size(file.read(_FIXED.size), name, version)  # Before memory is taken for the rest.
+        # Checked before memory is allocated for the rest.
+        _header_size(file.read(_FIXED.size), name, version)
         file.seek(max(size - _DIGEST, 0))
         content = held(file, size, file.read(_DIGEST).hex(), _is_whole)
         if content is None:
@@ -141,17 +138,17 @@ def _is_whole(content: memoryview) -> bool:
 
 
 def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
-    """Read what a file of `write` says of itself, without its arrays, unchecked; ModelError where it says nothing."""
+    """Read the metadata of a file, without its arrays and unchecked; ModelError if they are invalid."""
     with _explained(name):
         meta = json.loads(file.read(_header_size(file.read(_FIXED.size), name, version)))["meta"]
         if not isinstance(meta, dict):
-            raise TypeError("it says nothing of itself")
+            raise TypeError("the metadata are missing")
         return meta
 
 
 @contextmanager
 def _explained(name: str) -> Iterator[None]:
-    """Raise what goes wrong in reading a file as the error that says so in one line."""
+    """Convert errors of reading a file to one-line errors."""
     try:
         yield
     except ModelError:
@@ -165,7 +162,7 @@ def _explained(name: str) -> Iterator[None]:
 
 
 def _header_size(fixed: bytes, name: str, version: int) -> int:
-    """Check the beginning of a file, and return the length of the header behind it."""
+    """Check the beginning of a file, and return the length of the header."""
     if len(fixed) < _FIXED.size or not fixed.startswith(MAGIC):
         raise NoModelError(f"{name}: not a SMAL model")
     _, found, size = _FIXED.unpack(fixed)
@@ -179,9 +176,9 @@ def _header_size(fixed: bytes, name: str, version: int) -> int:
 
 
 def _parts(
-    version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    version: int, meta: Mapping[str, Any], arrays: Mapping[str, AnyArray]
 ) -> list[bytes | memoryview]:
-    """Return the bytes of the file one after the other, except its checksum."""
+    """Return the bytes of the file in order, without its checksum."""
     in_order = sorted(arrays.items(), key=lambda item: -item[1].itemsize)
     stored = {name: np.ascontiguousarray(array) for name, array in in_order}
     table = [[name, array.dtype.str, list(array.shape)] for name, array in stored.items()]
@@ -197,21 +194,19 @@ def _parts(
     ]
 
 
-def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {}
+def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, AnyArray]:
+    arrays: dict[str, AnyArray] = {}
     at = 0
     for name, dtype, shape in table:
         if not isinstance(name, str):
             raise TypeError(f"the name of an array must be a string, got {name!r}")
-        if len(shape) > _MOST_AXES or any(
-            type(length) is not int or not 0 <= length <= LARGEST for length in shape
-        ):
+        if len(shape) > _MOST_AXES or not all(map(_is_length, shape)):
             raise ValueError(f"no shape of an array: {str(shape)[:100]}")
         kind = _DTYPES[dtype]
         count = math.prod(shape)
-        array = (
-            np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
-        )
+        array = np.empty(0, kind)
+        if count:
+            array = np.frombuffer(body, dtype=kind, count=count, offset=at)
         arrays[name] = array.reshape(shape)
         at += array.nbytes
     if at != len(body):
@@ -219,8 +214,12 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     return arrays
 
 
+def _is_length(length: object) -> bool:
+    return type(length) is int and 0 <= length <= LARGEST
+
+
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """Open a regular file, as `os.open` does, and return its descriptor; OSError for others. No FIFO is waited for."""
+    """Open a regular file, as `os.open` does, without waiting for a FIFO; return its descriptor, or raise OSError."""
     descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, 0o644)
     kind = os.fstat(descriptor).st_mode
     if stat.S_ISREG(kind):

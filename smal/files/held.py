@@ -1,6 +1,6 @@
-"""Keep the bytes of a file in memory as they were when they were read: later writes to the file do not reach them.
+"""Immutable copies of file contents in memory: later writes to the file do not reach them.
 
-On Linux the copy is a sealed memory file (memfd), which the kernel lets nobody change. Its name holds a digest of the
+On Linux the copy is a sealed memory file (memfd), which the kernel makes read-only. Its name contains a digest of the
 content. A process of the same user that reads the same content finds the copy under /proc and maps it too, so that
 the processes of a machine share one copy.
 """
@@ -26,9 +26,8 @@ if _LINUX:
     from mmap import MAP_PRIVATE, PROT_READ
 
     _SEALS: Final = F_SEAL_SEAL | F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_WRITE
-_BLOCK: Final = (
-    2**20
-)  # Bytes that are copied at once: few calls, and little memory beside the copy.
+#: Bytes of one copy step: few calls, and little memory beside the copy.
+_BLOCK: Final = 2**20
 
 Check = Callable[[memoryview], bool]
 
@@ -42,9 +41,9 @@ def held(file: IO[bytes], size: int, digest: str, check: Check) -> memoryview | 
         The open file, at any position.
     size : int
         Bytes to copy.
-    digest : str
+        Digest that the file contains; copies are shared under this name.
         Digest that the file claims for its content; copies are shared under this name.
-    check : callable
+        Returns whether the content has that digest. It receives the returned bytes themselves.
         Returns whether the content has that digest. It is called with the very bytes that are returned.
 
     Returns
@@ -64,24 +63,22 @@ def held(file: IO[bytes], size: int, digest: str, check: Check) -> memoryview | 
         # Processes that start together must choose the same copy: the oldest.
         return next(filter(check, _older(name, os.fstat(descriptor))), own)
     finally:
-        os.close(
-            descriptor
-        )  # The map has a descriptor of its own, by which other processes find the copy.
+        # The map has its own descriptor, by which other processes find the copy.
+        os.close(descriptor)
 
 
 def _sealed(file: IO[bytes], size: int, descriptor: int) -> memoryview:
     with os.fdopen(descriptor, "wb", closefd=False) as copy:
         for block in _blocks(file, size):
             copy.write(block)
-        copy.truncate(
-            size
-        )  # A file that has become shorter meanwhile is filled up, and fails its check.
+        # If the file has become shorter, the copy is padded, and fails its check.
+        copy.truncate(size)
     fcntl(descriptor, F_ADD_SEALS, _SEALS)
     return _mapped(descriptor, size)
 
 
 def _older(name: str, own: os.stat_result) -> Iterator[memoryview]:
-    """Yield the older sealed copies of that name and size that processes of this user hold."""
+    """Yield older sealed copies with that name and size, of processes of this user."""
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
             if not str(link.readlink()).startswith(f"/memfd:{name} "):
@@ -90,18 +87,15 @@ def _older(name: str, own: os.stat_result) -> Iterator[memoryview]:
             try:
                 found = os.fstat(descriptor)
                 older = (found.st_mtime_ns, found.st_ino) < (own.st_mtime_ns, own.st_ino)
-                if (
-                    older
-                    and found.st_size == own.st_size
-                    and fcntl(descriptor, F_GET_SEALS) == _SEALS
-                ):
+                same_size = found.st_size == own.st_size
+                if older and same_size and fcntl(descriptor, F_GET_SEALS) == _SEALS:
                     yield _mapped(descriptor, found.st_size)
             finally:
                 os.close(descriptor)
 
 
 def _mapped(descriptor: int, size: int) -> memoryview:
-    # Kernels before 6.7 refuse a shared map of a sealed file.
+    # Kernels before 6.7 reject a shared map of a sealed file.
     return memoryview(mmap(descriptor, size, flags=MAP_PRIVATE, prot=PROT_READ))
 
 

@@ -1,4 +1,4 @@
-"""What can be saved to a model file, and read again."""
+"""Base class of models that are stored in a file."""
 
 import os
 from abc import ABC, abstractmethod
@@ -7,37 +7,35 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, ClassVar, Literal, Self
 
-from numpy.typing import NDArray
-
+from smal.arrays import AnyArray
 from smal.files import container
 from smal.files.container import ModelError, NoModelError, open_regular
 
 FORMAT_VERSION = 1
 _KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "PaperModel")}
 
-Content = tuple[
-    dict[str, Any], dict[str, NDArray[Any]]
-]  # What a file says of itself, and its arrays.
+#: Metadata and arrays of a file.
+Content = tuple[dict[str, Any], dict[str, AnyArray]]
 
 
 class Stored(ABC):
-    """A model of either scheme, "filter" or "paper", which is kept in one file; `Stored.load` reads both."""
+    """A model of either scheme, "filter" or "paper", in one file; `Stored.load` reads both."""
 
     scheme: ClassVar[Literal["filter", "paper"]]
 
     @property
     @abstractmethod
     def longest(self) -> int:
-        """Frames of the longest drive that it was learned from."""
+        """Number of frames of the longest drive."""
 
     @abstractmethod
     def content(self) -> Content:
-        """Return what the file says of it, and the arrays in it."""
+        """Return the metadata and the arrays of the file."""
 
     @classmethod
     @abstractmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
-        """Make it of what a file says; LookupError, TypeError, ValueError or ArithmeticError where that is wrong."""
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
+        """Build the model; LookupError, TypeError, ValueError or ArithmeticError if the content is invalid."""
 
     def _header(self) -> Content:
         meta, arrays = self.content()
@@ -45,11 +43,11 @@ class Stored(ABC):
 
     @cached_property
     def checksum(self) -> str:
-        """SHA-256 of all that it holds, in hex: the one with which its file ends."""
+        """SHA-256 of the content, in hex, as at the end of its file."""
         return container.checksum(FORMAT_VERSION, *self._header())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a file; an existing one is replaced only when the new one is complete."""
+        """Write the model to a file atomically."""
         container.write(Path(path), FORMAT_VERSION, *self._header())
 
     @classmethod
@@ -64,28 +62,31 @@ class Stored(ABC):
 
     @classmethod
     def read(cls, file: IO[bytes], name: str) -> Self:
-        """Read an open file, which errors call `name`. Nothing but this file is opened, whatever it says.
+        """Read an open file, called `name` in errors, and no other file.
 
-        NoModelError where it cannot be read, is too large, or does not begin as a model does; ModelError where it is of
-        another version or scheme, truncated, altered or inconsistent, or was learned on features that this program
-        computes differently.
+        Raises
+        ------
+        NoModelError
+            If it cannot be read, is too large, or does not begin like a model.
+        ModelError
+            If it has another version or scheme, is truncated, altered or inconsistent, or was learned on features that
+            this program computes differently.
         """
         meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
         try:
             if not isinstance(meta, dict):
-                raise TypeError("it does not say what it is")
+                raise TypeError("the metadata are missing")
             scheme = meta.pop("scheme")
             if not isinstance(scheme, str) or scheme not in _KINDS:
-                raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
-            file_of_kind, class_name = _KINDS[scheme]
-            kind = getattr(
-                import_module(file_of_kind), class_name
-            )  # The paper's is imported only for its files.
+                raise ValueError(f"unsupported scheme: {scheme!r}")
+            module, class_name = _KINDS[scheme]
+            # The paper's classes are imported only for their files.
+            kind = getattr(import_module(module), class_name)
             if not issubclass(kind, cls):
                 raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
             found: Self = kind.of_content(meta, arrays)
         except (LookupError, TypeError, ValueError, ArithmeticError, MemoryError) as error:
             raise ModelError(f"{name}: {container.one_line(error)}") from error
-        # Known from the file: hashing all of it again would delay the start of a service.
+        # From the file: hashing the content again delays the start of a service.
         vars(found)["checksum"] = checksum
         return found

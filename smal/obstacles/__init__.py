@@ -1,1 +1,1 @@
-"""Round what stands in the way, by a depth camera: what is free about the robot, and where to go."""
+"""Obstacles: the occupancy grid around the robot from a depth camera, and the way around obstacles."""

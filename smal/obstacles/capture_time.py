@@ -1,11 +1,11 @@
-"""When a depth image was taken, by what it shows: its stamp may lie.
+"""Capture time of a depth image, estimated from its content: its stamp can be wrong.
 
 A camera that hangs repeats an image, which is as old as at its first delivery. A slow driver delivers old images under
-fresh stamps, and they show things where an earlier pose saw them. The robot's recent poses, by the wheels, are
-therefore the hypotheses. Each of them predicts where the points of an earlier image are now, and the image contradicts
-the wrong ones (scan matching, as in Olson 2009, over a handful of poses). A hidden Markov model adds the evidence up: a
-delay usually lasts. While the robot stands, all hypotheses predict the same: the belief returns within seconds to that
-of an unknown camera, so that a robot which was called late by mistake may drive again.
+fresh stamps, which show obstacles as seen from an earlier pose. Therefore the robot's recent odometry poses are the
+hypotheses. Each hypothesis predicts the points of an earlier image, and the image contradicts the wrong hypotheses
+(scan matching, as in Olson 2009, over a handful of poses). A hidden Markov model accumulates the evidence, because a
+delay usually lasts. While the robot stands, all hypotheses predict the same. The belief then returns within seconds to
+the prior of an unknown camera, so that a robot which was wrongly classified as late can drive again.
 """
 
 import math
@@ -14,116 +14,130 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from smal.arrays import Float32s, Floats
 from smal.movement import placed, seen_from
-from smal.obstacles.clearance import GRID_CONFIG, Floats, Mount, above_ground
+from smal.obstacles.clearance import GRID_CONFIG, Mount, above_ground
 
-#: Delays up to this one are hypotheses, seconds. A longer one counts as this: both are too old to drive by.
+#: Longest delay among the hypotheses, seconds. A longer one counts as this: both are too old for driving.
 LONGEST_S: Final = 1.0
-PROMPT_S: Final = 0.1  # Delay that is not told from none: cameras take about so long.
-#: Two poses that differ by less show the same: a tenth of what the robot drives between two frames, and its turn.
+#: Delay that counts as none: the usual latency of cameras.
+PROMPT_S: Final = 0.1
+#: Poses that differ by less are equal: a tenth of the way between two frames, and of the turn.
 STILL_M = 0.01
 STILL_RAD = math.radians(0.5)
-#: A measured depth that differs by more from the predicted one, as a share of it, contradicts the prediction: twice the
-#: error of stereo cameras, which is 2 % at 4 m, and grows with the distance.
+#: A measured depth that differs from the prediction by more than this share contradicts it. It is twice the error of
+#: stereo cameras, which is 2 % at 4 m, and grows with the distance.
 DIFFERS: Final = 0.05
 DIFFERS_A_M: Final = 0.01
-SHAKES_RAD: Final = math.radians(
-    1.5
-)  # How far the camera may look aside of where it sits, as on a mast that shakes.
-#: Points of an image that are compared, at most, and the fewest that prove anything.
+#: Pointing error of the camera, for example on a mast that shakes.
+SHAKES_RAD: Final = math.radians(1.5)
+#: Maximum number of compared points of an image, and the minimum for any evidence.
 POINTS = 1000
 FEW = 50
 #: Weight of a mean cost of 1, in natural logarithms. Neighbouring points err alike: a thousand are about twenty.
 EVIDENCE: Final = 20.0
-#: Probability, with each new image, that the delay changed: cameras work for hours. It is then as likely any other as
-#: that of a camera of which nothing is known, which is fresh with this probability.
+#: Probability, for each new image, that the delay changes: cameras work for hours. The new delay has the prior of an
+#: unknown camera, which is fresh with the probability `FRESH`.
 CHANGES: Final = 0.02
 FRESH: Final = 0.95
-#: Likelihood of an image that has nothing to do with the earlier ones: the robot was carried, or what it saw has moved.
-#: It is that of a mean cost of a quarter, which no true hypothesis has.
+#: Likelihood of an image that is unrelated to earlier ones: the robot was carried, or the scene has moved. It equals a
+#: mean cost of a quarter, which no true hypothesis has.
 UNRELATED: Final = math.exp(-EVIDENCE / 4.0)
-QUEUES: Final = (
-    0.4  # Probability that a camera which hung has delayed its images, and not dropped them.
-)
+#: Probability that a camera which hung has queued its images, instead of dropping them.
+QUEUES: Final = 0.4
 
 
 class Look(NamedTuple):
     """An earlier image: its points above the ground (n, 3), ahead, left and up of the camera, and its pose."""
 
     points: Floats
-    pose: NDArray[np.float64]
+    pose: Floats
     at_s: float
 
 
 class CaptureTime:
-    """Estimates, image after image, at which of the robot's recent poses a depth image was taken."""
+    """Estimates the robot's pose at which each depth image was taken."""
 
     def __init__(self, mount: Mount) -> None:
         self._mount = mount
-        self._track: deque[tuple[float, NDArray[np.float64]]] = (
-            deque()
-        )  # Times and poses, the newest first.
-        self._belief = np.empty(0)  # Probability that a new image was taken at each of these.
-        self._looks: deque[Look] = deque()  # The newest last.
-        self._last: NDArray[np.float32] | None = None
-        self._taken = -math.inf, np.zeros(3)  # Time and pose of the last image,
-        self._delivered = self._taken  # and those of its first delivery to a robot that moves.
-        self._repeats = 0  # How often it was delivered again since.
+        #: Times and poses, the newest first.
+        self._track: deque[tuple[float, Floats]] = deque()
+        #: Probability that a new image was taken at each of these.
+        self._belief = np.empty(0)
+        #: The newest last.
+        self._looks: deque[Look] = deque()
+        self._last: Float32s | None = None
+        #: Time and pose of the last image.
+        self._taken = -math.inf, np.zeros(3)
+        #: Time and pose of its first delivery to a moving robot.
+        self._delivered = self._taken
+        #: Number of deliveries since.
+        self._repeats = 0
 
-    def estimate(self, depth_m: NDArray[np.float32]) -> tuple[float, Sequence[float]]:
-        """Return when and where an image was taken that is delivered at the last pose noted.
+    def estimate(self, depth_m: Float32s) -> tuple[float, Sequence[float]]:
+        """Return the capture time and pose of an image that is delivered at the last noted pose.
 
         Parameters
         ----------
         depth_m : array (height, width)
-            Metres; 0, NaN or infinity where nothing was measured.
+            Metres; 0, NaN or infinity for missing values.
 
         Returns
         -------
         (float, (3,))
-            Seconds, and the pose by the wheels then.
+            Seconds, and the odometry pose at that time.
         """
-        at_s, here = self._track[0]
+        at_s, pose = self._track[0]
         if self._last is None or not np.array_equal(depth_m, self._last, equal_nan=True):
             self._last = depth_m.copy()
-            self._delivered = at_s, here
+            self._delivered = at_s, pose
             self._resume()
-            every = math.ceil(depth_m.shape[1] / GRID_CONFIG.depth_columns)
-            small_m = depth_m[every // 2 :: every, every // 2 :: every]
-            self._weigh(small_m)
-            self._taken = self._track[self._best()]
-            self._looks.append(Look(_points(small_m, self._mount), self._taken[1], at_s))
-            while self._looks[0].at_s < at_s - LONGEST_S:
-                self._looks.popleft()
-        elif _apart(here, self._delivered[1]):
+            self._take(depth_m, at_s)
+        elif _apart(pose, self._delivered[1]):
             self._repeats += 1
-        else:  # A robot that stands sees the same: the image may as well be new.
-            self._taken = at_s - (self._delivered[0] - self._taken[0]), self._taken[1]
+        else:
+            # For a robot that stands, a repeated image is as good as a new one.
+            age_s = self._delivered[0] - self._taken[0]
+            self._taken = at_s - age_s, self._taken[1]
             self._delivered = at_s, self._delivered[1]
-        return self._taken[0], tuple(self._taken[1])
+        taken_s, taken_pose = self._taken
+        return taken_s, tuple(taken_pose)
+
+    def _take(self, depth_m: Float32s, at_s: float) -> None:
+        """Estimate the pose of a new image, and store its points."""
+        every = math.ceil(depth_m.shape[1] / GRID_CONFIG.depth_columns)
+        small_m = depth_m[every // 2 :: every, every // 2 :: every]
+        self._weigh(small_m)
+        self._taken = self._track[self._best()]
+        self._looks.append(Look(_points(small_m, self._mount), self._taken[1], at_s))
+        while self._looks[0].at_s < at_s - LONGEST_S:
+            self._looks.popleft()
 
     def note(self, pose: Sequence[float], at_s: float) -> None:
-        """Take the pose by the wheels at a time: x and y in metres, heading in radians, finite.
+        """Store the odometry pose at a time: x and y in metres, heading in radians, finite.
 
-        A frame comes with a pose, and perhaps with an image. The delay of new images stays what it was, in frames.
+        Every frame has a pose, and optionally an image. The delay of new images stays constant in frames.
         """
-        here = np.asarray(pose, dtype=np.float64)
-        self._track.appendleft((at_s, here))
-        self._belief = np.append(self._belief, 0.0 if self._belief.size else 1.0)
+        self._track.appendleft((at_s, np.asarray(pose, dtype=np.float64)))
+        first = 0.0 if self._belief.size else 1.0
+        self._belief = np.append(self._belief, first)
         while len(self._track) > 1 and self._track[-1][0] < at_s - LONGEST_S:
             self._track.pop()
-            self._belief = np.append(self._belief[:-2], self._belief[-2:].sum())
+            oldest = self._belief[-2:].sum()
+            self._belief = np.append(self._belief[:-2], oldest)
 
     def _best(self) -> int:
-        """Return the likeliest hypothesis; a prompt image counts as fresh."""
-        prompt = np.array([self._track[0][0] - at_s <= PROMPT_S + 1e-9 for at_s, _ in self._track])
-        return 0 if self._belief[prompt].sum() >= self._belief.max() else int(self._belief.argmax())
+        """Return the most likely hypothesis; a prompt image counts as fresh."""
+        now_s, _ = self._track[0]
+        prompt = np.array([now_s - at_s <= PROMPT_S + 1e-9 for at_s, _ in self._track])
+        if self._belief[prompt].sum() >= self._belief.max():
+            return 0
+        return int(self._belief.argmax())
 
     def _resume(self) -> None:
-        """Expect of the image after a hang that it is fresh, or late by the hang."""
+        """Expect the image after a hang to be fresh, or late by the hang."""
         late = np.zeros_like(self._belief)
         frames = min(self._repeats, self._belief.size - 1)
         late[frames:] = self._belief[: late.size - frames]
@@ -131,45 +145,47 @@ class CaptureTime:
         self._belief = (1.0 - QUEUES) * self._belief + QUEUES * late
         self._repeats = 0
 
-    def _weigh(self, depth_m: NDArray[np.float32]) -> None:
+    def _weigh(self, depth_m: Float32s) -> None:
         """Weigh the hypotheses by a new image."""
-        poses = np.array([one for _, one in self._track])
+        poses = np.array([pose for _, pose in self._track])
         if not self._looks or len(poses) == 1:
             return
         any_delay = np.full(len(poses), (1.0 - FRESH) / (len(poses) - 1))
         any_delay[0] = FRESH
         self._belief = (1.0 - CHANGES) * self._belief + CHANGES * any_delay
-        if not any(_apart(one, poses[0]) for one in poses[1:]):
+        if not any(_apart(pose, poses[0]) for pose in poses[1:]):
             return
         ranges = _ranges(depth_m, self._mount.focal)
-        costs = np.array([_cost(ranges, self._looks[0], one, self._mount) for one in poses])
+        costs = np.array([_cost(ranges, self._looks[0], pose, self._mount) for pose in poses])
         if np.isfinite(costs).all():
             self._belief *= np.exp(-EVIDENCE * costs) + UNRELATED
             self._belief /= self._belief.sum()
 
 
-def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _apart(one: Floats, other: Floats) -> bool:
     turned = abs(math.remainder(one[2] - other[2], math.tau))
-    return math.hypot(one[0] - other[0], one[1] - other[1]) > STILL_M or turned > STILL_RAD
+    distance = math.hypot(one[0] - other[0], one[1] - other[1])
+    return distance > STILL_M or turned > STILL_RAD
 
 
-def _points(depth_m: NDArray[np.float32], mount: Mount) -> Floats:
-    """Return points of an image that stand above the ground, (n, 3): ahead, left and up of the camera."""
+def _points(depth_m: Float32s, mount: Mount) -> Floats:
+    """Return points of an image above the ground, (n, 3): ahead, left and up of the camera."""
     rows, columns = depth_m.shape
     every = max(1, math.ceil(math.sqrt(rows * columns / POINTS)))
     row, column = np.mgrid[every // 2 : rows : every, every // 2 : columns : every]
+    focal = mount.focal * columns
     ahead = depth_m[row, column].astype(np.float64)
-    left = -(column + 0.5 - columns / 2.0) / (mount.focal * columns)
-    up = -(row + 0.5 - rows / 2.0) / (mount.focal * columns)
+    left = -(column + 0.5 - columns / 2.0) / focal
+    up = -(row + 0.5 - rows / 2.0) / focal
     stands = np.isfinite(ahead) & (ahead > 0.0)
-    stands[stands] = above_ground(mount.height_m + ahead[stands] * up[stands], ahead[stands])
-    return np.stack(
-        [ahead[stands], ahead[stands] * left[stands], ahead[stands] * up[stands]], axis=1
-    )
+    height = mount.height_m + ahead[stands] * up[stands]
+    stands[stands] = above_ground(height, ahead[stands])
+    ahead = ahead[stands]
+    return np.stack([ahead, ahead * left[stands], ahead * up[stands]], axis=1)
 
 
-def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]:
-    """Return the nearest and the farthest depth about each pixel, within `SHAKES_RAD`; 0 where it has none."""
+def _ranges(depth_m: Float32s, focal: float) -> tuple[Floats, Floats]:
+    """Return the nearest and the farthest depth around each pixel, within `SHAKES_RAD`; 0 for missing values."""
     valid = np.isfinite(depth_m) & (depth_m > 0.0)
     size = 2 * math.ceil(SHAKES_RAD * focal * depth_m.shape[1]) + 1
     nearest = minimum_filter(np.where(valid, depth_m, np.inf), size)
@@ -177,29 +193,29 @@ def _ranges(depth_m: NDArray[np.float32], focal: float) -> tuple[Floats, Floats]
     return np.where(valid, nearest, 0.0), np.where(valid, farthest, 0.0)
 
 
-def _cost(
-    ranges: tuple[Floats, Floats], before: Look, pose: NDArray[np.float64], mount: Mount
-) -> float:
-    """Return how far an image contradicts a pose, 0 to 1, by the points of an earlier one; NaN if too few are in view.
+def _cost(ranges: tuple[Floats, Floats], before: Look, pose: Floats, mount: Mount) -> float:
+    """Return how far an image contradicts a pose, 0 to 1, by the points of an earlier image; NaN for too few points.
 
-    A surface that recedes has another depth in the next pixel. A prediction between those of neighbours is no error.
+    Neighbouring pixels of a slanted surface have different depths. A prediction between these is no error.
     """
     ahead, left, up = before.points.T
     offsets = np.stack([ahead + mount.ahead_m, left, np.zeros(ahead.size)], axis=1)
-    there = seen_from(placed(offsets, before.pose), pose)
-    ahead = there[:, 0] - mount.ahead_m
-    left = there[:, 1]
+    points = seen_from(placed(offsets, before.pose), pose)
+    ahead = points[:, 0] - mount.ahead_m
+    left = points[:, 1]
     rows, columns = ranges[0].shape
+    focal = mount.focal * columns
     with np.errstate(divide="ignore", invalid="ignore"):
-        row = np.rint(rows / 2.0 - 0.5 - mount.focal * columns * up / ahead)
-        column = np.rint(columns / 2.0 - 0.5 - mount.focal * columns * left / ahead)
+        row = np.rint(rows / 2.0 - 0.5 - focal * up / ahead)
+        column = np.rint(columns / 2.0 - 0.5 - focal * left / ahead)
         inside = (ahead > 0.0) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     pixels = row[inside].astype(np.intp), column[inside].astype(np.intp)
-    predicted = ahead[inside]
-    (nearest, farthest) = (one[pixels] for one in ranges)
+    nearest, farthest = (depths[pixels] for depths in ranges)
     measured = (nearest > 0.0) & (nearest <= farthest)
     if measured.sum() < FEW:
         return math.nan
-    predicted, nearest, farthest = (one[measured] for one in (predicted, nearest, farthest))
-    error = np.abs(np.log(predicted / predicted.clip(nearest, farthest)))
-    return float(np.minimum(error / np.maximum(DIFFERS, DIFFERS_A_M * predicted), 1.0).mean())
+    predicted = ahead[inside][measured]
+    within = predicted.clip(nearest[measured], farthest[measured])
+    error = np.abs(np.log(predicted / within))
+    tolerance = np.maximum(DIFFERS, DIFFERS_A_M * predicted)
+    return float(np.minimum(error / tolerance, 1.0).mean())

@@ -1,10 +1,10 @@
-"""What a depth camera says of the ground about the robot: free, occupied or unknown, and how fast it may go there.
+"""Occupancy grid around the robot from a depth camera: free, occupied or unknown cells, and the safe speed.
 
-Each look becomes a scan: in every column, how far the ground is free and how near the first thing stands. Ground is
-what lies on the plane below the camera, whose height is known and whose pitch and roll each look tells. Scans add up in
-a grid that goes with the robot (Moravec and Elfes 1985), by its wheels, so that what has left the view is still known.
-What stands where it was free has come there: it moves, until it has stood for a while, and out of view is soon gone.
-Nothing is free because nothing was seen: a look without depth leaves everything as it was, and unknown is not free.
+Each image becomes a scan: for every column, the free ground and the distance of the nearest obstacle. Ground is the
+plane below the camera. The mount gives its height, and each image its pitch and roll. Scans accumulate in a grid that
+moves with the robot by its odometry (Moravec and Elfes 1985), so that areas out of view stay known. Obstacles that
+appear in free space count as moving until they have stood for a while, and are soon forgotten out of view. Only
+observed space is free: an image without depth changes nothing, and unknown cells are not free.
 """
 
 import copy
@@ -23,23 +23,24 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GridConfig:
-    """Numbers of the grid about the robot, and of the way round what stands in it; lengths in radii of the robot."""
+    """Parameters of the grid and of the way around obstacles; lengths are in radii of the robot."""
 
-    depth_columns: int = 160  # That are looked at: half a degree apart, which is 4 cm at 5 m.
-    #: Height over the plane from which something is no ground, metres, and what is added a metre ahead: what is left of
-    #: noise and of a floor that is not quite even. A wheel climbs less.
+    #: Columns of a depth image in use: half a degree apart, which is 4 cm at 5 m.
+    depth_columns: int = 160
+    #: Minimum height of an obstacle above the plane of the ground, metres, and its increase a metre ahead, for noise
+    #: and uneven floors. A wheel climbs less.
     ground_m: float = 0.05
     ground_slope: float = 0.02
-    tilt_deg: float = (
-        5.0  # Pitch and roll, at most, of a camera that shakes, and of a kerb under a wheel.
-    )
-    least_pixels: int = 3  # Pixels of a column that must show a thing: fewer are noise.
-    gap_rows: int = (
-        5  # Rows of a column that may show no ground before it ends: specks without texture.
-    )
-    least_shown: float = 0.5  # Share of columns that must show the ground, or a thing before it.
-    #: What a hit adds to the evidence of a cell, and its bounds: above 0 something stands there, below 0 it is free.
-    #: Being seen through takes 1, so that what has walked away is forgotten within half a second.
+    #: Maximum pitch and roll of a camera that shakes, or of a kerb under a wheel.
+    tilt_deg: float = 5.0
+    #: Minimum pixels of an obstacle in a column: fewer are noise.
+    least_pixels: int = 3
+    #: Maximum rows without ground within the free part of a column: specks without texture.
+    gap_rows: int = 5
+    #: Minimum share of columns with ground, or an obstacle before it.
+    least_shown: float = 0.5
+    #: Evidence of a hit, and bounds of the evidence of a cell: above 0 it is occupied, below 0 it is free. A ray
+    #: through the cell subtracts 1, so that a person who has left is forgotten within half a second.
     hit: int = 2
     most_evidence: int = 5
     least_evidence: int = -3
@@ -56,21 +57,26 @@ class GridConfig:
     sways_m: float = (
         0.1  # Who has come, and stands, is kept off so much further than things, metres.
     )
-    deep: float = 2.0  # A thing goes on so far behind its face, where nobody has looked.
-    cells_radius: int = 4  # Cells a radius.
-    grid: int = 12  # How far the grid reaches: some 5 m for a robot of 0.4 m.
-    margin: float = 0.25  # What stays between the robot and what it stops before.
-    slowest: float = 0.05  # Slower than this share of its speed a robot stands.
-    may_go_aside: float = (
-        6.0  # From the taught way: 2.4 m for a robot of 0.4 m, where views are still known.
-    )
-    #: Distance from things beyond which more is of no use, and what a metre costs more right beside them.
+    #: Assumed depth of an obstacle behind its visible face.
+    deep: float = 2.0
+    #: Cells a radius.
+    cells_radius: int = 4
+    #: Reach of the grid: about 5 m for a robot of 0.4 m.
+    grid: int = 12
+    #: Distance between a stopped robot and the obstacle.
+    margin: float = 0.25
+    #: Share of the speed below which a robot stands.
+    slowest: float = 0.05
+    #: Maximum distance from the taught way: 2.4 m for a robot of 0.4 m, where the filter still localises.
+    may_go_aside: float = 6.0
+    #: Clearance beyond which more has no benefit, and the extra cost of a metre without clearance.
     room: float = 2.0
     tight_cost: float = 2.0
-    #: It waits so far before what it does not get round: nearer by that would hide all that it knows its way by.
+    #: Distance at which the robot waits before an obstacle without a way round; nearer, it hides the taught views.
     stands_before: float = 6.0
-    most_turns: int = 180  # Turns to each side that are tried: a degree apart.
-    #: What a metre costs more a correlation length beside the way, and over ground that nobody has seen.
+    #: Candidate turns to each side: a degree apart.
+    most_turns: int = 180
+    #: Extra cost of a metre a correlation length beside the way, and over unknown ground.
     aside_cost: float = 1.5
     unknown_cost: float = 0.5
 
@@ -79,45 +85,54 @@ GRID_CONFIG: Final = GridConfig()
 
 
 class Mount(NamedTuple):
-    """How a level depth camera sits on a round robot that turns on the spot."""
+    """Mount of a level depth camera on a round robot that turns on the spot."""
 
-    focal: float  # Focal length over the image's width; its axis meets the middle.
-    height_m: float  # Of the camera, above the ground.
-    ahead_m: float  # Of the camera, ahead of the middle of the robot.
-    radius_m: float  # Of the robot.
-    top_m: float  # Height of the robot's highest point.
+    #: Focal length over the image's width; the axis meets the middle of the image.
+    focal: float
+    #: Height of the camera above the ground.
+    height_m: float
+    #: Distance of the camera ahead of the middle of the robot.
+    ahead_m: float
+    #: Radius of the robot.
+    radius_m: float
+    #: Height of the robot.
+    top_m: float
 
 
 class Scan(NamedTuple):
-    """What one look says, of each column; distances are along the camera's axis."""
+    """Result of one depth image for each column; distances are along the camera's axis."""
 
-    across: Floats  # (n,) how far the column looks to the left, a metre ahead; evenly, from the left to the right.
-    free_m: Floats  # (n,) how far the ground is free.
-    hit_m: Floats  # (n,) how near something stands; infinity where nothing does.
-    top_m: Floats  # (n,) how high that is seen to be.
-    falls: float  # How much the lowest rays fall a metre: what is nearer may lie below them.
+    #: (n,) offset of the column to the left, a metre ahead; evenly spaced, from the left to the right.
+    across: Floats
+    #: (n,) distance of free ground.
+    free_m: Floats
+    #: (n,) distance of the nearest obstacle; infinite without any.
+    hit_m: Floats
+    #: (n,) visible height of the obstacle.
+    top_m: Floats
+    #: Fall of the lowest rays a metre: nearer objects can be below them.
+    falls: float
 
 
 def above_ground(
     up_m: Floats, ahead_m: Floats, config: GridConfig = GRID_CONFIG
 ) -> NDArray[np.bool_]:
-    """Return which points are no ground, by their height over its plane and their distance along the axis, metres."""
+    """Return which points are above the ground, by their height over its plane and their distance, metres."""
     return up_m > config.ground_m + config.ground_slope * ahead_m
 
 
 def scan(
     depth_m: NDArray[np.float32], mount: Mount, config: GridConfig = GRID_CONFIG
 ) -> Scan | None:
-    """Return what a depth image (h, w) shows, metres, 0 where it has none; None where it shows no ground.
+    """Return the scan of a depth image (h, w) in metres (0 = missing); None if the ground is not visible.
 
-    In every column the mount says which distance the ground has in the lowest rows. A column shows that ground, or a
-    thing before it. If most columns show neither, the camera does not see, does not sit as the mount says, or looks
-    over an edge.
+    The mount gives the distance of the ground in the lowest rows of every column. A column shows that ground, or an
+    obstacle before it. If most columns show neither, the camera is blind, differs from its mount, or is at an edge.
     """
     every = max(1, math.ceil(depth_m.shape[1] / config.depth_columns))
     ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
     if ahead.shape[0] < max(config.least_pixels, config.gap_rows + 1) or ahead.shape[1] < 2:
-        return None  # Too few rows to tell ground from things.
+        return None  # Too few rows to distinguish ground from obstacles.
     valid = np.isfinite(ahead) & (ahead > 0.0)
     below, across = (
         (np.arange(count) * every + every // 2 + 0.5 - size / 2) / (mount.focal * depth_m.shape[1])
@@ -153,7 +168,7 @@ def scan(
 def _tilt(
     ahead: Floats, across: Floats, up: Floats, valid: NDArray[np.bool_], config: GridConfig
 ) -> Floats:
-    """Return how much the ground rises a metre ahead and to the left, as it seems to a camera that is not level."""
+    """Return the slope of the ground ahead and to the left, as seen by a camera that is not level."""
     tilt = np.zeros(2)
     most_tilt = math.tan(math.radians(config.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
@@ -174,9 +189,9 @@ def _tilt(
 
 
 class Surroundings:
-    """A grid about a round robot that goes with it; knows in which cells something stands, and which are free.
+    """Occupancy grid that moves with a round robot.
 
-    Its axes are those of the odometry. Cells are (x, y); the robot is in the middle one.
+    Its axes are the axes of the odometry. Cells are (x, y); the robot is in the middle cell.
     """
 
     def __init__(self, radius_m: float, config: GridConfig = GRID_CONFIG) -> None:
@@ -206,7 +221,7 @@ class Surroundings:
         self.seen: Scan | None = None  # What the last look says.
 
     def snapshot(self) -> Self:
-        """Return a copy that stays as it is, for another thread."""
+        """Return an independent copy for another thread."""
         made = copy.copy(self)
         made.__dict__ |= {
             name: one.copy() for name, one in self.__dict__.items() if isinstance(one, np.ndarray)
@@ -214,7 +229,7 @@ class Surroundings:
         return made
 
     def move(self, pose: Sequence[float]) -> None:
-        """Go to where the wheels say that the robot is: x, y and heading in radians."""
+        """Move to the odometry pose: x, y and heading in radians."""
         x, y, self.heading = pose
         cell = round(x / self.cell_m), round(y / self.cell_m)
         if self._cell not in (None, cell):
@@ -234,7 +249,7 @@ class Surroundings:
     def look(
         self, pose: Sequence[float], depth_m: NDArray[np.float32] | None, mount: Mount
     ) -> bool:
-        """Go where the wheels say, and add what a depth image shows; return whether it shows anything."""
+        """Move to the odometry pose, and add a depth image; return whether it contains a scan."""
         self.move(pose)
         self.seen = seen = None if depth_m is None else scan(depth_m, mount, self.config)
         if seen is None:
@@ -282,9 +297,9 @@ class Surroundings:
         return True
 
     def _forget_what_walks(self, seen: NDArray[np.bool_]) -> None:
-        """Forget what has come where it was free, and is out of view for so many times as long as it was seen there.
+        """Forget obstacles that appeared in free space and are out of view for longer than they were seen.
 
-        What is so near that a camera does not see beside its robot is not forgotten.
+        Cells too near for the camera are kept.
         """
         leaves = (
             self._freed
@@ -296,7 +311,7 @@ class Surroundings:
 
     @property
     def _beside_view(self) -> NDArray[np.bool_]:
-        """Cells that the camera cannot see beside its own robot: nearer than where its view is as wide as the robot."""
+        """Cells beside the robot that the camera cannot see: nearer than its view is as wide as the robot."""
         if self._mount is None:
             return np.zeros(self._evidence.shape, dtype=np.bool_)
         ahead, left = self.seen_from(self._mount.ahead_m)
@@ -309,11 +324,11 @@ class Surroundings:
 
     @property
     def _walks(self) -> NDArray[np.bool_]:
-        """In which cells stands what has just come where it was free, and is no edge of what stood there."""
+        """Cells of obstacles that appeared in free space, except the edges of older obstacles."""
         return self._apart(self._freed & (self._lasts <= self.config.lasts * self.config.still))
 
     def _apart(self, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the occupied ones of some cells that are no edge of what stands in others."""
+        """Return the occupied cells among some, except the edges of obstacles in other cells."""
         return (
             self.occupied
             & new
@@ -321,7 +336,7 @@ class Surroundings:
         )
 
     def has_come(self, turn_rad: float) -> bool:
-        """Return whether what stands first in a direction, to the left of ahead, has come where it was free."""
+        """Return whether the nearest obstacle in a direction, to the left of ahead, appeared in free space."""
         ahead, left = self.seen_from(0.0)
         away_m = np.hypot(ahead, left)
         # As wide as a cell, and seen from a camera that is not in the middle.
@@ -333,7 +348,7 @@ class Surroundings:
         return bool(there.any() and self._kinds[1][0].flat[first])
 
     def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
-        """Return how far each cell's middle is ahead of, and to the left of, a place ahead of the robot's middle."""
+        """Return the distance of each cell's middle ahead and left of a place ahead of the robot's middle."""
         cos = math.cos(self.heading)
         sin = math.sin(self.heading)
         dx = self._x_m - self._rest[0]
@@ -342,43 +357,43 @@ class Surroundings:
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
-        """Cells in which something stands."""
+        """Cells with an obstacle."""
         return np.asarray(self._evidence > 0)
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Cells in which something is seen to stand, or was until a moment ago, that has just come there."""
+        """Cells of visible, or just seen, obstacles that appeared recently."""
         return self._walks & (self._evidence > 1) & (self._lasts >= 0.0)
 
     @property
     def moving_rad(self) -> float:
-        """How far to the left of ahead the nearest thing is that moves; 0 where nothing does."""
+        """Direction to the nearest moving obstacle, to the left of ahead; 0 without any."""
         ahead, left = (one[self.moving] for one in self.seen_from(0.0))
         nearest = np.hypot(ahead, left).argmin() if ahead.size else None
         return 0.0 if nearest is None else math.atan2(left[nearest], ahead[nearest])
 
     @property
     def crowded(self) -> bool:
-        """Whether somebody who has come, ahead or to a side, is nearer than one keeps off who moves."""
+        """Whether an obstacle that appeared, ahead or to a side, is nearer than the distance kept from people."""
         come = self._kinds[1][0]
         ahead, left = (one[come] for one in self.seen_from(0.0))
         return bool((np.hypot(ahead, left)[ahead > 0.0] < self.body_m + self.config.walks_m).any())
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
-        """Cells that are neither occupied nor seen to be free."""
+        """Cells that are neither occupied nor free."""
         return np.asarray(self._evidence == 0)
 
     def things(self, most: int) -> Floats:
-        """Return where something stands, (n, 2) metres ahead of the robot and to its left: at most so many places."""
+        """Return places of obstacles, (n, 2) metres ahead of the robot and to its left; at most `most` places."""
         places = np.stack(self.seen_from(0.0), axis=-1)[self.occupied]
         return places[:: -(-len(places) // most) or 1]
 
     @cached_property
     def clearance_m(self) -> NDArray[np.float64]:
-        """How far each cell's middle is from that of the nearest one in which something stands.
+        """Distance of each cell's middle to the middle of the nearest occupied cell.
 
-        Who has come is taken to be nearer by how far a person sways.
+        Obstacles that appeared count as nearer by the sway of a person.
         """
         clear_m = np.full(self.occupied.shape, self.reach_m)
         for cells, sways_m in self._kinds:
@@ -390,13 +405,13 @@ class Surroundings:
 
     @cached_property
     def _kinds(self) -> tuple[tuple[NDArray[np.bool_], float], ...]:
-        """Cells in which things stand, and in which somebody has come; and how far these sway, metres."""
+        """Cells of fixed obstacles, and of obstacles that appeared; with the sway of each kind, metres."""
         come = self._apart(self._freed)
         return (self.occupied & ~come, 0.0), (come, self.config.sways_m)
 
     @cached_property
     def _wide_m(self) -> NDArray[np.float64]:
-        """How near the robot's middle may come to what stands in each cell; as near as it is already it may stay."""
+        """Minimum distance of the robot's middle to the obstacle in each cell; the current distance is allowed."""
         away_m = np.hypot(*self.seen_from(0.0))
         wide_m = np.zeros(away_m.shape)
         for cells, sways_m in self._kinds:
@@ -404,7 +419,7 @@ class Surroundings:
         return wide_m
 
     def cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the cells of places (..., 2) ahead of and left of the robot; those outside as the nearest inside."""
+        """Return the cells of places (..., 2) ahead and left of the robot, clipped to the grid."""
         cos = math.cos(self.heading)
         sin = math.sin(self.heading)
         ahead = places[..., 0]
@@ -418,7 +433,7 @@ class Surroundings:
         return row, column
 
     def clear_m(self, turns_rad: Floats) -> Floats:
-        """Return how far (k,) the robot may go straight on after turns (k,) to the left, and keep off what it sees."""
+        """Return the free distance (k,) straight on after turns (k,) to the left."""
         ahead, left = (one[self.occupied] for one in self.seen_from(0.0))
         cos = np.cos(turns_rad)[:, None]
         sin = np.sin(turns_rad)[:, None]
@@ -435,10 +450,10 @@ class Surroundings:
         )
 
     def free_m(self, ahead: bool, bend: float = 0.0) -> float:
-        """Return how far the robot may go on ahead, or back, touching nothing that it sees or does not see.
+        """Return the distance that the robot can drive ahead, or back, through free cells only.
 
-        It goes straight on, or in a circle of radius 1 / `bend` (1 / m) whose middle lies to its left, if positive.
-        What moves, ahead or to a side, may come nearer until the robot stands.
+        It drives straight, or in a circle of radius 1 / `bend` (1 / m) with its middle to the left, if positive.
+        Moving obstacles, ahead or to a side, can come nearer until the robot stands.
         """
         along, left = self.seen_from(0.0)
         along = along if ahead else -along
@@ -469,9 +484,9 @@ class Surroundings:
 
 
 def most_speed(free_m: float, speed_m_s: float, braking_s: float, wait_s: float) -> float:
-    """Return the share, 0 to 1, of its speed at which a robot still stands before what is so far away.
+    """Return the share of the speed, 0 to 1, at which the robot can stop within a free distance.
 
-    It goes on for a time before it begins to brake, which takes `braking_s` from its full speed, evenly.
+    The robot drives on for `wait_s`, then brakes evenly; `braking_s` is the braking time from full speed.
     """
     # share * speed * wait + share^2 * speed * braking / 2 = free
     waits = speed_m_s * wait_s

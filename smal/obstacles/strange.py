@@ -1,9 +1,9 @@
-"""Without a depth camera: ground ahead that looks like none that was seen there when the way was taught.
+"""Unexpected ground: ground ahead unlike the taught ground, detected without a depth camera.
 
-Each keyframe keeps which colours the ground before it has. A patch of the ground that the robot is about to sweep is
-strange as far as its colours are away from all that keyframes about it have: so it need not be laid over a taught
-picture to the pixel, and a mark on the road that is seen from aside is none. How strange the taught views themselves
-are, each left out of what explains it, says from where on a patch is none of them: an exponential tail.
+Each keyframe stores the colours of the ground before it. A patch of the ground ahead is unexpected if its colours are
+far from all colours of the neighbouring keyframes. So the patch need not be aligned with a taught picture to the pixel,
+and a mark on the road seen from aside is expected. The threshold comes from the taught views themselves, each compared
+with its neighbours without itself, with an exponential tail.
 """
 
 import math
@@ -12,34 +12,40 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Indices, Uint8s
 from smal.camera import Camera, Image
 from smal.features.resizing import SHAPE
-from smal.obstacles.clearance import Floats
 from smal.sought.sight import cells_of
 
-_HORIZON: Final = SHAPE[0] // 2 + 3  # Row from which on there is ground; what is higher is too far.
-_STEP: Final = 2  # Rows and columns from one cell to the next; a patch is three cells wide.
-_KEPT: Final = 3  # And of the cells that a keyframe keeps.
-LOOKS_S: Final = 3.0  # Time of driving, seconds, within which the ground ahead is looked at.
-_FINE: Final = 200.0  # Values of a byte for a colour of 1; the brightest is 1.22.
+#: First row with ground; higher rows are too far away.
+_HORIZON: Final = SHAPE[0] // 2 + 3
+#: Rows and columns from one cell to the next; a patch is three cells wide.
+_STEP: Final = 2
+#: The same for the cells that a keyframe stores.
+_KEPT: Final = 3
+#: Time of driving, seconds, within which the ground ahead is inspected.
+LOOKS_S: Final = 3.0
+#: Byte values of a colour of 1; the brightest is 1.22.
+_FINE: Final = 200.0
 
 
 @dataclass(frozen=True)
 class GroundConfig:
-    """Numbers by which ground is unexpected."""
+    """Parameters of the detection of unexpected ground."""
 
-    #: Half the width of what a robot sweeps, in heights of its camera: robots are about as wide as that is high.
+    #: Half the width of the swept ground, in heights of the camera: robots are about as wide as their camera is high.
     swept: float = 0.7
-    lasts_s: float = 0.2  # For so long, at least, it must be seen.
-    keyframes: int = 3  # To either side whose ground is known here.
-    views: float = (
-        1e4  # One of so many views is mistaken for unexpected: a kilometre of keyframes indoors.
-    )
+    #: Minimum duration of a detection.
+    lasts_s: float = 0.2
+    #: Keyframes to either side whose ground counts as taught here.
+    keyframes: int = 3
+    #: Views per false detection: a kilometre of keyframes indoors.
+    views: float = 1e4
     #: Colours that are less apart are alike: a twelfth of the brightness, by light, exposure and compression.
     least: float = 0.03
-    patch_known: int = 6  # Of the nine cells of a patch that must lie on the swept ground.
+    #: Minimum number of the nine cells of a patch on the swept ground.
+    patch_known: int = 6
 
 
 GROUND_CONFIG: Final = GroundConfig()
@@ -47,94 +53,110 @@ GROUND_CONFIG: Final = GroundConfig()
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """How the ground before each keyframe looks; a level camera over it, its height in the map's unit."""
+    """Colours of the ground before each keyframe."""
 
-    colours: NDArray[np.uint8]  # (k, n, 3) of some cells of each keyframe.
-    strange: float  # A patch whose colours are further from all of theirs is strange.
+    #: (k, n, 3) of some cells of each keyframe.
+    colours: Uint8s
+    #: Distance of colours from which a patch is unexpected.
+    strange: float
 
     def __post_init__(self) -> None:
-        """ValueError where parts do not fit together: they may come from a file."""
-        shaped = (
-            self.colours.dtype == np.uint8 and self.colours.ndim == 3 and self.colours.shape[2] == 3
-        )
-        if not (shaped and self.colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
-            raise ValueError("the parts of what the ground looks like do not fit together")
+        """Raise ValueError if the parts do not fit together: they can come from a file."""
+        colours = self.colours
+        shaped = colours.dtype == np.uint8 and colours.ndim == 3 and colours.shape[2] == 3
+        if not (shaped and colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
+            raise ValueError("the parts of the ground do not fit together")
 
-    def strange_m(
-        self, picture: Image, keyframes: NDArray[np.intp], way: Floats, scene: Floats
-    ) -> float:
-        """Return how far along a way (s, 2), ahead and left of it, a robot sees strange ground first, or infinity.
+    def strange_m(self, picture: Image, keyframes: Indices, way: Floats, scene: Floats) -> float:
+        """Return the distance to the first unexpected ground along a way (s, 2), or infinity.
 
-        `keyframes` are those about it, `scene` is a map's.
+        Parameters
+        ----------
+        picture : array (60, 80, 3)
+        keyframes : array
+            Keyframes around the robot.
+        way : array (s, 2)
+            Places ahead and left of the robot.
+        scene : array (3,)
+            Scene of the map.
         """
         along, score = patches(picture, self.colours[keyframes], way, scene)
         return float(along[score > self.strange].min(initial=math.inf))
 
 
 def swept(speed: float) -> Floats:
-    """Return how far along its way a robot of this speed looks at the ground that it sweeps, (s,): every 0.1 s."""
+    """Return the distances along the way at which a robot of this speed inspects the ground, (s,): every 0.1 s."""
     return np.linspace(0.0, LOOKS_S * speed, 32)
 
 
-def colours_of(picture: Image) -> NDArray[np.uint8]:
+def colours_of(picture: Image) -> Uint8s:
     """Return the colours of the ground in a small picture, (n, 3)."""
-    seen = _mean_colours(picture, _KEPT)[-(-_HORIZON // _KEPT) :].reshape(-1, 3)
-    return np.asarray(np.rint(_FINE * seen), dtype=np.uint8)
+    ground = _mean_colours(picture, _KEPT)[-(-_HORIZON // _KEPT) :]
+    return np.asarray(np.rint(_FINE * ground.reshape(-1, 3)), dtype=np.uint8)
 
 
 def patches(
     picture: Image,
-    colours: NDArray[np.uint8],
+    colours: Uint8s,
     way: Floats,
     scene: Floats,
     config: GroundConfig = GROUND_CONFIG,
 ) -> tuple[Floats, Floats]:
-    """Return of each patch of the swept ground how far along the way it is, and how unlike all colours."""
+    """Return for each patch of the swept ground its distance along the way, and its distance from all colours."""
     ahead, left = _ground(float(scene[0]), float(scene[1]))
-    reach = np.hypot(*way.T).max(initial=0.0)
-    near = np.flatnonzero((ahead < reach) & (np.abs(left) < reach))
-    apart = np.hypot(ahead.ravel()[near, None] - way[:, 0], left.ravel()[near, None] - way[:, 1])
-    near = near[apart.min(axis=1, initial=math.inf) < config.swept * scene[1]]
-    at = ahead.ravel()
+    near = _swept_cells(ahead, left, way, config.swept * scene[1])
     if not near.size:
         return np.empty(0), np.empty(0)
-    seen = _mean_colours(picture, _STEP).reshape(-1, 3)[near]
+    cells = _mean_colours(picture, _STEP).reshape(-1, 3)[near]
     known = colours.reshape(-1, 3) / np.float32(_FINE)
-    squares = (known * known).sum(axis=1) - 2.0 * seen @ known.T
-    away = np.sqrt(np.maximum(squares.min(axis=1) + (seen * seen).sum(axis=1), 0.0))
+    squares = (known * known).sum(axis=1) - 2.0 * cells @ known.T
+    nearest = squares.min(axis=1) + (cells * cells).sum(axis=1)
     sums = np.zeros(ahead.shape)
     count = np.zeros(ahead.shape)
-    sums.flat[near] = away
+    sums.flat[near] = np.sqrt(np.maximum(nearest, 0.0))
     count.flat[near] = 1.0
     sums = _in_patches(sums)
     count = _in_patches(count)
     whole = np.flatnonzero(count >= config.patch_known)
-    return at[whole], sums.flat[whole] / count.flat[whole]
+    return ahead.ravel()[whole], sums.flat[whole] / count.flat[whole]
+
+
+def _swept_cells(ahead: Floats, left: Floats, way: Floats, half_width: float) -> Indices:
+    """Return the indices of the cells within half the width of a way (s, 2)."""
+    reach = np.hypot(*way.T).max(initial=0.0)
+    near = np.flatnonzero((ahead < reach) & (np.abs(left) < reach))
+    along = ahead.ravel()[near, None] - way[:, 0]
+    aside = left.ravel()[near, None] - way[:, 1]
+    apart = np.hypot(along, aside)
+    inside = apart.min(axis=1, initial=math.inf) < half_width
+    return np.asarray(near[inside])
 
 
 def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> float:
-    """Return what one of `GroundConfig.views` exceeds, by an exponential tail of the highest tenth of scores."""
+    """Return the threshold that one of `GroundConfig.views` exceeds, by an exponential tail of the highest tenth."""
     usual = float(np.quantile(scores, 0.9))
     beyond = [score - usual for score in scores if score > usual]
-    return usual + float(np.mean(beyond or [usual])) * math.log(0.1 * config.views)
+    mean = float(np.mean(beyond or [usual]))
+    return usual + mean * math.log(0.1 * config.views)
 
 
-def _mean_colours(picture: Image, step: int) -> NDArray[np.float32]:
-    """Return the mean colour of every `step`-th cell and its eight neighbours, as if it were as bright as any."""
+def _mean_colours(picture: Image, step: int) -> Float32s:
+    """Return the mean colour of every `step`-th cell and its eight neighbours, normalised in brightness."""
     cells = cells_of(picture, step)
-    mean: NDArray[np.float32] = cells.reshape(*cells.shape[:2], -1, 3).mean(axis=2)
+    mean: Float32s = cells.reshape(*cells.shape[:2], -1, 3).mean(axis=2)
     return mean
 
 
 def _ground(field_deg: float, height: float) -> tuple[Floats, Floats]:
-    """Return where the ground is that cells of a picture show: ahead and left of the camera; infinity above it."""
-    focal = Camera.of_field(field_deg).focal * SHAPE[1]
-    rows, columns = np.mgrid[0 : SHAPE[0] : _STEP, 0 : SHAPE[1] : _STEP]
-    down = rows - (SHAPE[0] - 1) / 2.0
-    ahead = np.where(rows >= _HORIZON, focal * height / np.maximum(down, 1.0), math.inf)
-    return ahead, np.where(
-        np.isfinite(ahead), ((SHAPE[1] - 1) / 2.0 - columns) * height / np.maximum(down, 1.0), 0.0
-    )
+    """Return the ground in each cell of a picture: ahead and left of the camera; infinite above the horizon."""
+    height_px, width_px = SHAPE
+    focal = Camera.of_field(field_deg).focal * width_px
+    rows, columns = np.mgrid[0:height_px:_STEP, 0:width_px:_STEP]
+    down = np.maximum(rows - (height_px - 1) / 2.0, 1.0)
+    right = columns - (width_px - 1) / 2.0
+    ahead = np.where(rows >= _HORIZON, focal * height / down, math.inf)
+    left = np.where(np.isfinite(ahead), -right * height / down, 0.0)
+    return ahead, left
 
 
 def _in_patches(cells: Floats) -> Floats:

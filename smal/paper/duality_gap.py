@@ -1,4 +1,4 @@
-r"""What proves an answer of Eq. 7: its dual problem, and bounds that hold in spite of rounding.
+r"""Proof of a solution of Eq. 7: its dual problem, and bounds that hold in spite of rounding.
 
 The dual of Eq. 7 is: maximize <Theta, Y> subject to ||theta_i||_2 <= 1 for every query frame i, and, for every
 template sequence j, G = X_j^T Theta (l x q) in lambda1 * {rows in the unit ball} + lambda2 * {columns in the unit
@@ -10,15 +10,14 @@ lower bound on the optimum of Eq. 7.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from smal.arrays import AnyArray, Floats
 
-_TINY = 1e-150  # Stands in for the length of a zero row or column; its inverse does not overflow.
+_TINY = 1e-150  # Replaces the length of a zero row or column; its inverse does not overflow.
 
 
 def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:
-    """Bound on the relative error of an inner product of so many terms, whatever the order of summation.
+    """Bound the relative error of an inner product of `terms` terms, for any order of summation.
 
     gamma_m = m u / (1 - m u) with u = 2^-53, or 2^-24 in float32 (Higham, Accuracy and Stability of Numerical
     Algorithms, 3.1).
@@ -28,20 +27,20 @@ def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:
 
 
 def bound_by_lengths(
-    longest_row: Array, longest_column: Array, lambda1: float, lambda2: float
-) -> Array:
-    """Bound the polar of any G whose rows and columns are no longer than these.
+    longest_row: Floats, longest_column: Floats, lambda1: float, lambda2: float
+) -> Floats:
+    """Bound the polar of any G with rows and columns up to these lengths.
 
     With a the longest row and b the longest column of G, the rows of U = G / a and the columns of V = G / b are in the
     unit ball, and G = s (lambda1 U + lambda2 V) for s = 1 / (lambda1 / a + lambda2 / b). So s bounds the polar.
     """
-    bound: Array = 1.0 / (
-        lambda1 / np.maximum(longest_row, _TINY) + lambda2 / np.maximum(longest_column, _TINY)
-    )
+    by_rows = lambda1 / np.maximum(longest_row, _TINY)
+    by_columns = lambda2 / np.maximum(longest_column, _TINY)
+    bound: Floats = 1.0 / (by_rows + by_columns)
     return bound
 
 
-def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
+def quick_bounds(blocks: AnyArray, lambda1: float, lambda2: float) -> Floats:
     """Bound the polar of each G of (b, l, q) by its longest row and its longest column, (b,)."""
     squares = np.square(blocks, dtype=np.float64)
     rows = squares.sum(axis=2).max(axis=1)
@@ -50,13 +49,13 @@ def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
 
 
 def polar_bounds(
-    blocks: Array, lambda1: float, lambda2: float, guess: Array, rounds: int, enough: float = 0.0
-) -> tuple[Array, Array]:
+    blocks: Floats, lambda1: float, lambda2: float, guess: Floats, rounds: int, enough: float = 0.0
+) -> tuple[Floats, Floats]:
     """Bound the polar of each G of (b, l, q) sharply, by a split G = lambda1 U + lambda2 V + E.
 
     U and V in their balls have polar at most 1, E is bounded quickly, and the polar is a norm: 1 + bound(E).
-    Alternating projections, so many rounds after the first, shrink E from a guess of U, until no bound is above
-    `enough`. Returns the bounds (b,), and V of the last split.
+    Alternating projections, `rounds` after the first, shrink E from a guess of U, until no bound is above `enough`.
+    Returns the bounds (b,), and V of the last split.
     """
     best = quick_bounds(blocks, lambda1, lambda2)
     U = _inside(guess, axis=2)
@@ -73,7 +72,8 @@ def polar_bounds(
     return best, V
 
 
-def _inside(vectors: Array, axis: int) -> Array:
-    """Bring vectors along an axis back into the unit ball."""
-    inside: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=axis, keepdims=True), 1.0)
+def _inside(vectors: Floats, axis: int) -> Floats:
+    """Project vectors along an axis onto the unit ball."""
+    length = np.linalg.norm(vectors, axis=axis, keepdims=True)
+    inside: Floats = vectors / np.maximum(length, 1.0)
     return inside

@@ -1,4 +1,4 @@
-"""The paper's execution, second half: from a state to the l atom movements of the policy's action."""
+"""The paper's execution, second half: from a state to the l atoms of the policy's action."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -7,16 +7,18 @@ from typing import Literal
 from smal.movement import Atom
 from smal.paper.model import PaperModel
 
+Status = Literal["collecting", "recognized", "unknown"]
+
 
 @dataclass(frozen=True)
 class Recognition:
-    """Which state the last l frames show, the last of which is `tick`; the numbers are those of the `Match`.
+    """State of the last l frames, the last of which is `tick`; the numbers are those of the `Match`.
 
-    "collecting": the episode has no l frames yet, or no answer was due; "unknown": W is zero. The state is the one of
-    Eq. 9, with the largest weight.
+    The status is "collecting" while the episode has fewer than l frames, or no decision is due. It is "unknown" if W is
+    zero. The state is the state of Eq. 9, with the largest weight.
     """
 
-    status: Literal["collecting", "recognized", "unknown"]
+    status: Status
     tick: int
     state: int | None = None
     score: float = 0.0
@@ -28,11 +30,11 @@ class Recognition:
 
 @dataclass(frozen=True)
 class PaperDecision:
-    """What to do next, and why.
+    """Next atoms, and their reason.
 
-    "action": the policy's action; "goal": stop, since a demonstration ended here with success; "dead_end": stop, since
-    nothing is known to follow; "stop": stop, since the state is unknown; "wait": no state is due yet. The plan is l
-    atoms long; "wait" has none, and leaves the last one as it is.
+    "action": the policy's action. "goal": stop, because a demonstration ended here with success. "dead_end": stop,
+    because no successor is known. "stop": stop, because the state is unknown. "wait": no state is due yet; the plan is
+    empty, and the last plan stays. The other plans are l atoms long.
     """
 
     kind: Literal["action", "goal", "dead_end", "stop", "wait"]
@@ -42,22 +44,22 @@ class PaperDecision:
 
 
 class DecisionMaker:
-    """Plans l atoms whenever a state is recognized, and hands them out one by one."""
+    """Plans l atoms for each recognized state, and returns them one by one."""
 
     def __init__(self, model: PaperModel) -> None:
         self._model = model
         self.reset()
 
     def reset(self) -> None:
-        """Drop the plan, for a new episode."""
+        """Start a new episode."""
         self._plan: deque[Atom] = deque()
 
     def next_atom(self) -> Atom:
-        """Take the next atom of the plan; stop when there is none."""
+        """Return the next atom of the plan; STOP without any."""
         return self._plan.popleft() if self._plan else Atom.STOP
 
     def decide(self, recognition: Recognition) -> PaperDecision:
-        """Replace the plan according to what was recognized."""
+        """Replace the plan by the plan for a recognition."""
         if recognition.status == "collecting":
             return PaperDecision("wait", ())
         model = self._model
@@ -66,12 +68,11 @@ class DecisionMaker:
         if state is None:
             decision = PaperDecision("stop", stop)
         elif (action := int(model.policy[state])) >= 0:
-            decision = PaperDecision(
-                "action", tuple(map(Atom, model.actions[action].tolist())), state, action
-            )
+            atoms = tuple(map(Atom, model.actions[action].tolist()))
+            decision = PaperDecision("action", atoms, state, action)
+        elif state in model.transitions.goals:
+            decision = PaperDecision("goal", stop, state)
         else:
-            decision = PaperDecision(
-                "goal" if state in model.transitions.goals else "dead_end", stop, state
-            )
+            decision = PaperDecision("dead_end", stop, state)
         self._plan = deque(decision.atoms)
         return decision

@@ -19,12 +19,21 @@ LAMBDA_SCALE: Final = 0.1
 
 @dataclass(frozen=True)
 class LearningSettings:
-    """How to learn.
+    """Parameters of learning.
 
-    `sequence_length` is l, frames in a sequence and atoms in an action. `lambda1` and `lambda2` are of Eq. 7; 0.1
-    sqrt(l) unless they are given: an active row or column of W has about l entries, so that its norm grows with
-    sqrt(l). `tau` is of Eq. 8, per query frame: a sequence none of whose matches weighs more is a new state. `gamma` is
-    the discount factor, `max_bytes` a bound on the memory of templates.
+    Attributes
+    ----------
+    sequence_length
+        l, frames in a sequence and atoms in an action.
+    lambda1, lambda2
+        Weights of Eq. 7, by default 0.1 sqrt(l): an active row or column of W has about l entries, so that its norm
+        grows with sqrt(l).
+    tau
+        Threshold of Eq. 8, per query frame. A sequence without a match of more weight is a new state.
+    gamma
+        Discount factor.
+    max_bytes
+        Maximum memory of the templates.
     """
 
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -60,19 +69,27 @@ def learn(
 ) -> PaperModel:
     """Learn states, actions, transitions, reward and policy from demonstrations, at least one of them successful.
 
-    `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
-    ValueError where no successful demonstration has a sequence, or features do not fit the settings; MemoryBoundError
-    where the templates need more than `max_bytes`; RewardError where the reward program was not solved.
+    `progress` is called with the stage ("centering", "states", "transitions", "reward", "policy"), the finished number
+    and the total.
+
+    Raises
+    ------
+    ValueError
+        If no successful demonstration has a sequence, or features do not fit the settings.
+    MemoryBoundError
+        If the templates need more than `max_bytes`.
+    RewardError
+        If the reward program was not solved.
     """
     settings = LearningSettings() if settings is None else settings
     check_features(demonstrations, settings.features.size)
     length = settings.sequence_length
     lambdas = settings.lambdas
-    atoms = [one.atoms for one in demonstrations]
-    successful = [one.successful for one in demonstrations]
-    raw = [one.rows for one in demonstrations]
+    atoms = [drive.atoms for drive in demonstrations]
+    successful = [drive.successful for drive in demonstrations]
+    raw = [drive.rows for drive in demonstrations]
     centering = Centering.fit(raw, settings.features)
-    frames = [centering.apply(each) for each in raw]
+    frames = [centering.apply(rows) for rows in raw]
     progress("centering", 1, 1)
     space = learn_state_space(
         frames, length, lambdas, settings.tau,
@@ -95,9 +112,9 @@ def learn(
         actions=actions.actions,
         state_streams=space.streams,
         atoms=tuple(atoms),
-        names=tuple(one.name for one in demonstrations),
+        names=tuple(drive.name for drive in demonstrations),
         successful=tuple(successful),
-        recovery=tuple(one.recovery for one in demonstrations),
+        recovery=tuple(drive.recovery for drive in demonstrations),
         transitions=transitions,
         reward=reward,
         policy=policy.action,

@@ -1,19 +1,19 @@
-"""What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognize S, as one file."""
+"""The learned Omega = (S, A, T, R, gamma) of the paper with the templates that recognize S, as one file."""
 
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int8s, Int32s
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored
 from smal.movement import Atom
 from smal.paper.transitions import Transitions
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
-_MOST = 1e6  # Of a weight in Eq. 7.
-#: What stands in the file as it is: arrays, and in its header numbers and tuples. Streams stand one after the other.
+_MOST = 1e6  # Maximum of a weight in Eq. 7.
+#: Parts that are stored unchanged: arrays, and numbers and tuples in the header. Streams are concatenated.
 _ARRAYS = ("mean", "actions", "reward", "policy", "value")
 _NUMBERS = ("sequence_length", "lambda1", "lambda2", "gamma")
 _TUPLES = ("names", "successful", "recovery")
@@ -22,29 +22,42 @@ _STREAMS = ("state_streams", "atoms")
 
 @dataclass(frozen=True, eq=False)
 class PaperModel(Stored):
-    """A learned model of the paper's scheme: of demonstrations d, each of f_d frames."""
+    """A learned model of the paper's scheme, from demonstrations d of f_d frames each."""
 
     scheme = "paper"
 
     feature_settings: FeatureSettings
-    mean: NDArray[np.float32]  # (m,) mean raw feature vector.
-    sequence_length: int  # l.
-    lambda1: float  # Of Eq. 7.
+    #: (m,) mean raw feature vector.
+    mean: Float32s
+    #: l.
+    sequence_length: int
+    #: Weights of Eq. 7.
+    lambda1: float
     lambda2: float
-    templates: NDArray[np.float32]  # X (m, n); state j is the columns j * l and following.
-    actions: NDArray[np.int8]  # (number of actions, l) atoms of every action.
-    state_streams: tuple[
-        NDArray[np.int32], ...
-    ]  # (f_d // l,) sequences in time; they end with the last frame.
-    atoms: tuple[NDArray[np.int8], ...]  # (f_d,) atom k was executed between frames k and k + 1.
-    names: tuple[str, ...]  # Episode of each demonstration.
-    successful: tuple[bool, ...]  # Whether it ended at the goal.
-    recovery: tuple[bool, ...]  # Whether it began off the route.
-    transitions: Transitions  # T.
-    reward: NDArray[np.float64]  # R (states,).
-    policy: NDArray[np.int32]  # (states,) action of every state; -1 in goals and dead ends.
-    value: NDArray[np.float64]  # V (states,) of the policy.
-    gamma: float  # Discount factor.
+    #: X (m, n); state j is the columns j * l and following.
+    templates: Float32s
+    #: (number of actions, l) atoms of every action.
+    actions: Int8s
+    #: (f_d // l,) sequences in time; they end with the last frame.
+    state_streams: tuple[Int32s, ...]
+    #: (f_d,) atom k was executed between frames k and k + 1.
+    atoms: tuple[Int8s, ...]
+    #: Episode of each demonstration.
+    names: tuple[str, ...]
+    #: Whether it ended at the goal.
+    successful: tuple[bool, ...]
+    #: Whether it started off the route.
+    recovery: tuple[bool, ...]
+    #: T.
+    transitions: Transitions
+    #: R (states,).
+    reward: Floats
+    #: (states,) action of every state; -1 in goals and dead ends.
+    policy: Int32s
+    #: V (states,) of the policy.
+    value: Floats
+    #: Discount factor.
+    gamma: float
 
     def __post_init__(self) -> None:
         checks = self._arrays_fit() | self._drives_fit()
@@ -57,7 +70,7 @@ class PaperModel(Stored):
         length = self.sequence_length
         size = self.feature_settings.size
         return {
-            # Centred features are of unit length at most.
+            # Centred features have at most unit length.
             "templates": self.templates.shape == (size, states * length)
             and self.templates.dtype.kind == "f"
             and bool((np.abs(self.templates) <= 1.01).all()),
@@ -90,16 +103,16 @@ class PaperModel(Stored):
 
     @property
     def centering(self) -> Centering:
-        """Turns raw features into those of the templates."""
+        """Converts raw features to those of the templates."""
         return Centering(self.mean, self.feature_settings)
 
     @property
     def longest(self) -> int:
-        """Frames of the longest drive."""
+        """Number of frames of the longest drive."""
         return max(map(len, self.atoms))
 
     def content(self) -> Content:
-        """Return what the file says of the model, and the arrays in it."""
+        """Return the metadata and the arrays of the model file."""
         arrays = {"templates": self.templates.T} | {name: getattr(self, name) for name in _ARRAYS}
         arrays |= {
             f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS
@@ -110,8 +123,8 @@ class PaperModel(Stored):
         return self.feature_settings.content | meta, arrays
 
     @classmethod
-    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
-        """Make it of what a file says."""
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
+        """Build the model from the content of a file."""
         _check_numbers(meta)
         frames = np.array(meta["frames"])
         length = meta["sequence_length"]
@@ -136,7 +149,7 @@ class PaperModel(Stored):
         )
 
 
-def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
+def _within(numbers: AnyArray, low: int, high: int) -> bool:
     return (
         numbers.dtype.kind == "i"
         and low <= int(numbers.min(initial=low))
@@ -145,7 +158,7 @@ def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:
-    """Reject a header with missing or wrong numbers before anything is computed with them."""
+    """Raise ValueError for a header with wrong numbers, before any computation with them."""
     counts = ("sequence_length", "states")
     reals = ("lambda1", "lambda2", "gamma")
     wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]

@@ -1,21 +1,27 @@
-"""When does a query sequence match a known state (paper, Eq. 8), and what else W says of it."""
+"""Match of a query sequence with a known state, or its novelty (paper, Eq. 8)."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray
 from smal.paper.state_matching import Solution
 
 
 @dataclass(frozen=True)
 class Match:
-    """How well a query matches the templates; `state` is the best sequence (Eq. 9), None where W is zero.
+    """Match of a query with the templates.
 
-    `score` is its weight for each of the q query frames (left side of Eq. 8, divided by q), `total_weight` that of all.
-    `residual` is sum ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0); `agreement` the mean over the query
-    frames of the largest cosine with a frame of the best sequence, -1 to 1.
+    Attributes
+    ----------
+    state
+        The best sequence (Eq. 9); None if W is zero.
+    score, total_weight
+        Its weight for each of the q query frames (left side of Eq. 8, divided by q), and the weight of all sequences.
+    residual
+        sum ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0).
+    agreement
+        Mean over the query frames of the largest cosine with a frame of the best sequence, -1 to 1.
     """
 
     state: int | None
@@ -25,15 +31,15 @@ class Match:
     agreement: float
 
     def is_novel(self, tau: float) -> bool:
-        """Eq. 8: no sequence has a weight above tau, which is per query frame here; the paper's tau is tau * l.
+        """Return whether no sequence has a weight above tau (Eq. 8).
 
-        With several demonstrations of one route, sequences that resemble each other share the weight: the best one
-        has less the more there are.
+        Here tau is per query frame; the paper's tau is tau * l. With several demonstrations of one route, similar
+        sequences share the weight, so that the best sequence has less weight.
         """
         return self.state is None or self.score <= tau
 
 
-def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[Any]) -> Match:
+def describe_match(solution: Solution, templates: AnyArray, frames: AnyArray) -> Match:
     """Summarize a solution of Eq. 7, of templates X (m, n) of unit length and frames Y^T (q, m)."""
     length = solution.sequence_length
     q = len(frames)
@@ -46,6 +52,6 @@ def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[
         return Match(None, 0.0, 0.0, residual, 0.0)
     best = (frames @ templates[:, state * length : (state + 1) * length]).max(axis=1)
     cosines = np.divide(best, norms, out=np.zeros(q), where=norms > 0.0)
-    return Match(
-        state, float(weights.max()) / q, float(weights.sum()) / q, residual, float(cosines.mean())
-    )
+    score = float(weights.max()) / q
+    total_weight = float(weights.sum()) / q
+    return Match(state, score, total_weight, residual, float(cosines.mean()))

@@ -1,19 +1,18 @@
 """The paper's execution, first half: from camera frames to a state (Eq. 7 and 9)."""
 
 from collections import deque
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smal.paper.execution import Recognition
+from smal.arrays import AnyArray, Float32s
+from smal.paper.execution import Recognition, Status
 from smal.paper.model import PaperModel
 from smal.paper.novelty import describe_match
 from smal.paper.state_matching import solve
 
 
 class Recognizer:
-    """Keeps the last l frames and matches them with the states of a model, each time to a relative duality gap."""
+    """Matches the last l frames with the states of a model, each time to a relative duality gap."""
 
     def __init__(self, model: PaperModel, tolerance: float = 1e-3) -> None:
         self._model = model
@@ -23,15 +22,15 @@ class Recognizer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all frames, for a new episode."""
-        self._frames: deque[NDArray[np.float32]] = deque(maxlen=self._model.sequence_length)
+        """Start a new episode."""
+        self._frames: deque[Float32s] = deque(maxlen=self._model.sequence_length)
         self._last_tick: int | None = None
 
-    def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
-        """Take the raw features (m,) of one frame; answer if an answer is due.
+    def observe(self, tick: int, raw_features: AnyArray, due: bool) -> Recognition:
+        """Process the raw features (m,) of one frame, and recognize the state if a decision is due.
 
-        Unless the frame follows the last one, the window starts anew: a sequence never spans a dropped frame. Features
-        of the wrong length, NaN or infinity raise ValueError, and the frame is not taken in.
+        A dropped frame restarts the window, so that a sequence is always complete. Features of the wrong length, NaN or
+        infinity raise ValueError, and the frame is ignored.
         """
         if raw_features.ndim != 1:
             raise ValueError(
@@ -47,7 +46,5 @@ class Recognizer:
         frames = np.stack(self._frames)
         solution = solve(self._templates, frames.T, *self._parameters)
         match = describe_match(solution, self._templates, frames)
-        gap = solution.duality_gap
-        return Recognition(
-            "unknown" if match.state is None else "recognized", tick, duality_gap=gap, **vars(match)
-        )
+        status: Status = "unknown" if match.state is None else "recognized"
+        return Recognition(status, tick, duality_gap=solution.duality_gap, **vars(match))

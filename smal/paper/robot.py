@@ -1,10 +1,8 @@
-"""`PaperRobot` takes an image and returns an atom, by the paper's scheme."""
+"""`PaperRobot`: from an image to an atom by the paper's scheme."""
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Uint8s
 from smal.features import extract
 from smal.movement import Atom
 from smal.paper.execution import DecisionMaker, PaperDecision
@@ -13,9 +11,10 @@ from smal.paper.recognition import Recognizer
 
 
 class PaperRobot:
-    """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of its action; decides each stride, or l."""
+    """Drives as in the paper: l frames, their state (Eq. 9), the l atoms of its action; decides every stride, or l."""
 
-    decision: PaperDecision  # The last one that was due.
+    #: The last decision, without "wait".
+    decision: PaperDecision
 
     def __init__(self, model: PaperModel, stride: int | None = None) -> None:
         self._model = model
@@ -25,7 +24,7 @@ class PaperRobot:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, for a new episode."""
+        """Start a new episode."""
         self._recognizer.reset()
         self._maker.reset()
         self._tick = 0
@@ -33,11 +32,11 @@ class PaperRobot:
 
     def step(
         self,
-        image: NDArray[np.uint8],
+        image: Uint8s,
         odometry: Sequence[float] | None = None,
         elapsed_s: float | None = None,
     ) -> Atom:
-        """Take one image, (height, width, 3) RGB; return the atom until the next. Odometry and time do not count."""
+        """Return the atom until the next image (height, width, 3), RGB; odometry and time are ignored."""
         del odometry, elapsed_s
         raw = extract(image, self._model.feature_settings)
         # The first decision is due with the first whole window, the others follow at equal distances.
@@ -50,5 +49,5 @@ class PaperRobot:
 
     @property
     def done(self) -> bool:
-        """Whether it says that it has arrived."""
+        """Whether the robot has announced its arrival."""
         return self.decision.kind == "goal"

@@ -1,9 +1,9 @@
 """State matching (paper, section III-A and Algorithm 2): find the weights W that minimize Eq. 7, and a duality gap.
 
-Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
-template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that
-matter, and stops when the relative duality gap of the *full* problem is within the tolerance. The gap proves each
-answer, as Eq. 14 to 17 prove the limit of Algorithm 2, whose steps are Eq. 10 to 12; as published that is in
+Both penalties separate over template sequences, and most sequences get no weight. So `working_set` solves Eq. 7 on few
+template frames (by `newton`), bounds from below the effect of all others (`duality_gap`), and adds the frames that
+matter. It stops when the relative duality gap of the *full* problem is within the tolerance. The gap proves each
+solution, as Eq. 14 to 17 prove the limit of Algorithm 2 (steps Eq. 10 to 12). Algorithm 2 as published is in
 `tests/benchmarks/recognition`.
 """
 
@@ -11,58 +11,63 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smal.paper.objective import Matrix
+from smal.arrays import AnyArray, Floats, Indices
 from smal.paper.working_set import WorkingSet
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A solution of Eq. 7 and its duality gap, of n template and q query frames."""
 
-    active: NDArray[np.intp]  # (p,) template frames (rows of W) that may have a weight, ascending.
-    active_weights: Array  # (p, q) their rows of W; all other rows are zero.
-    shape: tuple[int, int]  # (n, q).
+    #: (p,) template frames (rows of W) that can have a weight, ascending.
+    active: Indices
+    #: (p, q) their rows of W; all other rows are zero.
+    active_weights: Floats
+    #: (n, q).
+    shape: tuple[int, int]
     sequence_length: int
-    objective: float  # Eq. 7 at W.
-    duality_gap: float  # Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
-    iterations: int  # Newton steps in all rounds of the working set.
-    converged: bool  # Whether the gap is within the tolerance that was asked for.
-    residual_norms: Array  # (q,) ||y_i - X w_i||.
+    #: Eq. 7 at W.
+    objective: float
+    #: Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
+    duality_gap: float
+    #: Newton steps in all rounds of the working set.
+    iterations: int
+    #: Whether the gap is within the requested tolerance.
+    converged: bool
+    #: (q,) ||y_i - X w_i||.
+    residual_norms: Floats
 
     @property
-    def weights(self) -> Array:
+    def weights(self) -> Floats:
         """W, float64 (n, q)."""
         weights = np.zeros(self.shape)
         weights[self.active] = self.active_weights
         return weights
 
     @cached_property
-    def active_blocks(self) -> NDArray[np.intp]:
+    def active_blocks(self) -> Indices:
         """Template sequences with weight, ascending (b,)."""
         return np.unique(self.active // self.sequence_length)
 
     @cached_property
-    def block_weights(self) -> Array:
+    def block_weights(self) -> Floats:
         """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
-        where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)
-        return np.asarray(
-            np.bincount(where, np.abs(self.active_weights).sum(axis=1)), dtype=np.float64
-        )
+        blocks = self.active // self.sequence_length
+        where = np.searchsorted(self.active_blocks, blocks)
+        weights = np.abs(self.active_weights).sum(axis=1)
+        return np.asarray(np.bincount(where, weights), dtype=np.float64)
 
     @property
     def best_block(self) -> int | None:
-        """The template sequence with the largest weight (Eq. 9); None where W is zero."""
+        """The template sequence with the largest weight (Eq. 9); None if W is zero."""
         weights = self.block_weights
         return int(self.active_blocks[np.argmax(weights)]) if weights.size else None
 
 
 def solve(
-    templates: Matrix,
-    query: Matrix,
+    templates: AnyArray,
+    query: AnyArray,
     sequence_length: int,
     lambda1: float,
     lambda2: float,
@@ -70,12 +75,25 @@ def solve(
 ) -> Solution:
     """Match a query sequence against template sequences: minimize Eq. 7.
 
-    X (m, n) is taken in float32, and not copied if it is so in Fortran order; sequence j is the l columns from j l
-    on, of which the last may have fewer. Y (m, q) usually has q = l. The lambdas weigh ||W||_{2,1} and ||W||_{S1},
-    are not negative, and not both zero. It ends at a relative duality gap of the full problem, `tolerance`: where a
-    query frame is a combination of templates its residual vanishes, and below about 1e-5 rounding may keep the gap
-    from getting there, as `converged` tells. ValueError for shapes that do not fit, NaN or infinity, or parameters
-    out of range.
+    Parameters
+    ----------
+    templates : array (m, n)
+        X. Sequence j is the l columns from j l on; the last sequence can be shorter. It is converted to float32; an
+        array of float32 in Fortran order is not copied.
+    query : array (m, q)
+        Y, usually with q = l.
+    sequence_length : int
+        l.
+    lambda1, lambda2 : float
+        Weights of ||W||_{2,1} and ||W||_{S1}, not negative, and not both zero.
+    tolerance : float
+        Relative duality gap of the full problem. If a query frame is a combination of templates, its residual is zero.
+        Then rounding can prevent a gap below about 1e-5, and `converged` is False.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, values are not finite, or parameters are out of range.
     """
     _check(templates, query, sequence_length, lambda1, lambda2, tolerance)
     rows = np.ascontiguousarray(templates.T, dtype=np.float32)
@@ -85,36 +103,43 @@ def solve(
     lengths = np.linalg.norm(frames, axis=1)
     if not np.isfinite(lengths).all():
         raise ValueError("the query contains NaN or infinity")
-    seen = np.flatnonzero(lengths > 0.0)
-    if not seen.size:
+    nonzero = np.flatnonzero(lengths > 0.0)
+    if not nonzero.size:
         return Solution(
-            np.zeros(0, np.intp),
-            np.zeros((0, q)),
-            (n, q),
-            sequence_length,
-            0.0,
-            0.0,
-            0,
-            True,
-            np.zeros(q),
+            active=np.zeros(0, np.intp),
+            active_weights=np.zeros((0, q)),
+            shape=(n, q),
+            sequence_length=sequence_length,
+            objective=0.0,
+            duality_gap=0.0,
+            iterations=0,
+            converged=True,
+            residual_norms=np.zeros(q),
         )
-    found = WorkingSet(rows, frames[seen], sequence_length, lambda1, lambda2, tolerance)
+    found = WorkingSet(rows, frames[nonzero], sequence_length, lambda1, lambda2, tolerance)
     found.grow_until_proved()
     used = np.flatnonzero(found.weights.any(axis=1))
     weights = np.zeros((used.size, q))
     residuals = np.zeros(q)
-    weights[:, seen] = found.weights[used]
-    residuals[seen] = found.residuals
+    weights[:, nonzero] = found.weights[used]
+    residuals[nonzero] = found.residuals
     return Solution(
-        found.columns[used], weights, (n, q), sequence_length, found.objective, found.gap, found.steps,
-        found.gap <= tolerance, residuals,
-    )  # fmt: skip
+        active=found.columns[used],
+        active_weights=weights,
+        shape=(n, q),
+        sequence_length=sequence_length,
+        objective=found.objective,
+        duality_gap=found.gap,
+        iterations=found.steps,
+        converged=found.gap <= tolerance,
+        residual_norms=residuals,
+    )
 
 
 def _check(
-    X: Matrix, Y: Matrix, length: int, lambda1: float, lambda2: float, tolerance: float
+    X: AnyArray, Y: AnyArray, length: int, lambda1: float, lambda2: float, tolerance: float
 ) -> None:
-    """Refuse input for which Eq. 7 or its duality gap means nothing."""
+    """Raise ValueError for input for which Eq. 7 or its duality gap is undefined."""
     if X.ndim != 2 or not np.issubdtype(X.dtype, np.floating):
         raise ValueError(
             f"templates must be a floating point matrix (m, n), got {X.dtype} {X.shape}"

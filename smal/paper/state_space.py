@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Int32s
 from smal.paper.novelty import describe_match
 from smal.paper.sequences import first_frame
 from smal.paper.state_matching import solve
@@ -14,15 +14,15 @@ Progress = Callable[[int, int], None]
 
 
 class MemoryBoundError(MemoryError):
-    """The templates would need more memory than was allowed."""
+    """The templates need more memory than the limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """What Algorithm 1 returns: X (m, n), state j in l columns from j l on, and s-streams of states, (f // l,)."""
+    """Result of Algorithm 1: X (m, n), state j in l columns from j l on, and s-streams of states, (f // l,)."""
 
-    templates: NDArray[np.float32]
-    streams: tuple[NDArray[np.int32], ...]
+    templates: Float32s
+    streams: tuple[Int32s, ...]
     sequence_length: int
 
     @property
@@ -32,7 +32,7 @@ class StateSpace:
 
 
 def learn_state_space(
-    demonstrations: Sequence[NDArray[np.float32]],
+    demonstrations: Sequence[Float32s],
     sequence_length: int,
     lambdas: tuple[float, float],
     tau: float,
@@ -40,7 +40,7 @@ def learn_state_space(
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> StateSpace:
-    """Cut demonstrations into sequences of l frames and build the states from them (Section III-B).
+    """Divide demonstrations into sequences of l frames, and build the states (Section III-B).
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def learn_state_space(
     tolerance
         Relative duality gap of each match.
     max_bytes
-        Bound on the templates: n frames of m features take 4 n m bytes.
+        Maximum of the templates: n frames of m features take 4 n m bytes.
 
     Raises
     ------
     ValueError
-        No demonstration has l frames.
+        If no demonstration has l frames.
     MemoryBoundError
-        The templates need more than `max_bytes`.
+        If the templates need more than `max_bytes`.
     """
     l = sequence_length  # noqa: E741
     sequences = [
@@ -70,7 +70,7 @@ def learn_state_space(
     ]
     if not sequences:
         raise ValueError(f"no demonstration has {l} frames")
-    # There are at most as many states as sequences; memory is taken when a row is written.
+    # There are at most as many states as sequences; memory is allocated when a row is written.
     rows = np.empty((len(sequences) * l, sequences[0].shape[1]), dtype=np.float32)
     stream: list[int] = []
     states = 0
@@ -90,19 +90,18 @@ def learn_state_space(
         if progress is not None:
             progress(len(stream), len(sequences))
     ends = np.cumsum([len(frames) // l for frames in demonstrations])[:-1]
-    return StateSpace(
-        rows[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l
-    )
+    streams = np.split(np.array(stream, dtype=np.int32), ends)
+    return StateSpace(rows[: states * l].T, tuple(streams), l)
 
 
 def _known_state(
-    templates: NDArray[np.float32],
-    frames: NDArray[np.float32],
+    templates: Float32s,
+    frames: Float32s,
     lambdas: tuple[float, float],
     tau: float,
     tolerance: float,
 ) -> int | None:
-    """Return the state that a sequence (l, m) shows; None if it is novel (Eq. 8)."""
+    """Return the state of a sequence (l, m); None if it is novel (Eq. 8)."""
     if not templates.size:
         return None
     solution = solve(templates, frames.T, len(frames), *lambdas, tolerance)

@@ -1,4 +1,4 @@
-"""What every method of place recognition takes and answers."""
+"""Input checks and results of all methods of place recognition."""
 
 import math
 from collections.abc import Callable
@@ -6,38 +6,45 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-Progress = Callable[[int], None]  # Called with the number of queries that are done.
+from smal.arrays import Bools, Float32s, Floats, Int64s
+
+#: Called with the number of finished queries.
+Progress = Callable[[int], None]
 
 
 def ignore(_done: int) -> None:
-    """Take notice of no progress."""
+    """Ignore the progress."""
 
 
-NONE = -1  # Stands for no reference frame in `Matches.reference`.
+NONE = -1  # No reference, in `Matches.reference`.
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """One match for every query frame, or none; arrays (q,).
+    """At most one match for every query frame.
 
-    `reference` is its frame, 0 to n - 1, or `NONE`: before the first whole window, and where nothing was recognized.
-    `score` says how sure the match is: higher is surer, comparable between the queries of one method only, 0 where
-    there is no match. `unknown` is the probability that no reference shows the query; 0 of a method that does not tell.
+    Attributes
+    ----------
+    reference : array (q,)
+        Matched frame, 0 to n - 1, or `NONE`: before the first whole window, and if nothing was recognised.
+    score : array (q,)
+        Confidence, comparable between the queries of one method only; 0 without a match.
+    unknown : array (q,)
+        Probability that no reference shows the query; 0 for a method without this estimate.
     """
 
-    reference: NDArray[np.int64]
-    score: NDArray[np.float64]
-    unknown: NDArray[np.float64]
+    reference: Int64s
+    score: Floats
+    unknown: Floats
 
     @classmethod
     def none(cls, queries: int) -> Self:
-        """Return the answer that recognizes no query of `queries`."""
+        """Return matches in which no query is recognised."""
         return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries), np.zeros(queries))
 
     def above(self, threshold: float) -> Self:
-        """Return the matches with a score above a threshold; the others are none."""
+        """Return the matches with a score above a threshold; the others are removed."""
         sure = self.matched & (self.score > threshold)
         return replace(
             self,
@@ -46,30 +53,31 @@ class Matches:
         )
 
     def surest(self, precision: float) -> Self:
-        """Return as many of the surest matches as have this precision, by scores that are probabilities."""
+        """Keep the most confident matches at this precision; scores must be probabilities."""
         falling = np.sort(self.score[self.matched])[::-1]
         expected = np.cumsum(falling) / np.arange(1, falling.size + 1)
         enough = falling[expected >= precision]
-        return self.above(np.nextafter(enough[-1], 0.0) if enough.size else math.inf)
+        threshold = np.nextafter(enough[-1], 0.0) if enough.size else math.inf
+        return self.above(threshold)
 
-    def of(self, queries: NDArray[np.int64]) -> Self:
+    def of(self, queries: Int64s) -> Self:
         """Return the matches of some queries."""
         return type(self)(self.reference[queries], self.score[queries], self.unknown[queries])
 
     @property
-    def matched(self) -> NDArray[np.bool_]:
+    def matched(self) -> Bools:
         """Which queries have a match, (q,)."""
-        found: NDArray[np.bool_] = self.reference != NONE
+        found: Bools = self.reference != NONE
         return found
 
 
-def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
-    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
+def check_features(references: Float32s, queries: Float32s) -> None:
+    """Raise ValueError unless features are two arrays (n, m) and (q, m) of finite numbers."""
     if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
         raise ValueError(
             f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}"
         )
     for name, features in (("references", references), ("queries", queries)):
-        # A sum is not finite if an entry is not, and takes no memory of the features' size.
+        # A sum is finite only if all entries are, and needs no further memory.
         if not np.isfinite(features.sum(dtype=np.float64)):
             raise ValueError(f"features of the {name} contain NaN or infinity")

@@ -1,26 +1,24 @@
-"""`smal.match`: two traverses that somebody has as arrays."""
+"""`smal.match`: place recognition on two traverses given as arrays."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s
 from smal.features import FeatureSettings, extract
 from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, check_features, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 
-Frames = Iterable[
-    NDArray[Any]
-]  # Images in order, uint8 (height, width, 3), or features of all, (n, m).
+#: Images in order, uint8 (height, width, 3), or features of all, (n, m).
+Frames = Iterable[AnyArray]
 
 
 @dataclass(frozen=True)
 class _Given(FeatureSettings):
-    """Features of which nothing is known but their size, as one modality."""
+    """Features of unknown meaning, as one modality."""
 
     modalities: tuple[str, ...] = ("given",)
     size: int = 0
@@ -43,16 +41,28 @@ def match(
     lag: int | None = None,
     parallel: Parallel = in_parallel,
 ) -> Matches:
-    """Find for each query the reference that was taken at the same place.
+    """Find for each query the reference at the same place.
 
-    Both are RGB images in order, uint8 (height, width, 3), at least 24 rows and 32 columns, or raw features of any
-    kind, float (n, m) and (q, m). Without queries the references are matched with those long before them (loops).
+    Parameters
+    ----------
+    references, queries
+        RGB images in order, uint8 (height, width, 3), at least 24 rows and 32 columns, or raw features of any kind,
+        float (n, m) and (q, m). Without queries, the references are matched with references long before (loops).
+    method : str
+        One of `smal.place_recognition.methods.METHODS`. Only `smal` has loops, a tolerance and a lag.
+    features : FeatureSettings, optional
+        Features of images, by default those of the method; or the modalities of given features, by default one.
+    tolerance : int, optional
+        Distance in frames within which references are right; by default the distance within which they look alike.
+    lag : int, optional
+        Number of later queries that contribute to an answer; by default all.
+    parallel : callable
+        Describes images, and compares them for the method `smal`; by default threads.
 
-    The method is one of `smal.place_recognition.methods.METHODS`. Only `smal` has loops; a tolerance, references so
-    many frames away being right as well (if None, those that look alike); and a lag, how many later queries answer
-    a query (if None, all). Features describe images (if None, the method's), or are the modalities of those that
-    are given (if None, all are one). `parallel` describes images and, of the method `smal`, compares them; threads if
-    not given. ValueError where there is no such method, it has not got what is chosen, or inputs are others.
+    Raises
+    ------
+    ValueError
+        If the method is unknown or lacks an option, or the input is invalid.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
@@ -75,8 +85,8 @@ def match(
     return way.match(known, asked, chosen, ignore)
 
 
-def _raw(frames: Frames, settings: FeatureSettings, parallel: Parallel) -> NDArray[np.float32]:
-    """Return features as they are given, or those of images."""
+def _raw(frames: Frames, settings: FeatureSettings, parallel: Parallel) -> Float32s:
+    """Return given features, or the features of images."""
     if isinstance(frames, np.ndarray) and frames.ndim == 2:
         return np.asarray(frames, dtype=np.float32)
     described = list(parallel(partial(extract, settings=settings), frames))

@@ -1,4 +1,4 @@
-"""The table of methods."""
+"""Table of the methods of place recognition."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import Float32s
 from smal.features import Centering, FeatureSettings
 from smal.features.extraction import Parallel, in_parallel
 from smal.place_recognition.matches import Matches, Progress
@@ -16,14 +17,14 @@ from smal.place_recognition.places import match_places
 from smal.place_recognition.seqslam import match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses
 
-Features = NDArray[np.float32] | NDArray[np.float16]
+Features = Float32s | NDArray[np.float16]
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What can be chosen of a method, of `smal` as `match_places` says; for loops the queries are the references.
+    """Options of a method, for `smal` as in `match_places`; for loops the queries are the references.
 
-    `parallel` is who works on parts of them, if the method has any.
+    `parallel` runs the parts of a method, if any.
     """
 
     features: FeatureSettings
@@ -34,29 +35,29 @@ class MatchSettings:
     parallel: Parallel = in_parallel
 
 
-#: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows of both.
+#: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows.
 Match = Callable[[Features, Features, MatchSettings, Progress], Matches]
 
 
 @dataclass(frozen=True)
 class Method:
-    """One way to recognize places: its meaning, and what it looks at, in windows of `length` frames, by itself."""
+    """A method of place recognition, with its own features and its number of frames a window."""
 
     meaning: str
     features: FeatureSettings
     way: Match
     length: int = 1
-    any_features: bool = (
-        True  # Whether it works with others than its own, and with windows of other lengths.
-    )
+    #: Whether it accepts other features than its own, and windows of other lengths.
+    any_features: bool = True
     any_length: bool = True
-    probable: bool = False  # Whether scores are probabilities of being right; then it takes a tolerance and a lag.
+    #: Whether scores are probabilities of being right; then it accepts a tolerance and a lag.
+    probable: bool = False
 
     def match(
         self, references: Features, queries: Features, settings: MatchSettings, progress: Progress
     ) -> Matches:
-        """Match raw features (n, m) and (q, m); of fewer than `length` of either it finds no match."""
-        # A traverse without frames has no mean to be centred by.
+        """Match raw features (n, m) and (q, m); with fewer than `length` of either there is no match."""
+        # A traverse without frames has no mean.
         if min(len(references), len(queries)) < settings.length:
             progress(len(queries))
             return Matches.none(len(queries))
@@ -66,12 +67,12 @@ class Method:
 def _smal(
     references: Features, queries: Features, settings: MatchSettings, progress: Progress
 ) -> Matches:
+    features = settings.features
     if settings.loops:
-        centred = (Centering.fit(references, settings.features).apply(references),) * 2
+        centred = (Centering.fit(references, features).apply(references),) * 2
     else:
-        centred = centre_traverses(
-            references, queries, settings.features, causal=settings.lag is not None
-        )
+        causal = settings.lag is not None
+        centred = centre_traverses(references, queries, features, causal=causal)
     return match_places(
         *centred,
         settings.tolerance,
@@ -106,9 +107,8 @@ def _paper(
     )
 
 
-FEATURES = FeatureSettings.of(
-    ("color", "hog", "gist", "thumbnail")
-)  # It changes little with light and season.
+#: They change little with light and season.
+FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))
 
 METHODS: Final = {
     "smal": Method(

@@ -1,16 +1,16 @@
-"""Nearest neighbour with the sum over the sequence: the plainest method that knows the order of frames."""
+"""Nearest neighbour with the sum over the sequence: the simplest method that uses the order of frames."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 
 def match_nearest_sequence(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
@@ -18,8 +18,8 @@ def match_nearest_sequence(
 
         score(t) = max_j  1/l  sum_{k=0}^{l-1}  x_{j-k} . y_{t-k}
 
-    Vectors are centred (`Centering.apply`). There is no match for the first l-1 queries, nor for any where n < l; of
-    equal sequences the earliest is taken. Features that do not fit or are not finite raise ValueError.
+    Vectors are centred (`Centering.apply`). There is no match for the first l-1 queries, or if n < l. Of equal
+    sequences the earliest is taken. ValueError if features do not fit or are not finite.
     """
     check_features(references, queries)
     matches = Matches.none(len(queries))
@@ -32,12 +32,12 @@ def match_nearest_sequence(
     return matches
 
 
-def sums_along(rows: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
+def sums_along(rows: Float32s, steps: Sequence[int]) -> Float32s:
     """Sum a matrix (q, n) of queries and references along one straight line of l steps, from each of its ends.
 
-    Steps are references before the end, 0 to l-1 queries before it. Entry (i, j) of the result
-    (q - l + 1, max(n - steps[-1], 0)) is the sum of the line that ends at row i + l - 1 and at reference j + steps[-1];
-    those that end earlier would begin before the first reference.
+    Steps are references before the end, for 0 to l-1 queries before the end. Entry (i, j) of the result
+    (q - l + 1, max(n - steps[-1], 0)) is the sum of the line that ends at row i + l - 1 and at reference j + steps[-1].
+    Lines with earlier ends begin before the first reference.
     """
     height, width = rows.shape
     length = len(steps)

@@ -1,11 +1,9 @@
-"""The paper's matching as it stands, on two traverses: Eq. 7 at fixed phases, and Eq. 9; with l = 1 its baseline."""
+"""The paper's matching on two traverses: Eq. 7 at fixed phases, and Eq. 9; with l = 1 it is the paper's baseline."""
 
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from smal.arrays import Float32s
 from smal.paper.phase import matched_phase
 from smal.paper.state_matching import solve
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
@@ -14,16 +12,16 @@ LAMBDA_SCALE: Final = 0.1  # a in lambda1 = lambda2 = a sqrt(l), as in learning.
 
 
 def match_as_in_the_paper(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
     """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
 
-    References (n, m) and queries (q, m) are centred by the mean of the references, of which whole sequences count.
-    There is no match for the first l-1 queries, where W = 0, and where n < l. The reference is the frame of the best
-    sequence (Eq. 9) at which W places the query, the score its weight per frame. ValueError as of `check_features`.
+    References (n, m) and queries (q, m) are centred by the mean of the references, of which whole sequences are used.
+    There is no match for the first l-1 queries, if W = 0, or if n < l. The reference is the frame of the best sequence
+    (Eq. 9) at the phase of the query in W, the score is its weight per frame. ValueError as in `check_features`.
     """
     check_features(references, queries)
     total = len(queries)

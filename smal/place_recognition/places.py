@@ -1,9 +1,8 @@
-"""The method on two traverses: where the queries are among the references, and how probable that is.
+"""Matching of two traverses: the reference of each query, with its probability.
 
-A query stands out at a reference by z: its cosine less the mean of those with all references, over their spread.
-Elsewhere z is about normal. Nobody has taught how far the right place stands out in this light: the mean and the spread
-there are learned from the queries themselves, without labels (expectation-maximization), and so is how much of each
-query is new.
+A query stands out at a reference by z: its cosine less the mean of its cosines with all references, divided by their
+spread. Elsewhere z is about normal. Under the present light, z at the right place is unknown. Its mean and spread, and
+the newness of each query, are learned from the queries themselves, without labels (expectation-maximization).
 """
 
 import math
@@ -15,56 +14,60 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Float32s, Floats, Indices, Uint16s
 from smal.features.extraction import Parallel, in_parallel
 from smal.likelihood import GRID, log_ratio, over
-from smal.place_recognition.hidden_markov import Array, Chain, smoothed
+from smal.place_recognition.hidden_markov import Chain, smoothed
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
-Levels = NDArray[np.uint16]  # How far queries stand out at references, in steps of z.
-Best = tuple[
-    int, float, float
-]  # A reference, how probable it is within the tolerance, and how probable none.
+#: z of queries at references, in steps.
+Levels = Uint16s
+#: A reference, its probability within the tolerance, and the probability of "none".
+Best = tuple[int, float, float]
 
-#: Mean and spread of z at the right place, and correlation of successive queries, before anything is learned; and as
-#: many queries as that counts.
+#: Prior of the mean and spread of z at the right place, and of the correlation of successive queries.
 _MEAN = 2.0
 _SPREAD = 1.5
 _CORRELATION = 1.0 / 3.0
+#: Weight of the prior, as a number of queries.
 _PRIOR_QUERIES = 5
-#: Least spread, and most correlation (more comes of stretches that are not at the believed place); the most that one
-#: query says (log ratio).
+#: Minimum of the spread.
 _LEAST_SPREAD = 0.3
+#: Maximum of the correlation; larger values come from stretches away from the estimated place.
 _MOST_CORRELATION = 0.7
+#: Maximum evidence of one query (log ratio).
 _MOST_SAID = 30.0
 _ROUNDS: Final = 6
-#: z is held as one of so many levels between two of the `GRID`; after them come that a blank query says nothing, and
-#: that a loop does not lead to a reference.
+#: Levels of z between two values of the `GRID`.
 _FINE: Final = 16
 _LEVELS: Final = np.linspace(GRID[0], GRID[-1], _FINE * (GRID.size - 1) + 1)
+#: Level of a blank query, without evidence.
 _SILENT = _LEVELS.size
+#: Level of a reference that is excluded for a loop.
 _NEVER = _LEVELS.size + 1
 _Z: Final = np.append(_LEVELS, [0.0, 0.0]).astype(np.float32)
-_STANDING: Final = 0.4  # A step shorter than this share of one in moving is one of standing still.
-# It learns from stretches of so many queries, at most as many of them.
+#: A step shorter than this share of a moving step counts as standing still.
+_STANDING: Final = 0.4
+#: Queries of a stretch for learning, and the maximum number of stretches.
 _STRETCH = 500
 _STRETCHES = 4
-#: So many queries are answered at a time, by them and by a stretch more on either side. What was seen a stretch ago
-#: matters only where two long ways among the references look alike, and all that tells them apart lies further away.
+#: Queries that are answered at a time, with a stretch more on either side. An older view matters only if two long ways
+#: among the references look alike and differ even further away.
 _PART: Final = _STRETCH * _STRETCHES
-_BLOCK: Final = 256  # Queries whose cosines are computed at a time.
+#: Queries whose cosines are computed at a time.
+_BLOCK: Final = 256
 
 
 class TraversePart(NamedTuple):
-    """Some queries, centred, in order: which of all is the first, and which are answered, not only looked at."""
+    """Some centred queries in order: the number of the first, and the slice of queries to answer."""
 
     first: int
-    queries: Array
+    queries: Float32s
     own: slice
 
     def blocks(self) -> "list[TraversePart]":
-        """Return it in pieces."""
+        """Split the part into blocks."""
         begins = range(0, len(self.queries), _BLOCK)
         return [
             TraversePart(self.first + begin, self.queries[begin : begin + _BLOCK], slice(None))
@@ -73,7 +76,7 @@ class TraversePart(NamedTuple):
 
 
 class Evidence:
-    """The likelihood ratio of a query, here against elsewhere, for each z, of the part of the query that is new."""
+    """Likelihood ratio of a query, here to elsewhere, for each level of z, for the new part of the query."""
 
     def __init__(
         self, mean: float = _MEAN, spread: float = _SPREAD, correlation: float = _CORRELATION
@@ -84,34 +87,32 @@ class Evidence:
         self._ratio = np.append(np.exp(said), [1.0, 0.0]).astype(np.float32)
 
     @classmethod
-    def learn(cls, levels: Levels, there: Array) -> "Evidence":
-        """Measure it on queries (q, n) that are believed to show references with probabilities (q, n)."""
+    def learn(cls, levels: Levels, there: Float32s) -> "Evidence":
+        """Measure it on queries (q, n) with the estimated probabilities (q, n) of references."""
         z = _Z[levels]
         prior = _PRIOR_QUERIES
         believed = float(there.sum(dtype=np.float64))
         total = float(np.einsum("ij,ij", there, z))
         mean = (total + prior * _MEAN) / (believed + prior)
-        scatter = (
-            float(np.einsum("ij,ij,ij", there, z, z)) - 2.0 * mean * total + believed * mean**2
-        )
-        spread = max(
-            math.sqrt(max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)), _LEAST_SPREAD
-        )
+        squares = float(np.einsum("ij,ij,ij", there, z, z))
+        scatter = squares - 2.0 * mean * total + believed * mean**2
+        variance = max(scatter + prior * _SPREAD**2, 0.0) / (believed + prior)
+        spread = max(math.sqrt(variance), _LEAST_SPREAD)
         off = z[np.arange(len(z)), there.argmax(axis=1)] - mean
         usual = prior * spread**2
         correlation = float(off[1:] @ off[:-1] + _CORRELATION * usual) / float(off @ off + usual)
         return cls(mean, spread, min(max(correlation, 0.0), _MOST_CORRELATION))
 
-    def of(self, levels: Levels) -> Array:
+    def of(self, levels: Levels) -> Float32s:
         """Return the likelihood ratios of levels."""
         return self._ratio[levels]
 
 
 class Places:
-    """References (n, m), centred, of frames that stops are left out of; a loop leads to those so far ``apart``."""
+    """Centred references (n, m), without stops; loops exclude references less than ``apart`` frames before."""
 
     def __init__(
-        self, references: Array, frames: NDArray[np.intp], tolerance: int, apart: int | None
+        self, references: Float32s, frames: Indices, tolerance: int, apart: int | None
     ) -> None:
         self.chain = Chain(len(references))
         self._references = references
@@ -121,15 +122,14 @@ class Places:
         self._end = np.searchsorted(frames, frames + tolerance, "right")
 
     def levels(self, part: TraversePart) -> Levels:
-        """Return how far queries stand out here."""
+        """Return the levels of z of queries at the references."""
         levels = np.empty((len(part.queries), len(self._references)), np.uint16)
         for begin in range(0, len(levels), _BLOCK):
             z = part.queries[begin : begin + _BLOCK] @ self._references.T
             for row, level in zip(z, levels[begin : begin + _BLOCK], strict=True):
                 row[:] = over(row, float(row.mean()), float(row.std()))
-                place = np.rint(
-                    (row - np.float32(GRID[0])) * np.float32(1.0 / (_LEVELS[1] - _LEVELS[0]))
-                )
+                steps = np.float32(1.0 / (_LEVELS[1] - _LEVELS[0]))
+                place = np.rint((row - np.float32(GRID[0])) * steps)
                 level[:] = np.clip(place, 0, _LEVELS.size - 1) if row.any() else _SILENT
         if self._apart is not None:
             for query, level in enumerate(levels, part.first):
@@ -139,26 +139,22 @@ class Places:
     def answers(
         self, evidence: Evidence, part: TraversePart, levels: Levels | None = None
     ) -> list[Best]:
-        """Return the best answers to the queries of a part that are its own, in order, by all of its queries."""
+        """Return the best answers to a part's own queries, in order, given all of its queries."""
         levels = self.levels(part) if levels is None else levels
-        found = [
-            self.best(there, none) for _, there, none in smoothed(self.chain, levels, evidence.of)
-        ][::-1]
-        return found[part.own]
+        beliefs = smoothed(self.chain, levels, evidence.of)
+        found = [self.best(there, none) for _, there, none in beliefs]
+        return found[::-1][part.own]
 
-    def best(self, there: Array, none: float) -> Best:
-        """Return the frame that a query most probably shows, how probably one within the tolerance, and none."""
+    def best(self, there: Float32s, none: float) -> Best:
+        """Return the most probable frame, its probability within the tolerance, and the probability of "none"."""
         best = there.argmax()
-        return (
-            int(self._frames[best]),
-            float(there[self._first[best] : self._end[best]].sum(dtype=float)),
-            none,
-        )
+        within = there[self._first[best] : self._end[best]]
+        return int(self._frames[best]), float(within.sum(dtype=float)), none
 
 
 def match_places(
-    references: Array,
-    queries: Array,
+    references: Float32s,
+    queries: Float32s,
     tolerance: int | None = None,
     lag: int | None = None,
     progress: Progress = ignore,
@@ -166,14 +162,35 @@ def match_places(
     *,
     loops: bool = False,
 ) -> Matches:
-    """Match every query (q, m) with the reference (n, m) that it most probably shows; both are centred, in order.
+    """Match every query with its most probable reference.
 
-    References up to `tolerance` frames away are right as well; if it is None, those that look alike. Each query is
-    answered by those up to `lag` after it, or by all of its part: `parallel` works on parts of 2,000 queries, each with
-    500 more on either side, so that no more is held at once. Two ways that look alike for longer are not told apart by
-    what lies beyond: each is then half as probable. For loops the queries are the references, matched with
-    those that are too far back to look alike only because they are near. The score is the probability of being right
-    within the tolerance. Features that do not fit each other or are not finite raise ValueError.
+    Memory is limited: `parallel` works on parts of 2,000 queries, with 500 more on either side. Two ways that look
+    alike for longer are not distinguished by views beyond, so that each is half as probable.
+
+    Parameters
+    ----------
+    references : array (n, m)
+        Centred features, in order.
+    queries : array (q, m)
+        Centred features, in order.
+    tolerance : int, optional
+        Distance in frames within which references are right; by default the distance within which they look alike.
+    lag : int, optional
+        Number of later queries that contribute to an answer; by default all of its part.
+    progress, parallel
+        As in `Matches` and `in_parallel`.
+    loops : bool
+        Whether the queries are the references, matched with references too far back to look alike by being near.
+
+    Returns
+    -------
+    Matches
+        The score is the probability of being right within the tolerance.
+
+    Raises
+    ------
+    ValueError
+        If features do not fit each other or are not finite.
     """
     check_features(references, queries)
     steps = [float(np.linalg.norm(after - before)) for before, after in pairwise(references)]
@@ -202,8 +219,8 @@ def match_places(
     return found.of(np.searchsorted(asked, np.arange(len(queries)), "right") - 1)
 
 
-def moving(features: Array, standing: float) -> NDArray[np.intp]:
-    """Return the frames of a traverse (n, m) that differ from the last of them by more: a stop is one place."""
+def moving(features: Float32s, standing: float) -> Indices:
+    """Return the frames of a traverse (n, m) that differ from the last returned frame: a stop is one place."""
     kept = [0]
     for frame in range(1, len(features)):
         if np.linalg.norm(features[frame] - features[kept[-1]]) > standing:
@@ -211,8 +228,8 @@ def moving(features: Array, standing: float) -> NDArray[np.intp]:
     return np.array(kept)
 
 
-def alike(references: Array, cosine: float) -> int:
-    """Return over how many frames the mean cosine of references (n, m) falls below one, at least 1."""
+def alike(references: Float32s, cosine: float) -> int:
+    """Return the distance in frames at which the mean cosine of references (n, m) falls below `cosine`, at least 1."""
     for step in range(1, len(references)):
         if np.einsum("ij,ij->i", references[step:], references[:-step]).mean() < cosine:
             return step
@@ -226,7 +243,7 @@ def _smoothed(
     progress: Progress,
     parallel: Parallel,
 ) -> Iterator[Best]:
-    """Yield the best answers to so many queries, each by those before and after it."""
+    """Yield the best answers to `count` queries, each given the queries before and after it."""
     learned = _stretches(part, count)
     levels = [np.concatenate(list(parallel(places.levels, one.blocks()))) for one in learned]
     evidence = _learned(places.chain, levels, progress)
@@ -242,7 +259,7 @@ def _smoothed(
 
 
 def _stretches(part: Callable[..., TraversePart], count: int) -> list[TraversePart]:
-    """Return what is learned from: all of so many queries, or a few stretches of them, evenly spread."""
+    """Return the stretches for learning: all queries, or a few evenly spread stretches."""
     if count <= _PART:
         return [part(0, count)]
     starts = np.linspace(0, count - _STRETCH, _STRETCHES).astype(int).tolist()
@@ -250,7 +267,7 @@ def _stretches(part: Callable[..., TraversePart], count: int) -> list[TraversePa
 
 
 def _learned(chain: Chain, stretches: list[Levels], progress: Progress = ignore) -> Evidence:
-    """Return the evidence of queries, learned from stretches (q, n)."""
+    """Return the evidence learned from stretches (q, n)."""
     evidence = Evidence()
     every = np.concatenate(stretches)
     for done in range(1, _ROUNDS):
@@ -260,20 +277,21 @@ def _learned(chain: Chain, stretches: list[Levels], progress: Progress = ignore)
     return evidence
 
 
-def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Array:
+def _there(chain: Chain, evidence: Evidence, levels: Levels) -> Float32s:
     """Return the probabilities (q, n) of a stretch."""
-    return np.array([there for _, there, _ in smoothed(chain, levels, evidence.of)][::-1])
+    beliefs = [there for _, there, _ in smoothed(chain, levels, evidence.of)]
+    return np.array(beliefs[::-1])
 
 
 def _followed(
     places: Places,
     part: Callable[..., TraversePart],
-    frames: NDArray[np.intp],
+    frames: Indices,
     lag: int,
     progress: Progress,
 ) -> Iterator[Best]:
-    """Yield the best answer to each query by those up to `lag` frames after it, learning again meanwhile."""
-    recent = deque[tuple[int, Array, Array]]()
+    """Yield the best answer to each query given those up to `lag` frames after it, and update the evidence."""
+    recent = deque[tuple[int, Float32s, Float32s]]()
     chain = places.chain
 
     def oldest() -> Best:
@@ -299,5 +317,5 @@ def _followed(
         yield oldest()
 
 
-def _normal(z: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normal(z: Floats) -> Floats:
     return np.maximum(np.exp(-0.5 * np.square(z)), 1e-300)

@@ -1,38 +1,34 @@
-"""SeqSLAM, from the paper (Milford & Wyeth, ICRA 2012): sums of enhanced differences along straight lines."""
+"""SeqSLAM after the paper (Milford & Wyeth, ICRA 2012): sums of enhanced differences along straight lines."""
 
 import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.distance import cdist
 
+from smal.arrays import Float32s, Floats, Int64s
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.nearest_sequence import sums_along
 
-VELOCITIES: Final = (
-    0.8,
-    0.9,
-    1.0,
-    1.1,
-    1.2,
-)  # The paper's velocities, reference frames to one query frame.
-#: Half of the paper's R_window: contrast is enhanced among so many references before and after, and the second best
-#: trajectory ends further away.
+#: The paper's velocities, reference frames to one query frame.
+VELOCITIES: Final = (0.8, 0.9, 1.0, 1.1, 1.2)
+#: Half of the paper's R_window: contrast is enhanced among this number of references before and after, and the second
+#: best trajectory ends further away.
 HALF_WINDOW: Final = 5
 #: Number c that makes every sum positive: of k numbers, none is over sqrt(k - 1) deviations off the mean.
 _OFFSET: Final = math.sqrt(2 * HALF_WINDOW + 1)
-_NOISE: Final = 1e-5  # A standard deviation below this share of the mean difference is the rounding of float32 sums.
+#: Standard deviations below this share of the mean difference are the rounding of float32 sums.
+_NOISE: Final = 1e-5
 
 
 def match_seqslam(
-    references: NDArray[np.float32],
-    queries: NDArray[np.float32],
+    references: Float32s,
+    queries: Float32s,
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
-    """Match each query with the end of the straight trajectory that differs least from it and its predecessors.
+    """Match each query with the end of the straight trajectory that differs least from the query and its predecessors.
 
     With D the mean absolute differences, and mean and deviation over the references within R_window / 2 of i:
 
@@ -42,13 +38,13 @@ def match_seqslam(
         score(t) = 1 - (S(t, e*) + c) / (S2(t) + c)                  the uniqueness
 
     where S2 is the least S of the ends further than R_window / 2 from e*. The paper compares the two by their ratio,
-    which says nothing while sums may be negative or 0; with c every sum is positive.
-    The paper's trajectories lie around a query; these end at it, so that a robot can use them.
+    which is meaningless for negative sums or 0; with c every sum is positive. The paper's trajectories lie around a
+    query. These end at it, so that a robot can use them.
 
-    References (n, m) and queries (q, m) are patch-normalized thumbnails in order; a common factor does not matter.
-    There is no match for the first d_s - 1 queries, nor for any where no trajectory fits into n. Scores are in [0, 1).
-    Where all of the trajectories end within the window, S2 = 0: what references without any contrast have. Features
-    that do not fit or are not finite raise ValueError.
+    References (n, m) and queries (q, m) are patch-normalised thumbnails in order; a common factor has no effect.
+    There is no match for the first d_s - 1 queries, or if no trajectory fits into n. Scores are in [0, 1). If all
+    trajectories end within the window, S2 = 0, as for references without any contrast. ValueError if features do not
+    fit or are not finite.
     """
     check_features(references, queries)
     total = len(queries)
@@ -74,11 +70,11 @@ def trajectories(length: int) -> list[list[int]]:
     return lines
 
 
-def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Enhance local contrast (q, n): deviations from the mean of references around each, 0 where all are the same."""
+def enhanced(rows: Floats) -> Float32s:
+    """Enhance local contrast (q, n): z values among the references around each; 0 where all are equal."""
 
-    def around(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        summed: NDArray[np.float64] = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
+    def around(values: Floats) -> Floats:
+        summed: Floats = uniform_filter1d(values, 2 * HALF_WINDOW + 1, mode="constant")
         return summed
 
     inside = around(np.ones(rows.shape[1]))
@@ -86,17 +82,19 @@ def enhanced(rows: NDArray[np.float64]) -> NDArray[np.float32]:
     above = rows - level
     mean = around(above) / inside
     deviation = np.sqrt(np.maximum(around(above**2) / inside - mean**2, 0.0))
+    floor = _NOISE * (level + mean)
     contrast = np.zeros(rows.shape)
-    np.divide(above - mean, deviation, out=contrast, where=deviation > _NOISE * (level + mean))
+    np.divide(above - mean, deviation, out=contrast, where=deviation > floor)
     return contrast.astype(np.float32)
 
 
-def _most_unique(costs: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the reference of least cost (c, n) > 0 for each query (c,), and how unique it is; spoils the costs."""
+def _most_unique(costs: Float32s) -> tuple[Int64s, Floats]:
+    """Return the reference of least cost (c, n) > 0 for each query (c,), and its uniqueness; overwrites the costs."""
     queries = np.arange(len(costs))
     best = costs.argmin(axis=1)
     first = costs[queries, best].astype(np.float64)
-    costs[np.abs(np.arange(costs.shape[1]) - best[:, None]) <= HALF_WINDOW] = np.inf
+    apart = np.abs(np.arange(costs.shape[1]) - best[:, None])
+    costs[apart <= HALF_WINDOW] = np.inf
     second = costs.min(axis=1).astype(np.float64)
     second = np.where(np.isfinite(second), second, _OFFSET)
     return best, 1.0 - np.minimum(first / second, 1.0)

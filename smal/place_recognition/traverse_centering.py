@@ -1,39 +1,41 @@
-"""Centre each traverse by its own mean, which removes what its light, its season and its camera add.
+"""Centering of each traverse by its own mean, which removes the effect of its light, its season and its camera.
 
-Measured on traverses under other light, that changes more than any feature or length of a sequence does. But the mean
-of few queries is what these few places look like; of a single one it is all that there is. It is therefore drawn
-towards the mean of the references, as if some more frames had been seen.
+On traverses under different light, this improves matching more than any feature or sequence length. But the mean of few
+queries describes these few places. Therefore it is shrunk towards the mean of the references, as if a few more frames
+had been observed.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats
 from smal.features import Centering, FeatureSettings
 
-PRIOR_FRAMES: Final = (
-    5  # As many frames that look like the references in the mean are counted among the queries.
-)
+#: Weight of the references' mean in the queries' mean, as a number of frames.
+PRIOR_FRAMES: Final = 5
 
 
 def centre_traverses(
-    references: NDArray[Any],
-    queries: NDArray[Any],
+    references: AnyArray,
+    queries: AnyArray,
     settings: FeatureSettings,
     *,
     causal: bool = False,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean of those up to it."""
+) -> tuple[Float32s, Float32s]:
+    """Centre two traverses, raw features (n, m) and (q, m); if causal, each query by the mean up to it."""
     known = Centering.fit(references, settings)
     total = PRIOR_FRAMES * known.mean.astype(np.float64)
-    asked = np.empty(queries.shape, np.float32)
+
+    def centred(rows: AnyArray, total: Floats, count: int) -> Float32s:
+        mean = total / (count + PRIOR_FRAMES)
+        return Centering(mean.astype(np.float32), settings).apply(rows)
+
     if not causal:
-        mean = (total + queries.sum(axis=0, dtype=np.float64)) / (len(queries) + PRIOR_FRAMES)
-        return known.apply(references), Centering(mean.astype(np.float32), settings).apply(queries)
-    for seen, query in enumerate(queries, start=1):
+        total = total + queries.sum(axis=0, dtype=np.float64)
+        return known.apply(references), centred(queries, total, len(queries))
+    asked = np.empty(queries.shape, np.float32)
+    for count, query in enumerate(queries, start=1):
         total += query
-        asked[seen - 1] = Centering(
-            (total / (seen + PRIOR_FRAMES)).astype(np.float32), settings
-        ).apply(query)
+        asked[count - 1] = centred(query, total, count)
     return known.apply(references), asked

@@ -1,4 +1,4 @@
-"""What to do: the route along the taught ways, the behaviours, and the planner that decides by them."""
+"""Planning: the route along the taught ways, the behaviours, and the planner that decides by them."""
 
 from smal.planning.behaviours import Said as Said
 from smal.planning.cost_to_go import chosen_goal as chosen_goal

@@ -1,8 +1,8 @@
-"""The behaviours of a robot that finds its goal, in their order of priority.
+"""The behaviours of a robot on the way to its goal, in their order of priority.
 
-Every frame each behaviour first notes what the robot did since the frame before: its clock. Then the first behaviour
-that proposes something decides: `Done`, `Search`, `Blind`, `Follow`, `LookAround`, `Guess`, `DeadEnd`. If something
-stands in the way of that, `Wait` changes it.
+In every frame each behaviour first updates its clock by the last motion of the robot. Then the first behaviour with a
+proposal decides: `Done`, `Search`, `Blind`, `Follow`, `LookAround`, `Guess`, `DeadEnd`. If an obstacle blocks the
+proposal, `Wait` changes it.
 """
 
 import math
@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats
 from smal.filter import Belief
 from smal.map import VisualMap
 from smal.movement import STANDS, Motion
@@ -21,30 +21,29 @@ from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.sought.witness import Glimpse
 
-Floats = NDArray[np.float64]
 Said = Literal["found", "not_here"]
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a frame shows, and what the robot has done since the frame before.
+    """Input of the behaviours: the current frame, and the motion since the frame before.
 
     Attributes
     ----------
     belief, seen, around, strange, elapsed_s
         As in `Planner.decide`.
     doing, motion
-        Kind and motion of the decision before.
+        Kind and motion of the last decision.
     directions, weights
-        Direction (p,) to each particle's aim, and its weight (p,): 0 where no way leads to the goal.
+        Direction (p,) to each particle's aim, and its weight (p,); 0 without a way to the goal.
     heading_rad, underway_rad
-        Mean direction; and how far the robot still turns by the decision before, before this one moves it.
+        Mean direction; and turn by the last decision until the new decision moves the robot.
     clear
-        Whether the directions agree, of a robot that is not lost.
+        Whether the directions agree and the robot is not lost.
     at_goal, at_end
-        Probability that it is near the goal; and whether it is probably at the end of the way.
+        Probability of being near the goal; and whether the robot is probably at the end of the way.
     unseen
-        Whether it has driven too far without a view that spoke for its place.
+        Whether the robot has driven too far without a view that supports its place.
     """
 
     belief: Belief
@@ -71,16 +70,16 @@ class Situation:
 
     @property
     def sees(self) -> bool:
-        """Whether the camera shows anything."""
+        """Whether the camera provides views."""
         return self.belief.camera == "sees"
 
     def drive(self, kind: Kind) -> Intent:
-        """Return the intent to drive to where the particles aim."""
+        """Return the intent to drive to the particles' aims."""
         return Intent(kind, None, self.heading_rad, self.directions, self.weights)
 
 
 class Mission:
-    """What the robot was sent to do: its route, and what it says of the goal when nothing is left to do."""
+    """The task of the robot: its route, and the announced result."""
 
     def __init__(self, route: Route) -> None:
         self.route = route
@@ -88,18 +87,18 @@ class Mission:
 
 
 class Behaviour:
-    """A way to act, with a clock of its own."""
+    """A way to act, with its own clock."""
 
     def note(self, now: Situation) -> None:
-        """Note what the robot did since the frame before."""
+        """Update the clock by the motion since the frame before."""
 
     def propose(self, now: Situation) -> Intent | None:
-        """Return what to do until the next frame; None to leave that to the behaviours behind it."""
+        """Return the intent until the next frame; None defers to the behaviours of lower priority."""
         raise NotImplementedError
 
 
 class Done(Behaviour):
-    """Stand, having said something of the goal."""
+    """Stand after the result was announced."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -110,11 +109,11 @@ class Done(Behaviour):
 
 
 class LookAround(Behaviour):
-    """Turn to one side, then to the other, and once round to where it began.
+    """Turn to one side, then to the other, and once round to the start.
 
     It is due again when the robot has followed the way for a correlation length, or guessed for
-    `PlannerConfig.guess_s`: not before, since a place that a few views look like would have it turn to and fro for
-    ever. It is also due when no view speaks for the robot's place any more.
+    `PlannerConfig.guess_s`. An earlier repetition can turn the robot to and fro for ever at an ambiguous place. It is
+    also due when no view supports the robot's place any more.
     """
 
     def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
@@ -128,17 +127,17 @@ class LookAround(Behaviour):
 
     @property
     def done(self) -> bool:
-        """Whether it has looked all around since it last drove."""
+        """Whether the robot has looked all around since it last drove."""
         return self._turned_rad >= self._config.look_rad
 
     def again(self) -> None:
-        """Forget that it has looked around."""
+        """Reset, so that the robot looks around again."""
         self._turned_rad = 0.0
         self._followed = 0.0
         self._guessed_s = 0.0
 
     def note(self, now: Situation) -> None:
-        """Count the turn, and what the robot drove since it looked around."""
+        """Count the turn, and the way since the robot looked around."""
         if now.doing == "look_around":
             self._turn(abs(now.motion[1]) * self._chassis.turn_rad_s * now.elapsed_s)
         ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
@@ -155,7 +154,7 @@ class LookAround(Behaviour):
             self._side = -self._side
 
     def propose(self, now: Situation) -> Intent | None:
-        """Turn, unless it has looked around."""
+        """Turn, unless the robot has looked around."""
         if self.done:
             return None
         if self._turned_rad == 0.0:
@@ -164,9 +163,9 @@ class LookAround(Behaviour):
 
 
 class Search(Behaviour):
-    """At the end of the way look for what was sought, go up to it, and say whether it is there.
+    """Search the target at the end of the way, approach it, and announce the result.
 
-    Before it has arrived, the robot goes up to what it sees as near as where the ways ended.
+    Before arrival, the robot already approaches a target that is as near as at the end of the taught ways.
     """
 
     def __init__(
@@ -177,85 +176,83 @@ class Search(Behaviour):
         self._chassis = chassis
         self._mission = mission
         self._look = look
-        #: Whether the robot takes itself to be where it was taught that the goal is.
+        #: Whether the robot estimates to be at the taught goal.
         self.arrived = False
         self._ends = frozenset[int]()
         self._searched_s = 0.0
         self._neared_s = 0.0
         self._came_s = 0.0
-        self._nears = False  # Whether it proposed before to go up to what it saw.
+        self._nears = False  # Whether the last proposal was to approach the target.
 
     def note(self, now: Situation) -> None:
-        """Count the time of going up to something, and that of looking."""
+        """Count the time of approaching and of searching."""
         if self._nears:
-            # It may turn, or wait before a thing, twice as long as it may drive.
+            # Turning, or waiting before an obstacle, counts half.
             self._neared_s += now.elapsed_s * (1.0 + max(now.motion[0], 0.0)) / 2.0
         elif now.doing == "search" and not self._came_s:
             self._searched_s += now.elapsed_s
-        # A thing that has come where it was free only looks like what is sought, and may hide it.
+        # An obstacle that appeared in free space can resemble the target, and can hide it.
         self._came_s = max(self._came_s - now.elapsed_s, 0.0)
         left = None if now.seen is None else now.seen.left
-        if left is not None and now.around is not None and now.around.has_come(self._off_rad(left)):
+        if left is None or now.around is None:
+            return
+        if now.around.has_come(self._off_rad(left)):
             self._came_s = self._config.target.same_moment_s
 
     def propose(self, now: Situation) -> Intent | None:
-        """Say what it is sure of, or go up to what it sees, or look on."""
+        """Announce a certain result, approach the visible target, or continue to search."""
         self._nears = False
         if now.unseen and not now.sees:
             return None
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        return self._act_on_view(now.seen, sure) or (
-            self._look_on(now.belief) if self.arrived else None
-        )
+        intent = self._act_on_view(now.seen, sure)
+        if intent is None and self.arrived:
+            return self._look_on(now.belief)
+        return intent
 
     def _sure(self, now: Situation) -> bool:
-        """Return whether the robot is near the goal, and was followed or has looked around to know that."""
+        """Return whether the robot is certainly near the goal, after tracking the way or looking around."""
         followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
-        return (followed or self._look.done) and now.at_goal * (
-            1.0 - now.belief.lost
-        ) > self._config.arrived
+        at_goal = now.at_goal * (1.0 - now.belief.lost)
+        return (followed or self._look.done) and at_goal > self._config.arrived
 
     def _act_on_view(self, seen: Glimpse | None, sure: bool) -> Intent | None:
-        """Say that it is found where it is near in view, or go up to it."""
+        """Announce a near target as found, or approach a visible one."""
         if not self._in_view(seen):
             return None
         if seen is None:
             return self._say("found") if self.arrived else None
-        # From where nobody drove, less of it may show.
+        # From an untaught pose less of the target can be visible.
         about_as_near = seen.near > 1.0 / self._config.as_near
         beside = sure and about_as_near
         if (self.arrived and about_as_near) or (beside and seen.near > 1.0):
             return self._say("found")
-        if (
-            seen.left is not None
-            and (self.arrived or beside)
-            and self._neared_s < self._config.goal_s
-        ):
+        may_approach = self._neared_s < self._config.goal_s
+        if seen.left is not None and (self.arrived or beside) and may_approach:
             return self._go_up_to(seen.left)
         return None
 
-    def _say(self, what: Said) -> Intent:
-        self._mission.said = what
+    def _say(self, result: Said) -> Intent:
+        self._mission.said = result
         return Intent("goal", STANDS)
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
-        self._ends = self._mission.route.ends_near(
-            belief, 2.0 * self._config.goal_s * self._taught.speed
-        )
+        distance = 2.0 * self._config.goal_s * self._taught.speed
+        self._ends = self._mission.route.ends_near(belief, distance)
         self._neared_s = 0.0
         self._searched_s = 0.0
 
     def _in_view(self, seen: Glimpse | None) -> bool:
-        """Return whether what is sought is in view; without a way to tell it is taken to be."""
+        """Return whether the target is in view; without a target detector it counts as visible."""
         cost = self._config.target.false_seen
         least = cost / (1.0 + cost)
         return seen is None or (seen.probability > least and not self._came_s)
 
     def _off_rad(self, left: float) -> float:
-        """Return how far to the left of ahead something in view is, radians."""
+        """Return the direction of an image position, positive to the left of ahead, radians."""
         return left * math.radians(self._taught.scene[0])
 
     def _go_up_to(self, left: float) -> Intent:
@@ -264,11 +261,13 @@ class Search(Behaviour):
         return Intent("search", None, heading_rad, np.array([heading_rad]), np.ones(1))
 
     def _look_on(self, belief: Belief) -> Intent | None:
-        """Look all around, whatever other place that looks like; then go to another end, or say "not here"."""
+        """Turn once round, whatever the belief; then drive to another end, or announce "not here"."""
+        car = self._chassis.car
         around_s = self._config.search_rad(float(self._taught.scene[0])) / self._chassis.turn_rad_s
-        # A car would leave the place by turning.
-        if self._searched_s < (self._config.stands_s if self._chassis.car else around_s):
-            return Intent("search", STANDS if self._chassis.car else self._chassis.turn(1.0))
+        # A car cannot turn without leaving the place.
+        search_s = self._config.stands_s if car else around_s
+        if self._searched_s < search_s:
+            return Intent("search", STANDS if car else self._chassis.turn(1.0))
         self.arrived = False
         self._neared_s = 0.0
         self._mission.route = self._mission.route.beyond(self._ends)
@@ -278,64 +277,59 @@ class Search(Behaviour):
 
 
 class Blind(Behaviour):
-    """Stand where no view has spoken for the robot's place for too long, once it has looked around.
-
-    So a robot never drives far without a view that it knows.
-    """
+    """Stand after driving too far without a view that supports the robot's place, once it has looked around."""
 
     def __init__(self, look: LookAround) -> None:
         self._look = look
 
     def propose(self, now: Situation) -> Intent | None:
-        """Stand, unless looking around may help."""
-        return (
-            Intent("blind", STANDS, now.heading_rad)
-            if now.unseen and (self._look.done or not now.sees)
-            else None
-        )
+        """Stand, unless looking around can help."""
+        if now.unseen and (self._look.done or not now.sees):
+            return Intent("blind", STANDS, now.heading_rad)
+        return None
 
 
 class Follow(Behaviour):
-    """Drive along the taught way, where it is clear in which direction that leads."""
+    """Drive along the taught way if the direction is clear."""
 
     def __init__(self, look: LookAround, wait: "Wait") -> None:
         self._look = look
         self._wait = wait
 
     def propose(self, now: Situation) -> Intent | None:
-        """Drive, unless the robot is to look around first."""
+        """Drive, unless the robot must look around first."""
         doubts = now.at_end or self._wait.in_vain
         goes = now.clear and not now.unseen and (self._look.done or not doubts)
         return now.drive("follow") if goes else None
 
 
 class Guess(Behaviour):
-    """Drive in the mean direction, since looking around has not shown which one is right."""
+    """Drive in the mean direction if looking around has not resolved the ambiguity."""
 
     def propose(self, now: Situation) -> Intent | None:
-        """Drive all the same."""
+        """Drive in the mean direction."""
         return now.drive("guess") if now.has_way or now.lost else None
 
 
 class DeadEnd(Behaviour):
-    """Stand, since no taught way leads on to the goal."""
+    """Stand if no taught way leads on to the goal."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
 
     def propose(self, now: Situation) -> Intent | None:
-        """Stand; if all ends were tried that a way led to, the goal is not here."""
+        """Stand; if all reachable ends were tried, announce that the goal is not here."""
         self._mission.said = "not_here" if self._mission.route.tried else None
         return Intent("dead_end", STANDS, now.heading_rad)
 
 
 class Wait:
-    """Go round what stands in the way, or wait before it.
+    """Drive around an obstacle, or wait before it.
 
-    People wait for a robot as it waits for them, so one has to give way: after `PlannerConfig.waits_s` the robot backs
-    up. A robot that has waited in vain may be elsewhere than it believes: after twice that time it looks around, once.
-    After three times it takes another taught way, if there is one, for `PlannerConfig.closed_s`.
-    Only a robot with odometry that turns on the spot goes round things.
+    A person waits for the robot while it waits for the person. Therefore the robot backs up after
+    `PlannerConfig.waits_s`. A robot that waits in vain can be elsewhere than estimated: after twice that time it looks
+    around, once. After three times it takes another taught way, if any, for `PlannerConfig.closed_s`.
+    Only a robot with odometry that turns on the spot drives around obstacles.
     """
 
     def __init__(
@@ -352,7 +346,7 @@ class Wait:
 
     @property
     def in_vain(self) -> bool:
-        """Whether it has waited for so long that it may be elsewhere than it believes."""
+        """Whether the robot has waited so long that its estimated place can be wrong."""
         return self._periods >= 2
 
     @property
@@ -360,7 +354,7 @@ class Wait:
         return int(self._blocked_s // self._config.waits_s)
 
     def note(self, now: Situation) -> None:
-        """Count how long the way has been blocked; look around, or take another way, when it is time to."""
+        """Count how long the way is blocked; when due, look around or take another way."""
         self._closed_s -= now.elapsed_s
         if self._closed_s < 0.0 and self._mission.route.closed.any():
             self._mission.route = self._mission.route.reopened()
@@ -384,18 +378,18 @@ class Wait:
             self._blocked_s = 0.0
 
     def instead_of(self, intent: Intent, now: Situation) -> Intent:
-        """Return the intent as far as nothing stands in the way; else what to do in its place."""
+        """Return the intent, or a replacement if an obstacle blocks it."""
         around = self._things(now)
         if around is None:
             return self._before_strange_ground(intent, now)
         return self._among_things(intent, now, around) if intent.motion is None else intent
 
     def _things(self, now: Situation) -> Surroundings | None:
-        """Return the things that the robot can go round; None if it cannot."""
+        """Return the obstacles if the robot can drive around them; otherwise None."""
         return now.around if self._goes_round else None
 
     def _among_things(self, intent: Intent, now: Situation, around: Surroundings) -> Intent:
-        """Go round what stands in the way; near to things turn on the spot, and drive only straight."""
+        """Drive around obstacles; near to them turn on the spot, and drive only straight."""
         if intent.kind != "search" and now.has_way:
             round_rad = self._round_rad(intent.heading_rad, now.belief, around)
             if round_rad is None:
@@ -419,22 +413,21 @@ class Wait:
         )
 
     def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
-        """Slow down before ground that looks strange, and stand before it; what is sought is not in the way."""
+        """Slow down and stop before unexpected ground, except on the way to a visible target."""
         ahead = intent.kind != "search" if intent.motion is None else intent.motion[0] > 0.0
-        if not ahead or (now.seen is not None and now.seen.probability > 0.5):
+        target_visible = now.seen is not None and now.seen.probability > 0.5
+        if not ahead or target_visible:
             return intent
         if now.strange < self._config.stops_s * self._chassis.speed:
-            # It turns to its way, and looks there before it waits.
-            aside = (
-                abs(intent.heading_rad) > math.radians(self._taught.config.spacing_deg)
-                and not self._chassis.car
-            )
+            # The robot first turns to its way and checks the ground there.
+            spacing_rad = math.radians(self._taught.config.spacing_deg)
+            aside = abs(intent.heading_rad) > spacing_rad and not self._chassis.car
             return replace(intent, pace=0.0) if aside else self._wait(now)
         near = now.strange < self._config.slows_s * self._chassis.speed
         return replace(intent, pace=self._config.slowly) if near else intent
 
     def _wait(self, now: Situation) -> Intent:
-        """Keep in view who moves before the robot; then make room."""
+        """Keep a moving obstacle in view; later make room."""
         around = self._things(now)
         aside_rad = around.moving_rad if around else 0.0
         motion = STANDS

@@ -1,7 +1,7 @@
-"""The planner: a belief becomes a motion.
+"""The planner: from a belief to a motion.
 
-A `Route` tells where each particle aims. The first of the `behaviours` that wants something decides, and `Steering`
-makes a motion of that.
+A `Route` computes the aim of each particle. The first of the `behaviours` with a proposal decides, and `Steering`
+turns the proposal into a motion.
 """
 
 import math
@@ -36,20 +36,20 @@ from smal.sought.witness import Glimpse
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do until the next frame, and why.
+    """A motion until the next frame, and its reason.
 
     Attributes
     ----------
     kind
-        "follow": drive along the taught way; "look_around": turn, since directions disagree; "guess": drive all the
-        same, since looking has not helped; "dead_end": stand, since no taught way leads on to the goal; "blocked":
-        wait, since something stands in the way and nothing leads round it; "search": it has arrived, and turns to see
-        what is sought, or goes up to it; "goal": stand, having said that it is found, or not here; "blind": stand,
-        since no view has spoken for the robot's place for too long.
+        "follow": drive along the taught way. "look_around": turn, because directions disagree. "guess": drive in the
+        mean direction, because looking around has not helped. "dead_end": stand, because no taught way leads on to the
+        goal. "blocked": wait before an obstacle without a way round. "search": at the end of the way, turn to find the
+        target, or approach it. "goal": stand after announcing the result. "blind": stand, because no view has
+        supported the robot's place for too long.
     heading_rad
         Direction to drive in, from the robot's heading, positive to the left.
     motion
-        Linear velocity, ahead, and angular velocity, to the left, as shares of the robot's own, -1 to 1.
+        Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
     """
 
     kind: Kind
@@ -58,16 +58,16 @@ class Decision:
 
 
 class Planner:
-    """Decides for a robot that was sent to a goal.
+    """Decides for a robot with a goal.
 
     Parameters
     ----------
     visual_map
-        What was taught.
+        The taught map.
     goal
-        Where to go; it may be left out where all drives lead to one (`chosen_goal`).
+        Goal of the robot. It can be omitted if all drives lead to the same goal (`chosen_goal`).
     config
-        The planner's numbers.
+        Parameters of the planner.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Planner:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was being done, for a new episode."""
+        """Start a new episode."""
         self._steering.reset()
         self._doing: Kind | None = None
         self._mission = Mission(self._route)
@@ -95,17 +95,17 @@ class Planner:
 
     @property
     def arrived(self) -> bool:
-        """Whether the robot takes itself to be where it was taught that the goal is."""
+        """Whether the robot estimates to be at the taught goal."""
         return self._search.arrived
 
     @property
     def said(self) -> Said | None:
-        """What the robot says of its goal, having nothing left to do."""
+        """Announced result of the search; None while the robot is under way."""
         return self._mission.said
 
     @property
     def route(self) -> Route:
-        """The route that it follows."""
+        """The current route."""
         return self._mission.route
 
     def decide(
@@ -117,42 +117,41 @@ class Planner:
         around: Surroundings | None = None,
         strange: float = math.inf,
     ) -> Decision:
-        """Decide what to do until the next frame.
+        """Decide the motion until the next frame.
 
         Parameters
         ----------
         belief
-            Where the robot may be.
+            Estimated place of the robot.
         elapsed_s
-            Time since the frame before, seconds; a taught tick if not given.
+            Time since the frame before, seconds; by default a taught tick.
         delay_s
-            Time from the frame until the decision moves the robot, which until then goes on as before, seconds.
+            Latency from the frame until the decision moves the robot, seconds. Until then the last motion goes on.
         seen
-            Whether what is sought is in view; None where nothing can tell: the robot then says that it has found it
-            where it has arrived.
+            Probability that the target is in view; None without a target detector. The robot then announces "found"
+            on arrival.
         around
-            What stands about the robot. With odometry, a robot that turns on the spot goes round it. A thing that has
-            just come is not what is sought, for every robot.
+            Obstacles around the robot. With odometry, a robot that turns on the spot drives around them. For every
+            robot, an obstacle that has just appeared is not the target.
         strange
-            How far ahead the ground looks like none of the taught ground, in the map's unit. A robot that does not go
-            round things slows down and waits before it.
+            Distance to unexpected ground ahead, in the map's unit. A robot that does not drive around obstacles slows
+            down and waits before it.
         """
-        taught = self._taught
-        # A robot without decisions stands after a while: it has not gone on turning since.
-        elapsed_s = min(
-            taught.tick_s if elapsed_s is None else elapsed_s, self._config.stands_after_s
-        )
+        if elapsed_s is None:
+            elapsed_s = self._taught.tick_s
+        # Without decisions the robot stops after a while: it has not gone on turning since.
+        elapsed_s = min(elapsed_s, self._config.stands_after_s)
         delay_s = min(delay_s, self._config.stands_after_s)
         now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
         for behaviour in self._behaviours:
             behaviour.note(now)
         self._wait.note(now)
         proposals = (behaviour.propose(now) for behaviour in self._behaviours)
-        intent = self._wait.instead_of(next(one for one in proposals if one is not None), now)
+        proposal = next(intent for intent in proposals if intent is not None)
+        intent = self._wait.instead_of(proposal, now)
         self._doing = intent.kind
-        return Decision(
-            intent.kind, intent.heading_rad, self._steering.steer(intent, elapsed_s, delay_s)
-        )
+        motion = self._steering.steer(intent, elapsed_s, delay_s)
+        return Decision(intent.kind, intent.heading_rad, motion)
 
     def _situation(
         self,
@@ -166,16 +165,16 @@ class Planner:
         taught = self._taught
         route = self._mission.route
         directions, left_to_go, to_end = route.aims(belief, self._chassis.lookahead)
-        # Places from which no way leads to the goal have no say.
+        # Places without a way to the goal have no weight.
         weights = belief.weights * route.leads_on(belief)
-        mean = complex((weights * np.exp(1j * directions)).sum()) / max(float(weights.sum()), 1e-12)
+        total = max(float(weights.sum()), 1e-12)
+        mean = complex((weights * np.exp(1j * directions)).sum()) / total
+        agree = abs(mean) >= math.cos(math.radians(self._config.wide_deg))
         leads = route.leads[belief.keyframes]
-        # Beside or beyond the end by more than views change over, it is not at it.
-        at_end = (
-            leads
-            & (to_end < taught.correlation_length)
-            & (left_to_go < 0.5 * taught.speed * taught.tick_s)
-        )
+        near_goal = leads & (to_end < self._config.goal_s * taught.speed)
+        # Beside or beyond the end by more than a correlation length, the robot is not at the end.
+        beside_end = to_end < taught.correlation_length
+        at_end = leads & beside_end & (left_to_go < 0.5 * taught.speed * taught.tick_s)
         has_way = route.has_way(belief)
         return Situation(
             belief=belief,
@@ -190,10 +189,8 @@ class Planner:
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,
-            clear=has_way
-            and belief.lost <= 0.5
-            and abs(mean) >= math.cos(math.radians(self._config.wide_deg)),
-            at_goal=float(belief.weights @ (leads & (to_end < self._config.goal_s * taught.speed))),
+            clear=has_way and belief.lost <= 0.5 and agree,
+            at_goal=float(belief.weights @ near_goal),
             at_end=float(belief.weights @ at_end) > 0.5,
             unseen=belief.unseen > self._config.blind_s * taught.speed,
         )

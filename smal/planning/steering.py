@@ -1,9 +1,9 @@
-"""Steering: an intent becomes a velocity.
+"""Steering: from an intent to a velocity.
 
-A robot that drives freely takes the velocity after which, expected over its belief, least is left to go (QMDP; Littman,
-Cassandra and Kaelbling 1995). Each velocity is rolled out, after what the last one does until this one begins: an arc.
-What is left from the arc's end to the aim of each likely place is the way there, and the turn towards it. Where things
-are near, the robot turns on the spot and then drives straight, so that it sweeps no ground beside its way.
+A robot in free space takes the velocity with the least expected cost over its belief (QMDP; Littman, Cassandra and
+Kaelbling 1995). Each candidate is rolled out to an arc, after the motion that is still under way. The cost of an arc is
+the time from its end to the aim of each particle, and the turn towards the aim. Near obstacles the robot turns on the
+spot and then drives straight, so that it stays on its way.
 """
 
 import math
@@ -11,26 +11,25 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Floats
 from smal.map import VisualMap
 from smal.movement import STANDS, Motion, placed, seen_from, turns_ahead
 from smal.planning.config import PlannerConfig
 
-Floats = NDArray[np.float64]
 Kind = Literal["follow", "look_around", "guess", "dead_end", "blocked", "goal", "search", "blind"]
 
 
 @dataclass(frozen=True)
 class Intent:
-    """What a behaviour wants the robot to do until the next frame.
+    """Proposal of a behaviour until the next frame.
 
     Attributes
     ----------
     kind
         Name of the behaviour, as in `smal.planning.Decision`.
     motion
-        The motion to make; None to drive.
+        Motion to execute; None to drive.
     heading_rad
         Direction to drive in, from the robot's heading, positive to the left.
     directions, weights
@@ -38,7 +37,7 @@ class Intent:
     stepwise
         Whether to turn on the spot to the heading, and then drive straight.
     pace
-        Share of the speed at most.
+        Maximum share of the speed.
     """
 
     kind: Kind
@@ -51,7 +50,7 @@ class Intent:
 
 
 class Chassis(NamedTuple):
-    """How a robot moves: ways in the map's unit a second, and radians a second; a car does not turn on the spot."""
+    """Kinematics of a robot, in the map's unit, radians and seconds; a car cannot turn on the spot."""
 
     speed: float
     turn_rad_s: float
@@ -60,60 +59,62 @@ class Chassis(NamedTuple):
 
     @classmethod
     def of(cls, taught: VisualMap, config: PlannerConfig) -> "Chassis":
-        """Return the chassis with which a map was taught."""
-        return cls(
-            taught.speed, taught.turn_rad / taught.tick_s, turns_ahead(taught.movements), config
-        )
+        """Return the chassis of the robot that was taught."""
+        turn_rad_s = taught.turn_rad / taught.tick_s
+        return cls(taught.speed, turn_rad_s, turns_ahead(taught.movements), config)
 
     @property
     def lookahead(self) -> float:
-        """How far ahead on the taught way it aims, in the map's unit."""
+        """Distance to the aim on the taught way, in the map's unit."""
         return self.config.lookahead_s * self.speed
 
     def arc(self, linear: Floats | float, angular: Floats | float, time_s: float) -> Floats:
-        """Return where velocities (v,) lead in a time: ahead, left, turned (v, 3)."""
+        """Return the pose after velocities (v,) for a time: ahead, left, turned (v, 3)."""
         turned = np.asarray(angular) * self.turn_rad_s * time_s
         chord = linear * self.speed * time_s * np.sinc(turned / 2.0 / np.pi)
-        return np.stack(
-            [chord * np.cos(turned / 2.0), chord * np.sin(turned / 2.0), turned], axis=-1
-        )
+        ahead = chord * np.cos(turned / 2.0)
+        left = chord * np.sin(turned / 2.0)
+        return np.stack([ahead, left, turned], axis=-1)
 
     def turn(self, side: float) -> Motion:
         """Return the motion that turns to a side, 1 for left and -1 for right; a car drives slowly in a bend."""
-        return (self.config.look_speed, self.config.look_speed * side) if self.car else (0.0, side)
+        if self.car:
+            return self.config.look_speed, self.config.look_speed * side
+        return 0.0, side
 
     def best(self, directions: Floats, weights: Floats, last: Motion, delay_s: float) -> Motion:
-        """Return the motion that leaves least to go for particles that aim in directions (p,), by their weights (p,).
+        """Return the motion with the least expected cost for particles with directions (p,) and weights (p,).
 
-        The aims lie ahead of where the robot is when this motion begins, also beyond the end of the way: nearer aims
-        would make full speed lead too far.
+        The aims lie ahead of the robot's pose at the start of this motion, also beyond the end of the way. With nearer
+        aims, full speed leads too far.
         """
-        away = self.speed * (self.config.lookahead_s + delay_s * abs(last[0]))
-        aims = np.stack([away * np.cos(directions), away * np.sin(directions)], axis=1)
+        lookahead_s = self.config.lookahead_s
+        away = self.speed * (lookahead_s + delay_s * abs(last[0]))
+        aims = np.stack(
+            [away * np.cos(directions), away * np.sin(directions), np.zeros_like(directions)],
+            axis=1,
+        )
+        linear, angular = self._candidates()
+        ends = placed(self.arc(linear, angular, lookahead_s), self.arc(*last, delay_s))
+        x, y, _ = np.moveaxis(seen_from(aims, ends[:, None]), -1, 0)
+        left_s = np.hypot(x, y) / self.speed
+        # Near the aim the turn counts less.
+        share = np.minimum(left_s / (lookahead_s / 2.0), 1.0)
+        turn_s = np.abs(np.arctan2(y, x)) / self.turn_rad_s * share
+        expected_s = (left_s + turn_s) @ weights / weights.sum()
+        restless_s = self.config.restless_s * np.abs(angular - last[1])
+        best = int((expected_s + restless_s).argmin())
+        return float(linear[best]), float(angular[best])
+
+    def _candidates(self) -> tuple[Floats, Floats]:
+        """Return the linear and the angular velocities to choose from, as shares."""
         shares = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(-1.0, 1.0, 41))
         linear, angular = (share.ravel() for share in shares)
-        # A robot that stands sees nothing new.
-        can = (
-            (linear > 0.0) & (np.abs(angular) <= linear)
-            if self.car
-            else linear + np.abs(angular) >= 0.25
-        )
-        linear = linear[can]
-        angular = angular[can]
-        ends = placed(self.arc(linear, angular, self.config.lookahead_s), self.arc(*last, delay_s))
-        x, y, _ = np.moveaxis(seen_from(np.pad(aims, ((0, 0), (0, 1))), ends[:, None]), -1, 0)
-        left_s = np.hypot(x, y) / self.speed
-        # Near its aim a robot need not turn to it any more.
-        turn_s = (
-            np.abs(np.arctan2(y, x))
-            / self.turn_rad_s
-            * np.minimum(left_s / (self.config.lookahead_s / 2.0), 1.0)
-        )
-        cost_s = (left_s + turn_s) @ weights / weights.sum() + self.config.restless_s * np.abs(
-            angular - last[1]
-        )
-        best = int(cost_s.argmin())
-        return float(linear[best]), float(angular[best])
+        # A robot that stands gets no new views.
+        moves = linear + np.abs(angular) >= 0.25
+        if self.car:
+            moves = (linear > 0.0) & (np.abs(angular) <= linear)
+        return linear[moves], angular[moves]
 
 
 class Steering:
@@ -134,15 +135,16 @@ class Steering:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last motion, for a new episode."""
-        self.motion = STANDS  # The last one.
+        """Start a new episode."""
+        #: The last motion.
+        self.motion = STANDS
 
     def underway_rad(self, delay_s: float) -> float:
-        """Return how far the robot still turns by its last motion before the next one begins."""
+        """Return the remaining turn by the last motion until the next motion begins."""
         return self._turn_rad * min(delay_s / self._tick_s, 1.0) * self.motion[1]
 
     def steer(self, intent: Intent, elapsed_s: float, delay_s: float) -> Motion:
-        """Return the motion for an intent, and take it as the last one."""
+        """Return the motion for an intent, and store it as the last motion."""
         linear, angular = self._motion(intent, elapsed_s, delay_s)
         # At pace 0 the robot only turns.
         self.motion = intent.pace * linear, (intent.pace or 1.0) * angular
@@ -161,9 +163,11 @@ class Steering:
         return self._chassis.best(intent.directions, intent.weights, self.motion, delay_s)
 
     def _step(self, to_turn_rad: float, elapsed_s: float) -> Motion:
-        """Begin to turn where the heading is off by more than a tick's turn, go on until half of one; else drive on."""
+        """Turn on the spot while the heading is off, with a hysteresis of half a tick's turn; otherwise drive on."""
         side = math.copysign(1.0, to_turn_rad)
         turns = self.motion[0] <= 0.0 and self.motion[1] * side > 0.0
-        # At a low rate a turn until the next frame is longer: it must not lead further to the other side.
+        # At a low frame rate the turn until the next frame is longer. It must not overshoot to the other side.
         least = max(0.5 if turns else 1.0, 0.5 * elapsed_s / self._tick_s)
-        return self._chassis.turn(side) if abs(to_turn_rad) > self._turn_rad * least else (1.0, 0.0)
+        if abs(to_turn_rad) > self._turn_rad * least:
+            return self._chassis.turn(side)
+        return 1.0, 0.0

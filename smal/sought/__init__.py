@@ -1,1 +1,1 @@
-"""What the robot was sent to find: learned from where drives end, and looked for in a run."""
+"""Target detection: learned from the ends of drives, and applied during a run."""

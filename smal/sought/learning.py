@@ -1,11 +1,11 @@
-"""What a drive led to, and how a view of it differs from all others.
+"""Learning of the target from the ends of drives, and of its difference from all other views.
 
-A drive ends before what is sought. What of the last views the way before does not explain is that: cells of a small
-picture that are further from all that the way shows than nearly any cell of the way is from the rest of it, in one
-piece, ahead. From the last view it is followed back over the approach, so that it is known at several sizes.
+A drive ends before the target. The target consists of the cells in the last views that the way before does not explain:
+cells of a small picture that are further from all cells of the way than nearly any cell of the way is from the rest, in
+one piece, ahead. It is tracked back from the last view over the approach, so that it is learned at several sizes.
 
-Scores of the approach, each view left out of what is sought, say what to expect where it is in view; scores of the way,
-each view's neighbourhood left out of what explains it, what to expect where it is not.
+Scores of the approach, each view left out of the target, calibrate views with the target. Scores of the way, each
+view's neighbourhood left out, calibrate views without it.
 """
 
 import math
@@ -46,7 +46,7 @@ _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells lo
 
 
 class _Patch(NamedTuple):
-    """What of a view of the approach is sought."""
+    """The target in one view of the approach."""
 
     cells: NDArray[np.float32]  # Of the small picture, (60, 80, 27).
     mask: NDArray[np.bool_]  # Which of these are of what is sought.
@@ -55,7 +55,7 @@ class _Patch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Taught:
-    """Keyframes of one drive as small pictures, and how long each is before its end, seconds of driving."""
+    """Keyframes of one drive as small pictures, and the time of driving from each to the end, seconds."""
 
     pictures: Sequence[Image]
     left_s: NDArray[np.float64]
@@ -67,9 +67,9 @@ class Taught:
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:  # complexipy: ignore
-    """Learn what some drives end before; None where nothing there stands out from their ways.
+    """Learn the target at the ends of some drives; None if nothing there stands out from their ways.
 
-    Each drive's last `Settings.approach_s` are its approach, at most its last third; the rest is the way before.
+    The approach is each drive's last `TargetConfig.approach_s`, at most its last third; the rest is the way.
     """
     way = [
         (d, k)
@@ -86,7 +86,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:  # complexipy: ignore
     beside = np.abs(times[:, None] - times[None, :]) < TARGET_CONFIG.beside_s
 
     def elsewhere(number: int) -> NDArray[np.bool_]:
-        """Codes of the way that are not of the neighbourhood of one of its views."""
+        """Return the codes of the way outside the neighbourhood of a view."""
         return np.asarray(~beside[number][of])
 
     unlike = in_parallel(
@@ -157,9 +157,9 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:  # complexipy: ignore
 
 
 def learn_word(drives: Sequence[Taught]) -> Word | None:  # complexipy: ignore
-    """Learn which thing detectors find where some drives end and not on their ways; None where there is none.
+    """Learn the label that detectors find at the ends of drives and not on their ways; None without any.
 
-    Of several it is that of which the last views say most, in the box if somebody has drawn one; then the largest.
+    Of several labels, the last views decide, in the drawn box if any; then the size.
     """
     last = [
         [
@@ -195,7 +195,7 @@ def learn_word(drives: Sequence[Taught]) -> Word | None:  # complexipy: ignore
 
 
 def _shows(one: Taught, scores: NDArray[np.float64], least: float) -> int:
-    """Return from which view on it shows, with short gaps: along a straight way a tag may be read from far off."""
+    """Return the first view with a detection, across short gaps: on a straight way a tag can be read from far away."""
     first = _approach(one).start
     for k in reversed(range(first)):
         if scores[k] >= least:
@@ -211,9 +211,9 @@ def _middle_in(found: Detection, box: Box) -> bool:
 
 
 def _lasting(patches: list[_Patch]) -> list[_Patch]:
-    """Return patches without the cells that look more like what is beside those of other views than like them.
+    """Return patches without the cells that are more like the background of other views than like the target.
 
-    What stands before a door or a window may be in one piece with it in some views.
+    In some views, the target can be in one piece with the object behind it.
     """
     insides = [cells[mask] for cells, mask, _ in patches]
     besides = [cells[::2, ::2][~mask[::2, ::2]] for cells, mask, _ in patches]
@@ -241,7 +241,7 @@ def _approach(one: Taught) -> range:
 
 
 def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iterator[_Patch]:
-    """Yield the views that show what a drive ends before, the last first, their cells, and which of these are of it."""
+    """Yield the views of the approach with the target, the last first, with their cells and the mask of the target."""
     known = np.empty((0, NUMBERS), dtype=np.float32)
     middle = np.array([np.nan, (SHAPE[1] - 1) / 2.0])
     for k in reversed(_approach(one)):
@@ -270,7 +270,7 @@ def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iter
 
 
 def _drawn(box: Box, stands_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the cells in a box that stand out; all of them, where hardly any does."""
+    """Return the cells in a box that stand out, or all of them if hardly any does."""
     inside = np.zeros(stands_out.shape, dtype=np.bool_)
     left, top, right, bottom = (round(share * SHAPE[(k + 1) % 2]) for k, share in enumerate(box))
     inside[top:bottom, left:right] = True
@@ -280,7 +280,7 @@ def _drawn(box: Box, stands_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _piece(
     stands_out: NDArray[np.bool_], weights: NDArray[np.float32], middle: NDArray[np.float64]
 ) -> NDArray[np.bool_] | None:
-    """Return the piece of a mask that weighs most, the nearer to a row and a column the more; None without any."""
+    """Return the heaviest connected component of a mask, with more weight near a row and a column; None if empty."""
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
@@ -294,7 +294,7 @@ def _piece(
 
 
 def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return cells that stand for all cells of some pictures, (n, 27), and of which picture each is, (n,)."""
+    """Return representative cells of some pictures, (n, 27), and the picture of each, (n,)."""
     codes = np.empty((0, NUMBERS), dtype=np.float32)
     of = []
     for number, picture in enumerate(pictures):
@@ -307,7 +307,7 @@ def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.i
 def _spread(
     cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the cells that are furthest from codes and from each other, one after another (Gonzalez 1985)."""
+    """Return the cells furthest from codes and from each other, in turn (Gonzalez 1985)."""
     away = nearest(cells, codes)
     taken = []
     for _ in range(min(most, len(cells))):
@@ -318,11 +318,11 @@ def _spread(
 
 
 def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the log ratio at `SCORES`; None where what is sought does not stand out from the way.
+    """Return the log ratio at `SCORES`; None if the target does not stand out from the way.
 
-    In view, a score is any share of one of the approach: light, side and what hides a part of it leave less of it, and
-    nobody knows how much. Elsewhere scores are exponential; what so many let expect of the next one, whose mean is not
-    known, is a Pareto distribution (Lomax).
+    In view, a score is an unknown share of a score of the approach: light, viewpoint and occlusion reduce it.
+    Elsewhere scores are exponential. The predictive distribution of the next of n such scores, with an unknown mean,
+    is a Pareto distribution (Lomax).
     """
     if len(here) < 2:
         return None

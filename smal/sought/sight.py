@@ -1,9 +1,9 @@
-"""Whether what a drive led to is in view: a test of two hypotheses that are calibrated on what was taught.
+"""Appearance of the target: a test of two hypotheses, calibrated on the taught views.
 
-"Arrived" says where the robot is; this says whether what it was sent to find is there (`smal.sought.learning` learns
-what that is). Each cell of a small picture speaks for it as far as it is nearer to what is sought than to anything else
-that was taught; what is new and like neither says nothing. A view's score is the best mean of that over a window of one
-of the sizes that the approach had.
+The filter estimates whether the robot has arrived; this test decides whether the target is in view. It is learned by
+`smal.sought.learning`. Each cell of a small picture supports the target as far as it is nearer to the target than to
+any other taught view. An unknown cell, unlike both, gives no evidence. The score of a view is the best mean of this
+support over a window. The sizes of windows are those of the target during the approach.
 """
 
 import math
@@ -14,68 +14,81 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int32s
 from smal.camera import Image
 from smal.features.resizing import SHAPE
 from smal.sought.score import SCORES, Said
 
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
-_MOST_CODES: Final = 16_384  # Codes that a file may hold; learning keeps fewer.
+_MOST_CODES: Final = 16_384  # Maximum codes in a file; learning stores fewer.
 Codes = NDArray[np.float16]
 _ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
 
 
-def cells_of(picture: Image, step: int = 1) -> NDArray[np.float32]:
-    """Return every ``step``-th cell of a small picture, (rows, columns, 27): as if it were as bright as any."""
+def cells_of(picture: Image, step: int = 1) -> Float32s:
+    """Return every ``step``-th cell of a small picture, (rows, columns, 27), normalised in brightness."""
     light = picture.astype(np.float32) / max(2.0 * float(picture.mean()), 1.0)
-    seen = np.sqrt(np.minimum(light, 1.5))
-    edged = np.pad(seen, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    colours = np.sqrt(np.minimum(light, 1.5))
+    edged = np.pad(colours, ((1, 1), (1, 1), (0, 0)), mode="edge")
     rows, columns = picture.shape[:2]
-    each = [edged[y : y + rows : step, x : x + columns : step] for y in range(3) for x in range(3)]
-    return np.asarray(np.concatenate(each, axis=-1), dtype=np.float32)
+    cells = [edged[y : y + rows : step, x : x + columns : step] for y in range(3) for x in range(3)]
+    return np.asarray(np.concatenate(cells, axis=-1), dtype=np.float32)
 
 
-def nearest(cells: NDArray[np.float32], codes: NDArray[Any]) -> NDArray[np.float32]:
-    """Return how far each cell (..., 27) is from the nearest of some codes (n, 27); infinitely, if there are none."""
+def nearest(cells: Float32s, codes: AnyArray) -> Float32s:
+    """Return the distance of each cell (..., 27) from the nearest code (n, 27); infinite without codes."""
     flat = cells.reshape(-1, NUMBERS)
     held = codes.astype(np.float32)
     if not len(held):
         return np.full(cells.shape[:-1], np.inf, dtype=np.float32)
     squares = (held * held).sum(axis=1) - 2.0 * flat @ held.T
     away = squares.min(axis=1) + (flat * flat).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(away, 0.0)).reshape(cells.shape[:-1]), dtype=np.float32)
+    distance = np.sqrt(np.maximum(away, 0.0))
+    return np.asarray(distance.reshape(cells.shape[:-1]), dtype=np.float32)
 
 
 class Window(NamedTuple):
-    """Where in a picture most speaks for what is sought."""
+    """Window of a picture with the most support for the target."""
 
-    score: float  # Mean of what its cells say, 0 to 1.
-    left: float  # Of the middle of the picture, as a share of the width, -0.5 to 0.5.
-    low: float  # Below the middle what speaks is, as a share of the height, -0.5 to 0.5.
+    #: Mean support of its cells, 0 to 1.
+    score: float
+    #: Left of the middle of the picture, as a share of the width, -0.5 to 0.5.
+    left: float
+    #: Centre of the support below the middle, as a share of the height, -0.5 to 0.5.
+    low: float
 
 
 @dataclass(frozen=True)
 class TargetConfig:
-    """Numbers by which the target is learned and seen."""
+    """Parameters of learning and detecting the target."""
 
-    #: Time of driving before the end of a drive in which the target may be seen well.
+    #: Time of driving before the end of a drive in which the target can be visible.
     approach_s: float = 4.0
-    beside_s: float = 3.0  # Time of driving within which views show the same things.
-    explaining: int = 60  # Views of the way that explain others.
-    #: Share of the cells of the way that are nearer to the rest of it: a cell that is less near stands out.
+    #: Time of driving within which views show the same objects.
+    beside_s: float = 3.0
+    #: Number of views of the way that are compared with others.
+    explaining: int = 60
+    #: Quantile of the distances of the way's cells from the rest of the way: a cell with a larger distance stands out.
     stands_out: float = 0.98
-    far: float = 0.999  # The same, for a cell that is not alike.
-    #: Share of how far a cell is from the way within which it is like what is followed.
+    #: The same, for the distance of an unlike cell.
+    far: float = 0.999
+    #: Distance of a cell from the tracked target, as a share of its distance from the way, within which it is alike.
     like: float = 0.7
-    sizes: int = 4  # Windows of different sizes.
-    plain: float = 4.0  # Contrast of a picture, of 255, below which it shows nothing.
-    #: Mean score without the target in view, at least, as a share of the best one of the approach: round the end there
-    #: are things that the way does not show.
+    #: Number of window sizes.
+    sizes: int = 4
+    #: Contrast of a picture, of 255, below which it is blank.
+    plain: float = 4.0
+    #: Minimum of the mean score without the target in view, as a share of the best score of the approach: around the
+    #: end there are objects that the way does not show.
     least_score: float = 0.025
-    same_moment_s: float = 0.5  # Views of so long a time count together as one.
-    #: Probability that the target is in view of a robot that has arrived and looks around.
+    #: Time within which views count as one.
+    same_moment_s: float = 0.5
+    #: Prior probability that the target is in view, for a robot that has arrived and looks around.
     in_view: float = 0.2
-    false_seen: float = 40.0  # How much worse a false report of the target is than to look on.
-    low: float = 0.1  # How low in the view it is shows how near it is, where that is so much at the end of the way.
+    #: Cost of a false report of the target, over the cost of continuing to look.
+    false_seen: float = 40.0
+    #: Height of the target below the middle of the view, at the end of the way, from which it indicates the distance.
+    low: float = 0.1
 
 
 TARGET_CONFIG: Final = TargetConfig()
@@ -83,35 +96,38 @@ TARGET_CONFIG: Final = TargetConfig()
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What is sought, what else there is, and what a score says."""
+    """Codes of the target and of everything else, and the calibration of the score."""
 
-    sought: Codes  # Cells (n, 27) of what is sought, and (m, 27) of all else that was taught.
+    #: Cells (n, 27) of the target.
+    sought: Codes
+    #: Cells (m, 27) of all other taught views.
     others: Codes
-    windows: NDArray[
-        np.int32
-    ]  # (s, 2), rows and columns that it took, in cells of every second row and column.
-    far: float  # Distance from which two cells are not alike at all.
-    log_ratio: NDArray[
-        np.float64
-    ]  # (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
-    size: float  # Cells that spoke for it where the ways ended.
-    #: How far below the middle of the view it was there, as a share of the height, above is negative; 0 where this does
-    #: not tell how near it is.
+    #: (s, 2) rows and columns of windows, in cells of every second row and column.
+    windows: Int32s
+    #: Distance from which two cells are completely unlike.
+    far: float
+    #: (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
+    log_ratio: Floats
+    #: Sum of the support of all cells where the ways ended.
+    size: float
+    #: Height below the middle of the view there, as a share of the height, negative above; 0 if it does not indicate
+    #: the distance.
     low: float = 0.0
 
     def __post_init__(self) -> None:
-        """ValueError where parts do not fit together: they may come from a file."""
+        """Raise ValueError if the parts do not fit together: they can come from a file."""
         codes = {"sought": self.sought, "others": self.others}
         fits = {
-            name: one.ndim == 2 and one.shape[1] == NUMBERS and 0 < len(one) <= _MOST_CODES
-            for name, one in codes.items()
+            name: cells.ndim == 2 and cells.shape[1] == NUMBERS and 0 < len(cells) <= _MOST_CODES
+            for name, cells in codes.items()
         }
+        windows = self.windows
         fits |= {
-            "windows": self.windows.ndim == 2
-            and self.windows.shape[1:] == (2,)
-            and self.windows.dtype.kind == "i"
-            and bool(((self.windows > 0) & (self.windows <= np.array(SHAPE) // 2)).all())
-            and 0 < len(self.windows) <= TARGET_CONFIG.sizes,
+            "windows": windows.ndim == 2
+            and windows.shape[1:] == (2,)
+            and windows.dtype.kind == "i"
+            and bool(((windows > 0) & (windows <= np.array(SHAPE) // 2)).all())
+            and 0 < len(windows) <= TARGET_CONFIG.sizes,
             "far": 1e-6 < self.far < 1e3,
             "size": 0.0 < self.size < 1e4,
             "low": -0.5 <= self.low <= 0.5,
@@ -119,41 +135,40 @@ class Sight:
             and bool((np.abs(self.log_ratio) < 1e3).all()),
         }
         wrong = [name for name, fit in fits.items() if not fit]
-        if wrong or not all(
-            one.dtype.kind == "f" and (np.abs(one) < 1e3).all() for one in codes.values()
-        ):
+        finite = all(
+            cells.dtype.kind == "f" and (np.abs(cells) < 1e3).all() for cells in codes.values()
+        )
+        if wrong or not finite:
             raise ValueError(
-                f"the parts of what is sought do not fit together: {', '.join(wrong) or 'cells'}"
+                f"the parts of the target do not fit together: {', '.join(wrong) or 'cells'}"
             )
 
     def says(self, picture: Image) -> Said | None:
-        """Return what a small picture says; None where nothing shows."""
+        """Return the evidence of a small picture; None for a blank picture."""
         if float(picture.std()) < TARGET_CONFIG.plain:
             return None
-        speaks = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
-        found = best_window(speaks, self.windows)
+        support = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
+        found = best_window(support, self.windows)
         log_ratio = float(np.interp(found.score, SCORES, self.log_ratio))
         # An area falls with the square of the distance.
-        near = math.sqrt(float(speaks.sum()) / self.size)
-        # From another side less of it looks as it did; but what stands at one height is the lower, or higher, in the
-        # view of a level camera the nearer it is.
-        return Said(log_ratio, max(near, found.low / self.low) if self.low else near, found.left)
+        near = math.sqrt(float(support.sum()) / self.size)
+        # From another side less of the target looks alike. But for a level camera, an object at a fixed height moves
+        # away from the middle of the view as it comes nearer.
+        if self.low:
+            near = max(near, found.low / self.low)
+        return Said(log_ratio, near, found.left)
 
 
-def speaking(
-    cells: NDArray[np.float32], sought: NDArray[Any], others: NDArray[Any], far: float
-) -> NDArray[np.float32]:
-    """Return how much each cell speaks for what is sought, 0 to 1."""
-    ours = nearest(cells, sought)
-    theirs = nearest(cells, others)
-    speaks: NDArray[np.float32] = (
-        np.maximum(np.minimum(theirs, far) - np.minimum(ours, far), 0.0) / far
-    )
-    return speaks
+def speaking(cells: Float32s, sought: AnyArray, others: AnyArray, far: float) -> Float32s:
+    """Return the support of each cell for the target, 0 to 1."""
+    to_target = np.minimum(nearest(cells, sought), far)
+    to_others = np.minimum(nearest(cells, others), far)
+    support: Float32s = np.maximum(to_others - to_target, 0.0) / far
+    return support
 
 
-def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Window:
-    """Return the window of the highest mean; its score is 0 where nothing speaks."""
+def best_window(speaks: Float32s, windows: Int32s) -> Window:
+    """Return the window of the highest mean; its score is 0 without any support."""
     total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
     best = Window(0.0, 0.0, 0.0)
     for rows, columns in windows.tolist():
@@ -175,22 +190,22 @@ def best_window(speaks: NDArray[np.float32], windows: NDArray[np.int32]) -> Wind
 
 def content_of_sights(
     sights: Mapping[str, Sight],
-) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
-    """Return what a file says of the sights of goals, and the arrays in it."""
-    said = []
-    arrays = dict[str, NDArray[Any]]()
-    for number, (goal, one) in enumerate(sights.items()):
-        said.append({"goal": goal, "far": one.far, "size": one.size, "low": one.low})
-        arrays |= {f"{name} {number}": getattr(one, name) for name in _ARRAYS}
-    return said, arrays
+) -> tuple[list[dict[str, Any]], dict[str, AnyArray]]:
+    """Return the metadata and the arrays of the sights of goals."""
+    meta = []
+    arrays = dict[str, AnyArray]()
+    for number, (goal, sight) in enumerate(sights.items()):
+        meta.append({"goal": goal, "far": sight.far, "size": sight.size, "low": sight.low})
+        arrays |= {f"{name} {number}": getattr(sight, name) for name in _ARRAYS}
+    return meta, arrays
 
 
-def sights_of_content(
-    said: list[dict[str, Any]], arrays: dict[str, NDArray[Any]]
-) -> dict[str, Sight]:
-    """Take the sights of goals out of what a file says; LookupError, TypeError or ValueError where that is wrong."""
-    found = {}
-    for number, one in enumerate(said):
+def sights_of_content(meta: list[dict[str, Any]], arrays: dict[str, AnyArray]) -> dict[str, Sight]:
+    """Build the sights of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
+    sights = {}
+    for number, part in enumerate(meta):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
-        found[str(one["goal"])] = Sight(far=one["far"], size=one["size"], low=one["low"], **parts)
-    return found
+        sights[str(part["goal"])] = Sight(
+            far=part["far"], size=part["size"], low=part["low"], **parts
+        )
+    return sights

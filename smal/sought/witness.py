@@ -1,4 +1,4 @@
-"""Whether what is sought is in view, from frame to frame, by all that can say so."""
+"""Probability that the target is in view, over successive frames, from its appearance and its detections."""
 
 import math
 from collections import deque
@@ -15,17 +15,18 @@ from smal.sought.word import Word
 
 
 class Glimpse(NamedTuple):
-    """What a view says of what is sought."""
+    """Estimate for one view."""
 
-    probability: float  # Of being in view.
-    near: float  # Distance from it where the taught ways ended, over the distance now; 0 where it is not in view.
-    left: float | None = (
-        None  # Of the middle of the view, as a share of its width, -0.5 to 0.5; none if it is hidden.
-    )
+    #: Probability that the target is in view.
+    probability: float
+    #: Distance to the target where the taught ways ended, over the distance now; 0 out of view.
+    near: float
+    #: Left of the middle of the view, as a share of its width, -0.5 to 0.5; None out of view.
+    left: float | None = None
 
 
 class Witness:
-    """Tells from view to view whether what is sought is in view, by how it looks, by a detector's word, or by both."""
+    """Estimates for each view whether the target is in view, by its appearance, its detections, or both."""
 
     def __init__(self, sight: Sight | None, word: Word | None = None) -> None:
         self._sight = sight
@@ -33,13 +34,13 @@ class Witness:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, for a new episode."""
+        """Start a new episode."""
         self._said = deque[tuple[float, Said]]()
 
     def look(
         self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()
     ) -> Glimpse:
-        """Take a small picture, seen at a time that does not fall. A view that is hidden is no evidence."""
+        """Process a small picture at a time in ascending order. A hidden view gives no evidence."""
         said = self._says(picture, detected)
         near = 0.0
         left = None
@@ -47,15 +48,18 @@ class Witness:
             self._said.append((time_s, said))
             while self._said[0][0] < time_s - 0.99 * TARGET_CONFIG.same_moment_s:
                 self._said.popleft()
-            near = float(np.mean([one.near for _, one in self._said]))
+            near = float(np.mean([recent.near for _, recent in self._said]))
             left = said.left if said.log_ratio > 0.0 else None
-        # Views of one moment are no independent witnesses: together they say what one says.
-        mean = float(np.mean([one.log_ratio for _, one in self._said])) if self._said else 0.0
-        odds = TARGET_CONFIG.in_view / (1.0 - TARGET_CONFIG.in_view) * math.exp(min(mean, 50.0))
+        # Views of one moment are not independent: together they count as one.
+        mean = 0.0
+        if self._said:
+            mean = float(np.mean([recent.log_ratio for _, recent in self._said]))
+        prior = TARGET_CONFIG.in_view / (1.0 - TARGET_CONFIG.in_view)
+        odds = prior * math.exp(min(mean, 50.0))
         return Glimpse(odds / (1.0 + odds), near, left)
 
     def _says(self, picture: Image, detected: Iterable[Detection]) -> Said | None:
-        """Return what both say together: their log ratios add up, and where it is tells the one that says most."""
+        """Return the joint evidence: log ratios add up, and the stronger evidence gives the position."""
         if self._sight is None:
             patch = None if float(picture.std()) < TARGET_CONFIG.plain else Said(0.0, 0.0, 0.0)
         else:

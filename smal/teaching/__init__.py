@@ -1,1 +1,1 @@
-"""From drives to the map: what `smal learn` does. A robot that drives needs none of it."""
+"""Teaching: from drives to the map, as in `smal learn`. Driving imports nothing from it."""

@@ -1,19 +1,19 @@
-"""What the map measures on its drives: the camera, the scene, how alike views of one place are, and over which way.
+"""Measurements on drives for the map: the camera, the scene, and the correlation of views by way and turn.
 
-Views are compared from poses with about the same heading, since a view that is turned is another one. A car may never
-have the same heading twice: the turn between two of its views is undone by a virtual view, as in the filter.
+Views are compared at poses with nearly the same heading, because a turned view is another view. A car possibly never
+has the same heading twice. There a virtual view compensates the turn between two views, as in the filter.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.files.packed import unpacked
@@ -21,41 +21,48 @@ from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, evenly, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
-Describe = Callable[[Iterable[Image]], NDArray[np.float32]]  # Centred features (n, m) of n images.
+#: Returns the centred features (n, m) of n images.
+Describe = Callable[[Iterable[Image]], Float32s]
 
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """Numbers by which views of drives measure the camera, the scene and how alike views are."""
+    """Parameters of the calibration on drives."""
 
-    #: Fields of view that are tried, of rectilinear and of equidistant lenses: those of cameras on robots.
+    #: Candidates for the field of view of rectilinear and of equidistant lenses, as of cameras on robots.
     fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
     wide_fields_deg: tuple[float, ...] = tuple(range(80, 205, 5))
-    #: Heights of the camera that are tried, in correlation lengths, and distances of the scene in heights.
+    #: Candidates for the height of the camera, in correlation lengths, and for the distance of the scene, in heights.
     heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
     distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
-    pairs: int = 24  # Pairs of views that a fit looks at: more change nothing that is seen.
-    most_apart: int = 100  # Frames between the two views of a pair.
-    tells_camera_deg: float = 9.0  # A larger turn shows the camera.
-    tells_scene_deg: float = 25.0  # A step with a smaller turn shows the scene.
-    tells_turn_deg: float = 15.0  # Atoms that turn by so much together show how far one turns.
-    same_deg: float = 3.0  # Turned by less, a view is the same.
-    reach: float = 0.2  # Views of one place are looked for over this share of the longest way.
-    most_frames: int = (
-        1000  # Frames of a drive that are compared: time grows with the square; a millisecond each.
-    )
+    #: Pairs of views in a fit: more have no visible effect.
+    pairs: int = 24
+    #: Maximum frames between the two views of a pair.
+    most_apart: int = 100
+    #: Minimum turn of pairs for the camera.
+    tells_camera_deg: float = 9.0
+    #: Maximum turn of steps for the scene.
+    tells_scene_deg: float = 25.0
+    #: Total turn of atoms for measuring the turn of one.
+    tells_turn_deg: float = 15.0
+    #: Maximum turn of an equal view.
+    same_deg: float = 3.0
+    #: Share of the longest way within which views of one place are compared.
+    reach: float = 0.2
+    #: Frames of a drive that are compared: the time grows with the square, a millisecond each.
+    most_frames: int = 1000
 
 
 CALIBRATION: Final = CalibrationConfig()
-#: Cameras that are tried where nothing tells how far it sees; the first one is assumed where nothing tells it apart.
+#: Candidates for a camera of unknown field of view; the first is the default.
 USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
-#: Turns from one view to another that a fit tries: those over which views overlap.
+#: Candidates for the turn between views of a fit: the views must overlap.
 _OVERLAP_DEG: Final = float(TURNS_DEG[-1])
 _TURNS_RAD: Final = np.radians(np.geomspace(1.0, _OVERLAP_DEG, 23)).tolist()
 
 
 class _Pair(NamedTuple):
-    """A frame, another one, and the step from the pose of the first to that of the second: ahead, left, turned."""
+    """A frame, another frame, and the step from the first pose to the second: ahead, left, turned."""
 
     frame: int
     other: int
@@ -64,62 +71,73 @@ class _Pair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TaughtFrames:
-    """All f frames of all drives, one drive after the other.
+    """All f frames of all drives in a row.
 
-    Of each there are its image, its pose (f, 3), x, y and heading in radians, in axes of their own for each drive, and
-    its drive (f,), ascending. `centred` gives the centred features (n, m), of unit length, of n of them, `describe`
-    those of n images. Poses are by the wheels if there is `odometry`, else by what atoms usually do; `movements` (5, 2)
-    are what each atom does between two frames. The camera is the one that was told, or that by which turns were
-    measured.
+    Attributes
+    ----------
+    images : sequence (f,)
+    centred : callable
+        Returns the centred features (n, m), of unit length, of n frames.
+    poses : array (f, 3)
+        x, y and heading in radians, in axes of their own for each drive: by `odometry`, or by the usual movements.
+    drives : array (f,)
+        Drive of each frame, ascending.
+    describe : callable
+        Returns the centred features (n, m) of n images.
+    movements : array (5, 2)
+        Movement of each atom between two frames.
+    odometry : bool
+    camera : Camera, optional
+        The given camera, or the camera of the turn measurement.
     """
 
     images: Sequence[Image]
-    centred: Callable[[Iterable[int]], NDArray[np.float32]]
-    poses: NDArray[np.float64]
-    drives: NDArray[np.int32]
+    centred: Callable[[Iterable[int]], Float32s]
+    poses: Floats
+    drives: Int32s
     describe: Describe
-    movements: NDArray[np.float64]
+    movements: Floats
     odometry: bool = True
     camera: Camera | None = None
     config: CalibrationConfig = CALIBRATION
 
     @cached_property
     def car(self) -> bool:
-        """Whether the robot goes ahead while it turns."""
+        """Whether the robot goes ahead during turns."""
         return turns_ahead(self.movements)
 
-    def apart(self, frames: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def apart(self, frames: Indices) -> tuple[Floats, Floats]:
         """Return distances and angles between frames of one drive, (n, n) each.
 
-        Whole turns of a car count: what is reckoned of its way does not lead back to where a lap began.
+        Whole turns of a car count: its estimated way does not lead back to the start of a lap.
         """
         poses = self.poses[frames]
         across = poses[:, None, :2] - poses[None, :, :2]
+        distance = np.hypot(across[..., 0], across[..., 1])
         heading = np.unwrap(poses[:, 2]) if self.car else poses[:, 2]
         turned = heading[:, None] - heading[None, :]
-        return np.hypot(across[..., 0], across[..., 1]), np.abs(
-            turned if self.car else wrapped(turned)
-        )
+        return distance, np.abs(turned if self.car else wrapped(turned))
 
-    def pairs(
-        self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
-    ) -> list[_Pair]:
-        """Find for each frame the next one of its drive whose way and turn from it are wanted."""
+    def pairs(self, wanted: Callable[[Floats, Floats], Bools]) -> list[_Pair]:
+        """Find for each frame the next frame of its drive with a wanted way and turn."""
         found: list[_Pair] = []
         for frame in range(len(self.poses) - 1):
-            last = frame + 1 + self.config.most_apart
-            after = np.flatnonzero(self.drives[frame + 1 : last] == self.drives[frame]) + frame + 1
+            start = frame + 1
+            later = self.drives[start : start + self.config.most_apart]
+            after = np.flatnonzero(later == self.drives[frame]) + start
             steps = seen_from(self.poses[after], self.poses[frame])
-            good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
+            way = np.hypot(*steps[:, :2].T)
+            good = np.flatnonzero(wanted(way, np.abs(steps[:, 2])))
             if good.size:
-                found.append(_Pair(frame, int(after[good[0]]), tuple(steps[good[0]].tolist())))
+                first = good[0]
+                found.append(_Pair(frame, int(after[first]), tuple(steps[first].tolist())))
         return found
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
-        """Return the scene under which the first views of pairs predict the second ones best."""
-        return _best(
-            self.images, self.describe, [(scene, 1.0) for scene in scenes], pairs, self.config
-        )[0]
+        """Return the scene that predicts the second views of pairs best from the first."""
+        guesses = [(scene, 1.0) for scene in scenes]
+        scene, _ = _best(self.images, self.describe, guesses, pairs, self.config)
+        return scene
 
 
 def _best(
@@ -129,28 +147,33 @@ def _best(
     pairs: Sequence[_Pair],
     config: CalibrationConfig,
 ) -> tuple[Scene, float]:
-    """Return the scene and the length of the steps' unit by which first views of pairs predict the second ones best."""
+    """Return the scene and the unit of the steps that predict the second views of pairs best from the first."""
     some = [pairs[k] for k in evenly(len(pairs), config.pairs)]
-    seen = [(images[pair.frame], describe([images[pair.other]])[0], pair.step) for pair in some]
+    firsts = [images[pair.frame] for pair in some]
+    seconds = [describe([images[pair.other]])[0] for pair in some]
+    steps = [pair.step for pair in some]
 
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
-        views = describe(
-            scene.warp(image, *(unit * part for part in step)) for image, _, step in seen
+        warped = (
+            scene.warp(image, *(unit * part for part in step))
+            for image, step in zip(firsts, steps, strict=True)
         )
-        return float(sum(y @ view for (_, y, _), view in zip(seen, views, strict=True)))
+        predicted = describe(warped)
+        return float(sum(y @ view for y, view in zip(seconds, predicted, strict=True)))
 
-    # OpenCV lets go of the interpreter's lock.
-    return guesses[int(np.argmax(list(in_parallel(score, guesses))))]
+    # OpenCV releases the interpreter's lock.
+    scores = list(in_parallel(score, guesses))
+    return guesses[int(np.argmax(scores))]
 
 
 def _far(camera: Camera) -> Scene:
-    """Return a scene in which only turns change the view."""
+    """Return a scene so far away that only turns change the view."""
     return Scene(camera, 1.0, 1e6)
 
 
 def fit_camera(frames: TaughtFrames) -> Camera:
-    """Find the camera by how turns, those with the least way, move what it sees; without any it is a usual one."""
+    """Fit the camera to the views at both ends of turns with the least way; without turns return the usual camera."""
     turns = frames.pairs(lambda _, turn: turn > math.radians(frames.config.tells_camera_deg))
     if not turns:
         return USUAL_CAMERAS[0]
@@ -159,54 +182,65 @@ def fit_camera(frames: TaughtFrames) -> Camera:
     cameras = [Camera.of_field(field) for field in frames.config.fields_deg]
     cameras += [Camera.of_field(field, "equidistant") for field in frames.config.wide_fields_deg]
     steps = [pair._replace(step=(0.0, 0.0, pair.step[2])) for pair in least]
-    return frames.best([_far(one) for one in cameras], steps).camera
+    scenes = [_far(camera) for camera in cameras]
+    return frames.best(scenes, steps).camera
 
 
 def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
-    """Find the height of the camera, and the distance of what it sees, by which views of the drives fit best."""
-    steps = frames.pairs(
-        lambda way, turn: (
-            (way > 0.5 * length) & (turn < math.radians(frames.config.tells_scene_deg))
-        )
-    )
+    """Fit the height of the camera, and the distance of the scene, to the views at both ends of steps."""
+    most_rad = math.radians(frames.config.tells_scene_deg)
+    steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < most_rad))
     if not steps:
         return Scene(camera, length / 3.0, length * 4.0)
     heights = [length * share for share in frames.config.heights]
-    scene = frames.best(
-        [Scene(camera, h, h * far) for h in heights for far in frames.config.distances], steps
-    )
-    return frames.best(
-        [replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps
-    )
+    coarse = [Scene(camera, h, h * far) for h in heights for far in frames.config.distances]
+    scene = frames.best(coarse, steps)
+    factors = [1.5**k for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
+    fine = [replace(scene, height=scene.height * factor) for factor in factors]
+    return frames.best(fine, steps)
 
 
 def turn_of_views(
     images: Sequence[Image],
-    atoms: Sequence[NDArray[np.int8]],
+    atoms: Sequence[Int8s],
     cameras: Sequence[Camera],
     describe: Describe,
     config: CalibrationConfig = CALIBRATION,
 ) -> tuple[Camera, float] | None:
-    """Measure how far an atom of turning turns, by the turn under which views predict each other best.
+    """Measure the turn of a turning atom, by the turn with which views predict each other best.
 
-    First over single atoms, then, more exactly, over several. With a wrong focal length the turn is wrong by as much,
-    so that virtual views of the two together fit all the same. `atoms` (f,) were made after the images, of each drive;
-    `describe` gives the centred features of images, (n, m). Returned are the one of the cameras that fits best, and
-    radians; None where no drive turns.
+    The first measurement uses single atoms, the second several in a row, which is more exact. A wrong focal length
+    makes the turn wrong by the same factor, so that virtual views of the two together fit all the same.
+
+    Parameters
+    ----------
+    images : sequence (f,)
+    atoms : sequence of array
+        Atoms executed after the images, for each drive.
+    cameras : sequence of Camera
+        Candidates.
+    describe : callable
+        Returns the centred features (n, m) of n images.
+    config : CalibrationConfig
+
+    Returns
+    -------
+    (Camera, float) or None
+        The best camera, and radians; None if no drive turns.
     """
-    made = np.concatenate(atoms)
-    # After the last frame of a drive comes another one's first.
-    made[np.cumsum([len(one) for one in atoms]) - 1] = Atom.STOP
-    sign = (made == Atom.LEFT).astype(int) - (made == Atom.RIGHT).astype(int)
+    executed = np.concatenate(atoms)
+    # The next frame after the end of a drive belongs to another drive.
+    ends = np.cumsum([len(drive) for drive in atoms]) - 1
+    executed[ends] = Atom.STOP
+    sign = (executed == Atom.LEFT).astype(int) - (executed == Atom.RIGHT).astype(int)
     guesses = [(_far(camera), turn_rad) for camera in cameras for turn_rad in _TURNS_RAD]
     found = None
+    count = 1
     for _ in range(2):
-        count = (
-            1 if found is None else max(1, round(math.radians(config.tells_turn_deg) / found[1]))
-        )
-        same = np.flatnonzero(
-            np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count
-        )
+        if found is not None:
+            count = max(1, round(math.radians(config.tells_turn_deg) / found[1]))
+        in_a_row = np.convolve(sign, np.ones(count, dtype=int), mode="valid")
+        same = np.flatnonzero(np.abs(in_a_row) == count)
         if not same.size:
             break
         turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
@@ -216,9 +250,19 @@ def turn_of_views(
 
 
 def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, float]:
-    """Measure the way over which the mean cosine of two views falls half way to that of unrelated ones; and the latter.
+    """Measure the correlation length of views.
 
-    ValueError where no drive goes anywhere, or all images look the same.
+    Returns
+    -------
+    length : float
+        Way over which the mean cosine of two views falls half way to the mean cosine of unrelated views.
+    unrelated : float
+        Mean cosine of unrelated views.
+
+    Raises
+    ------
+    ValueError
+        If no drive goes anywhere, or all images look the same.
     """
     ways = []
     cosines = []
@@ -239,9 +283,8 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         ways.append(apart[same])
         cosines.append(alike[same])
         distant.append(alike[apart >= 0.1 * apart.max()])
-        curves.append(
-            some[np.argwhere(np.triu(near & ~same & (turned < math.radians(_OVERLAP_DEG))))]
-        )
+        overlap = near & ~same & (turned < math.radians(_OVERLAP_DEG))
+        curves.append(some[np.argwhere(np.triu(overlap))])
     if not ways:
         raise ValueError("the robot does not move in any demonstration")
     if blind:
@@ -251,8 +294,12 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         ways = [way, *ways]
         cosines = [cosine, *cosines]
     unrelated = float(np.concatenate(distant).mean())
-    way = np.concatenate(ways)
-    cosine = np.concatenate(cosines)
+    length = _length_of(np.concatenate(ways), np.concatenate(cosines), unrelated)
+    return length, unrelated
+
+
+def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
+    """Return the way over which the mean cosine falls half way to the cosine of unrelated views."""
     reach = float(way.max())
     while True:
         if not (way[way <= reach] > 0.0).any():
@@ -261,132 +308,161 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
             )
         edges = np.linspace(0.0, reach, 100)
         within = way <= reach
-        where = np.digitize(way[within], edges[1:-1])
-        count = np.bincount(where, minlength=99)
+        bins = np.digitize(way[within], edges[1:-1])
+        count = np.bincount(bins, minlength=99)
+        total = np.bincount(bins, cosine[within], minlength=99)
         full = count > 0
-        mean = np.bincount(where, cosine[within], minlength=99)[full] / count[full]
-        length = _half_way(
-            ((edges[:-1] + edges[1:]) / 2.0)[full], mean, count[full], 1.0, unrelated
-        )
-        # On a long way it is within the first few steps: look closer.
+        mean = total[full] / count[full]
+        middles = (edges[:-1] + edges[1:]) / 2.0
+        length = _half_way(middles[full], mean, count[full], 1.0, unrelated)
+        # A short length lies within the first few bins: repeat with finer bins.
         if length > 0.1 * reach:
-            return length, unrelated
+            return length
         reach = 4.0 * length
 
 
-def _near_and_far(count: int, most: int) -> NDArray[np.intp]:
-    """Return all numbers below a count, or about so many, with pairs near each other and far apart.
+def _near_and_far(count: int, most: int) -> Indices:
+    """Return at most about `most` numbers below a count, such that some pairs are near and some far apart.
 
-    Those are evenly spread numbers, and after each of them some that are ever further away.
+    They are evenly spread numbers, each followed by numbers at growing distances.
     """
     if count <= most:
         return np.arange(count)
     each = math.isqrt(most)
     after = np.geomspace(1.0, count / each, each).astype(np.intp) - 1
-    return np.unique(np.minimum(evenly(count, each)[:, None] + after, count - 1))
+    numbers = evenly(count, each)[:, None] + after
+    return np.unique(np.minimum(numbers, count - 1))
 
 
-def _turns_undone(
-    frames: TaughtFrames, camera: Camera, pairs: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare frames, the first as it would have been seen with the second's heading: distances, cosines."""
+def _turns_undone(frames: TaughtFrames, camera: Camera, pairs: Indices) -> tuple[Floats, Floats]:
+    """Return the distances and cosines of pairs of frames, with the first frame warped to the second's heading."""
     first, second = pairs[evenly(len(pairs), frames.config.most_frames // 2)].T
     steps = frames.poses[second] - frames.poses[first]
 
     def cosine(pair: tuple[int, int, float]) -> float:
         one, other, turn_rad = pair
         turned = _far(camera).warp(frames.images[one], turn_rad=turn_rad)
-        return float(frames.describe([turned])[0] @ frames.centred([other])[0])
+        (predicted,) = frames.describe([turned])
+        (view,) = frames.centred([other])
+        return float(predicted @ view)
 
-    each = zip(first.tolist(), second.tolist(), wrapped(steps[:, 2]).tolist(), strict=True)
+    turns = wrapped(steps[:, 2]).tolist()
+    each = zip(first.tolist(), second.tolist(), turns, strict=True)
     return np.hypot(*steps[:, :2].T), np.array(list(in_parallel(cosine, each)))
 
 
 def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> float:
-    """Measure the turn (radians) after which a view is half way from itself to the mean cosine of unrelated views."""
+    """Measure the turn (radians) over which the mean cosine falls half way to the cosine of unrelated views."""
     some = evenly(len(frames.images), frames.config.pairs).tolist()
     own = frames.centred(some)
     images = [frames.images[k] for k in some]
+    scene = _far(camera)
 
-    def turned_by(turn_rad: float) -> NDArray[np.float32]:
-        return frames.describe(_far(camera).warp(image, turn_rad=turn_rad) for image in images)
+    def cosine(turn_rad: float) -> float:
+        turned = frames.describe(scene.warp(image, turn_rad=turn_rad) for image in images)
+        return float((own * turned).sum(axis=1).mean())
 
-    turned = list(in_parallel(turned_by, _TURNS_RAD))
-    mean = np.array([1.0, *(float((own * views).sum(axis=1).mean()) for views in turned)])
-    return _half_way(np.array([0.0, *_TURNS_RAD]), mean, np.ones_like(mean), 1.0, unrelated)
+    mean = np.array([1.0, *in_parallel(cosine, _TURNS_RAD)])
+    turns = np.array([0.0, *_TURNS_RAD])
+    return _half_way(turns, mean, np.ones_like(mean), 1.0, unrelated)
 
 
 def _half_way(
-    far: NDArray[np.float64],
-    cosines: NDArray[Any],
-    counts: NDArray[Any],
+    far: Floats,
+    cosines: AnyArray,
+    counts: AnyArray,
     best: float,
     unrelated: float,
 ) -> float:
-    """Return how far it is to where cosines are half way from the best one to that of unrelated views.
+    """Return the distance at which falling cosines are half way from the best to the unrelated cosine.
 
-    They fall. Each is the mean of so many pairs; where few are less alike than what is further away, they are taken
-    together with that.
+    Each cosine is the mean of `counts` pairs. Isotonic regression merges neighbours where the cosines rise.
     """
     falling = isotonic_regression(cosines, weights=counts, increasing=False)
     firsts = falling.blocks[:-1]
     middles = np.add.reduceat(far * counts, firsts) / falling.weights
-    return float(np.interp(-(best + unrelated) / 2.0, -falling.x[firsts], middles))
+    half = (best + unrelated) / 2.0
+    return float(np.interp(-half, -falling.x[firsts], middles))
 
 
 @dataclass(frozen=True, eq=False)
 class _Looks:
-    """The views of k keyframes as a robot at each of them sees them."""
+    """The views of k keyframes, as views of a robot at each of them."""
 
-    poses: NDArray[np.float64]  # (k, 3)
-    drives: NDArray[np.int32]  # (k,)
-    views: NDArray[np.int8]  # (k, 3, turns, r)
-    own: NDArray[np.float32]  # (k, r) straight ahead from the keyframe itself.
-    sample: NDArray[np.float32]  # Views that are the sample of elsewhere.
+    #: (k, 3)
+    poses: Floats
+    #: (k,)
+    drives: Int32s
+    #: (k, 3, turns, r)
+    views: Int8s
+    #: (k, r) straight ahead from the keyframe itself.
+    own: Float32s
+    #: Views of the sample of elsewhere.
+    sample: Float32s
 
-    def stands_out(self, cosines: NDArray[Any], key: int) -> NDArray[Any]:
-        """Return by how much cosines with the view of a keyframe stand out."""
+    def stands_out(self, cosines: AnyArray, key: int) -> AnyArray:
+        """Return the z values of cosines with the view of a keyframe."""
         return standing_out(cosines, self.sample @ self.own[key])
 
     def neighbours(self, key: int) -> list[int]:
-        """Return the keyframes before and after one on its drive."""
+        """Return the keyframes before and after a keyframe on its drive."""
         near = range(max(key - 1, 0), min(key + 2, len(self.drives)))
         return [other for other in near if other != key and self.drives[other] == self.drives[key]]
 
-    def far(self, key: int, least: float) -> NDArray[np.bool_]:
-        """Return which keyframes of the same drive are further away than this."""
+    def far(self, key: int, least: float) -> Bools:
+        """Return which keyframes of the same drive are further away than `least`."""
         apart = np.hypot(*(self.poses - self.poses[key])[:, :2].T)
         return np.asarray((self.drives == self.drives[key]) & (apart > least))
 
     def beside(self, key: int, other: int) -> float | None:
-        """Return by how much a neighbour's view, turned as the robot is, stands out; None beyond all its views."""
-        turned = math.degrees(seen_from(self.poses[other], self.poses[key])[2])
-        turn = STRAIGHT - round(turned / STEP_DEG)
+        """Return the z value of a neighbour's view at the robot's heading; None beyond its virtual views."""
+        _, _, turned_rad = seen_from(self.poses[other], self.poses[key])
+        turn = STRAIGHT - round(math.degrees(turned_rad) / STEP_DEG)
         if not 0 <= turn < TURNS_DEG.size:
             return None
         cosine = unpacked(self.views[other, 1, turn]) @ self.own[key]
         return float(self.stands_out(cosine, key))
 
-    def both(self, key: int, far: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return what a keyframe and the next say of places far away and of the next ones there, (2, n)."""
+    def both(self, key: int, far: Bools) -> Floats:
+        """Return the z values of a keyframe and of the next at far places and at the places after these, (2, n)."""
         on = np.flatnonzero(far[:-1] & far[1:] & (np.diff(self.drives) == 0))
-        here, after = (self.stands_out(self.own @ self.own[k], k) for k in (key, key + 1))
-        return np.stack([here[on], after[on + 1]])
+        first = self.stands_out(self.own @ self.own[key], key)
+        second = self.stands_out(self.own @ self.own[key + 1], key + 1)
+        return np.stack([first[on], second[on + 1]])
 
 
 def likelihood_of_views(
     frames: TaughtFrames,
-    keyframes: NDArray[np.int32],
-    views: NDArray[np.int8],
+    keyframes: Int32s,
+    views: Int8s,
     length: float,
     config: MapConfig,
 ) -> tuple[Likelihood, float]:
-    """Measure on keyframes (k,) and their views (k, 3, turns, r) what views say, and how far neighbours say the same.
+    """Measure the likelihood of views on keyframes, and the correlation of neighbouring views.
 
-    Each keyframe's own view is looked at as if it were a robot's: its neighbours show the same place, what is
-    `MapConfig.elsewhere` away on the same drive another one. Without such places (a short drive in one room)
-    elsewhere is what a normal distribution says. What a keyframe and the next say of such places correlates by the
-    second value. ValueError if no keyframe has a neighbour.
+    The own view of each keyframe is treated as a robot's view. Its neighbours show the same place; keyframes further
+    away than `MapConfig.elsewhere` on the same drive show other places. Without such places (a short drive in one
+    room) the distribution of elsewhere is normal.
+
+    Parameters
+    ----------
+    frames : TaughtFrames
+    keyframes : array (k,)
+    views : array (k, 3, turns, r)
+    length : float
+        Correlation length.
+    config : MapConfig
+
+    Returns
+    -------
+    likelihood : Likelihood
+    correlation : float
+        Correlation of the z values of a keyframe and the next at other places.
+
+    Raises
+    ------
+    ValueError
+        If no keyframe has a neighbour.
     """
     poses = frames.poses[keyframes]
     drives = frames.drives[keyframes]
@@ -395,39 +471,52 @@ def likelihood_of_views(
     looks = _Looks(poses, drives, views, own, own[evenly(count, config.reference)])
     some = evenly(count, frames.config.most_frames)
     places = unpacked(views[some])
-    here: list[float | None] = []
+    neighbouring: list[float | None] = []
     elsewhere = []
     alike = []
-    chains: list[NDArray[Any]] = [np.empty((2, 0))]
+    chains: list[AnyArray] = [np.empty((2, 0))]
     for key in evenly(count, frames.config.most_frames // 4).tolist():
         far = looks.far(key, config.elsewhere * length)
-        elsewhere.append(looks.stands_out(places[far[some]] @ own[key], key).ravel())
+        cosines = places[far[some]] @ own[key]
+        elsewhere.append(looks.stands_out(cosines, key).ravel())
         neighbours = looks.neighbours(key)
-        here += [looks.beside(key, other) for other in neighbours]
+        neighbouring += [looks.beside(key, other) for other in neighbours]
         if key + 1 in neighbours:
             first, second = frames.centred(keyframes[key : key + 2])
             alike.append(float(first @ second))
             chains.append(looks.both(key, far))
-    shown = [z for z in here if z is not None]
-    if not shown:
+    here = [z for z in neighbouring if z is not None]
+    if not here:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
-    ways = [
-        float(np.hypot(*np.diff(poses[drives == one, :2], axis=0).T).sum())
-        for one in np.unique(drives)
-    ]
-    independent = sum((way / length) ** 2 / 2.0 for way in ways)
     apart = np.concatenate(elsewhere)
     if not apart.size:
         apart = np.random.default_rng(0).standard_normal(10_000)
-    pairs = np.concatenate(chains, axis=1)
-    told = pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all())
-    correlation = min(max(float(np.corrcoef(pairs)[0, 1]) if told else 0.5, 0.01), 0.99)
+    correlation = _correlation(np.concatenate(chains, axis=1))
     gamma = gamma_of(float(np.mean(alike)), correlation)
-    return Likelihood.fit(np.array(shown), apart, independent, gamma, config), correlation
+    independent = _independent(poses, drives, length)
+    return Likelihood.fit(np.array(here), apart, independent, gamma, config), correlation
+
+
+def _independent(poses: Floats, drives: Int32s, length: float) -> float:
+    """Return the number of independent pairs of places: those a correlation length apart, of each drive."""
+    total = 0.0
+    for drive in np.unique(drives):
+        steps = np.diff(poses[drives == drive, :2], axis=0)
+        way = float(np.hypot(*steps.T).sum())
+        total += (way / length) ** 2 / 2.0
+    return total
+
+
+def _correlation(pairs: AnyArray) -> float:
+    """Return the correlation of pairs (2, n), 0.01 to 0.99; 0.5 for too few or constant pairs."""
+    correlation = 0.5
+    if pairs.shape[1] > 2 and bool((pairs.std(axis=1) > 0.0).all()):
+        correlation = float(np.corrcoef(pairs)[0, 1])
+    return min(max(correlation, 0.01), 0.99)
 
 
 def gamma_of(cosine: float, correlation: float) -> float:
-    """Return the exponent by which views of this mean cosine correlate so."""
+    """Return the exponent that maps a mean cosine of views to their correlation."""
     return math.log(correlation) / math.log(min(max(cosine, 0.01), 0.99))

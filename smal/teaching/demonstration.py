@@ -1,114 +1,120 @@
-"""What a person teaches by: a drive with the camera, the movements that were made, and the wheels."""
+"""Demonstrations: drives with camera images, executed movements, and odometry."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import call
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import AnyArray, Float32s, Floats, Int8s
 from smal.camera import Camera, Image
 from smal.features.extraction import Parallel, extract, in_parallel
 from smal.features.settings import FeatureSettings
 from smal.map import GOAL_NAME
 from smal.sought.learning import Box
 
-USUAL_GOAL = "victim"  # Where drives lead that do not say so.
+#: Goal of drives without a goal.
+USUAL_GOAL = "victim"
 
-Task = Callable[[], Any]  # Makes an array.
+#: Computes an array.
+Task = Callable[[], Any]
 _T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A drive of a person or the expert, or a part of one where frames were lost: f frames.
+    """A drive of a person or the expert, or a part of one: f frames.
 
-    ValueError where lengths do not fit each other, or numbers are out of range; it names the demonstration.
+    A drive with lost frames has several parts.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ, or numbers are out of range. The error contains the name.
     """
 
-    name: str  # Its episode.
-    #: (f, m) raw features (`smal.features.extract`), without dropped frames; rows may be read when they are wanted.
-    features: NDArray[np.float32] | Sequence[NDArray[np.float32]]
-    atoms: NDArray[
-        np.int8
-    ]  # (f,) `Atom` k was executed between frames k and k + 1; the last one after the last frame.
-    successful: bool = True  # Whether it ended at the goal.
-    recovery: bool = False  # Whether it began off the route, to show the way back to it.
-    images: Sequence[Image] | None = (
-        None  # RGB; read when they are wanted. The map of views is made of them.
-    )
-    odometry: NDArray[np.float64] | None = None  # (f, 3) x, y and heading in radians by the wheels.
-    episode: str = (
-        ""  # Which drive it is a part of, where frames between parts were lost; its name if empty.
-    )
+    #: Name of its episode.
+    name: str
+    #: (f, m) raw features (`smal.features.extract`), without dropped frames; rows can be computed on access.
+    features: Float32s | Sequence[Float32s]
+    #: (f,) `Atom` k was executed between frames k and k + 1, the last one after the last frame.
+    atoms: Int8s
+    #: Whether it ended at the goal.
+    successful: bool = True
+    #: Whether it started off the route, to show the way back.
+    recovery: bool = False
+    #: RGB images, read on access. The map is built from them.
+    images: Sequence[Image] | None = None
+    #: (f, 3) odometry: x, y and heading in radians.
+    odometry: Floats | None = None
+    #: Drive of this part; its name if empty.
+    episode: str = ""
     goal: str = USUAL_GOAL
-    camera: Camera | None = None  # Estimated from the images if not given.
-    #: (f,) how fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does;
-    #: on the spot if not given.
-    ahead: NDArray[np.float32] | None = None
-    #: Where in the last image the goal is, if somebody has drawn it: left, top, right, bottom, shares of its size.
+    #: Estimated from the images by default.
+    camera: Camera | None = None
+    #: (f,) speed ahead during turning atoms, -1 to 1 times the speed straight on, for a car; by default 0.
+    ahead: Float32s | None = None
+    #: Drawn position of the goal in the last image: left, top, right, bottom, as shares of its size.
     box: Box | None = None
 
     def __post_init__(self) -> None:
         shape = getattr(self.features, "shape", (len(self.features), None))
-        if len(shape) != 2 or self.atoms.shape != shape[:1]:
-            raise ValueError(
-                f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: {shape} and {self.atoms.shape}"
-            )
         frames = len(self.atoms)
+        if len(shape) != 2 or self.atoms.shape != shape[:1]:
+            self._reject(
+                f"features (f, m) and atoms (f,) do not fit: {shape} and {self.atoms.shape}"
+            )
         if self.images is not None and len(self.images) != frames:
-            raise ValueError(
-                f"demonstration {self.name}: {len(self.images)} images for {frames} frames"
-            )
+            self._reject(f"{len(self.images)} images for {frames} frames")
         if re.fullmatch(GOAL_NAME, self.goal) is None:
-            said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
-            raise ValueError(f"demonstration {self.name}: {said}")
-        if self.ahead is not None and not (
-            self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()
-        ):
-            raise ValueError(
-                f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1"
+            self._reject(
+                f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
             )
+        if self.ahead is not None:
+            moderate = bool((np.abs(self.ahead) <= 1.0).all())
+            if self.ahead.shape != (frames,) or not moderate:
+                self._reject(f"ahead must be {frames} numbers of -1 to 1")
         if self.odometry is not None and self.odometry.shape != (frames, 3):
-            raise ValueError(
-                f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames"
-            )
+            self._reject(f"odometry {self.odometry.shape} for {frames} frames")
+
+    def _reject(self, reason: str) -> NoReturn:
+        raise ValueError(f"demonstration {self.name}: {reason}")
 
     @property
-    def rows(self) -> NDArray[np.float32]:
-        """All its features at once, (f, m)."""
-        return (
-            self.features
-            if isinstance(self.features, np.ndarray)
-            else np.stack(list(every(self.features)))
-        )
+    def rows(self) -> Float32s:
+        """All its features as one array, (f, m)."""
+        if isinstance(self.features, np.ndarray):
+            return self.features
+        return np.stack(list(every(self.features)))
 
 
 def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
-    """Raise ValueError if there is no demonstration, or one has not so many features a frame."""
+    """Raise ValueError if there is no demonstration, or one has another number of features a frame."""
     if not demonstrations:
         raise ValueError("there is no demonstration to learn from")
-    for one in demonstrations:
-        if len(one.features) and len(one.features[0]) != size:
+    for demonstration in demonstrations:
+        features = demonstration.features
+        if len(features) and len(features[0]) != size:
             raise ValueError(
-                f"demonstration {one.name}: {len(one.features[0])} features a frame, the settings ask for {size}"
+                f"demonstration {demonstration.name}: {len(features[0])} features a frame, the settings ask for {size}"
             )
 
 
 def every(
-    arrays: NDArray[Any] | Sequence[NDArray[Any]], parallel: Parallel = in_parallel
-) -> Iterable[NDArray[Any]]:
-    """Yield arrays one after the other; those that are made when they are asked for are made on every core."""
+    arrays: AnyArray | Sequence[AnyArray], parallel: Parallel = in_parallel
+) -> Iterable[AnyArray]:
+    """Yield arrays in order; arrays that are computed on access are computed on every core."""
     return parallel(call, tasks_of(arrays, range(len(arrays))))
 
 
 class Made(Sequence[Any]):
-    """So many arrays, such as images or features, each made when it is asked for.
+    """A sequence of arrays, such as images or features, that are computed on access.
 
-    `task` gives what makes the one of a number, here or in another process.
+    `task` returns the computation of an array by its number, for this process or another.
     """
 
     def __init__(self, count: int, task: Callable[[int], Task]) -> None:
@@ -118,45 +124,44 @@ class Made(Sequence[Any]):
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - numbers or slices
         chosen = range(self._count)[index]
-        return (
-            self.task(chosen)()
-            if isinstance(chosen, int)
-            else Made(len(chosen), lambda k: self.task(chosen[k]))
-        )
+        if isinstance(chosen, int):
+            return self.task(chosen)()
+        return Made(len(chosen), lambda k: self.task(chosen[k]))
 
 
-def task_of(arrays: NDArray[Any] | Sequence[NDArray[Any]], number: int) -> Task:
-    """Return what makes one of some arrays."""
-    return arrays.task(number) if isinstance(arrays, Made) else partial(np.asarray, arrays[number])
+def task_of(arrays: AnyArray | Sequence[AnyArray], number: int) -> Task:
+    """Return the computation of an array by its number."""
+    if isinstance(arrays, Made):
+        return arrays.task(number)
+    return partial(np.asarray, arrays[number])
 
 
-def tasks_of(
-    arrays: NDArray[Any] | Sequence[NDArray[Any]], numbers: Sequence[int]
-) -> Sequence[Task]:
-    """Return what makes some of them; nothing is read before it is asked for."""
+def tasks_of(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> Sequence[Task]:
+    """Return the computations of some arrays, lazily."""
     return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
 
 
 def described(images: Sequence[Image], features: FeatureSettings) -> Made:
-    """Return the raw features of images, each computed when it is asked for."""
+    """Return the raw features of images, each computed on access."""
     return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
 
 
-def _extracted(image: Task, features: FeatureSettings) -> NDArray[np.float32]:
+def _extracted(image: Task, features: FeatureSettings) -> Float32s:
     return extract(image(), features)
 
 
-def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:
-    """Return sequences of arrays as one; none is read or copied before it is asked for."""
+def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:
+    """Return sequences of arrays as one lazy sequence."""
     ends = np.cumsum([len(part) for part in parts])
 
-    def of(index: int) -> Task:
+    def task(index: int) -> Task:
         part = int(np.searchsorted(ends, index, side="right"))
-        return task_of(parts[part], index - (int(ends[part - 1]) if part else 0))
+        start = int(ends[part - 1]) if part else 0
+        return task_of(parts[part], index - start)
 
-    return Made(int(ends[-1]), of)
+    return Made(int(ends[-1]), task)
 
 
 def drives_to_goals(
@@ -164,12 +169,12 @@ def drives_to_goals(
 ) -> list[tuple[tuple[str, ...], Demonstration]]:
     """Return the drives that reached their goal and have images, each with the names of its parts.
 
-    Parts of one drive are put together: by its wheels the robot knows how far it went between them. Without odometry
-    the last part alone counts.
+    Parts of a drive with odometry are joined, because the way between them is known. Without odometry only the last
+    part counts.
     """
     drives: dict[str, list[Demonstration]] = {}
-    for one in demonstrations:
-        drives.setdefault(one.episode or one.name, []).append(one)
+    for demonstration in demonstrations:
+        drives.setdefault(demonstration.episode or demonstration.name, []).append(demonstration)
     whole = []
     for parts in drives.values():
         kept = parts if all(part.odometry is not None for part in parts) else parts[-1:]
@@ -193,5 +198,5 @@ def _joined(parts: Sequence[NDArray[_T] | None]) -> NDArray[_T] | None:
 
 
 def _together(parts: Sequence[NDArray[_T]]) -> NDArray[_T]:
-    """Put arrays one after the other."""
+    """Concatenate arrays without copying a single one."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -1,11 +1,11 @@
-"""A map that lives: runs that ended well give places further looks, and a replay of other runs says whether it helps.
+"""Map update: successful runs add view variants to places, if a replay of other runs confirms an improvement.
 
-A place looks otherwise on another day. Where a run was sure of its place though the view spoke against it, its frame
-becomes a further look of the keyframe: the same virtual views, warped from where the robot stood. What is seen is
-compared with the best look of each place. A keyframe has `Settings.looks` at most; of more, the one goes without which
-the views of these runs would lose least, never the taught one. So a map does not grow with the days.
+A place looks different on another day. If a run was certain of its place although the view contradicted it, its frame
+becomes a view variant of the keyframe: the same virtual views, warped from the robot's pose. Views are compared with
+the best variant of each place. A keyframe has `MapConfig.looks` variants at most. Of more, the variant with the least
+loss for the views of these runs is removed, never the taught one. So the size of the map is bounded.
 
-The new map is taken only if runs that it has not learned from are no less probable under it (`compared`).
+The new map is accepted only if runs that were not used for learning are at least as likely under it (`compared`).
 """
 
 import math
@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 from typing import Final, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from smal.arrays import Float32s, Floats, Indices, Int8s
 from smal.camera import STRAIGHT, Camera, Image, Scene
 from smal.features import extract
 from smal.features.extraction import in_parallel
 from smal.files.packed import packed, unpacked
+from smal.filter import Belief
 from smal.likelihood import evenly, over, scale
 from smal.map import VisualMap
 from smal.model import Model
@@ -32,49 +33,56 @@ from smal.teaching.calibration import CALIBRATION
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
 from smal.teaching.mapping import virtual_poses
 
-#: By so much, natural logarithms, a new map may make a view less likely: a hundredth of what views tell.
+#: Accepted loss of log likelihood of a view under a new map: a hundredth of the information of views.
 _MAY_LOSE: Final = 0.05
-#: A further look is warped from a frame that is nearer to its keyframe than this, in correlation lengths.
+#: Maximum distance of the frame of a view variant from its keyframe, in correlation lengths.
 _LOOK_FROM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A run of f frames as a map follows it."""
+    """A run of f frames, as localised on a map."""
 
-    keyframes: NDArray[np.intp]  # (f,) the likeliest one.
-    offsets: NDArray[np.float64]  # (f, 3) from there: ahead, left, turned left in radians.
-    sure: NDArray[np.float64]  # (f,) probability of being within a correlation length of there.
-    says: NDArray[
-        np.float64
-    ]  # (f,) log ratio by which the view speaks for the place, if all of what was taught shows.
-    #: (f,) logarithm of how much likelier the view was, after all before it, than a view of elsewhere.
-    evidence: NDArray[np.float64]
-    arrived: int  # Frame at which a robot would have said that it had arrived; f if none.
+    #: (f,) the most likely keyframe.
+    keyframes: Indices
+    #: (f, 3) offset from it: ahead, left, turned left in radians.
+    offsets: Floats
+    #: (f,) probability of being within a correlation length of it.
+    sure: Floats
+    #: (f,) log likelihood ratio of the view at the place, if all of what was taught is visible.
+    says: Floats
+    #: (f,) log likelihood ratio of the view, given all views before, to a view of elsewhere.
+    evidence: Floats
+    #: Frame of the announced arrival; f without any.
+    arrived: int
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of two maps, by runs that neither has learned from."""
+    """Comparison of two maps on runs that were used for neither."""
 
-    stretches: int  # Of way, that were compared; none where no view surprised.
-    gain: float  # Mean evidence of a frame under the new map less that under the old one.
-    least: float  # Lower bound of the gain (95 %, one-sided); minus infinity of fewer than two stretches.
-    false_goals: int  # Runs in which the new map alone says too early that it has arrived.
+    #: Number of compared stretches of way; 0 without any new view variant.
+    stretches: int
+    #: Mean evidence of a frame under the new map, less under the old map.
+    gain: float
+    #: Lower bound of the gain (95 %, one-sided); minus infinity for fewer than two stretches.
+    least: float
+    #: Runs in which only the new map announces the arrival too early.
+    false_goals: int
 
     @property
     def better(self) -> bool:
-        """Whether the new map is to be taken."""
+        """Whether the new map is accepted."""
         return self.stretches > 0 and self.least > -_MAY_LOSE and not self.false_goals
 
 
 def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
-    """Return the runs that ended at a goal and have images, their pieces put together."""
+    """Return the runs that ended at a goal and have images, with their parts joined."""
     return [run for _, run in drives_to_goals(runs)]
 
 
 def follow(model: Model, run: Demonstration) -> Followed:
-    """Follow a run, as a robot would have been that drove it; ValueError where its goal is none of the map's."""
+    """Localise a recorded run; ValueError if the map does not have its goal."""
     localizer = Localizer(model)
     taught = model.mapped
     planner = Planner(taught, run.goal)
@@ -82,35 +90,39 @@ def follow(model: Model, run: Demonstration) -> Followed:
     arrived = len(run.atoms)
     for frame, raw in enumerate(run.features):
         odometry = None if run.odometry is None else run.odometry[frame].tolist()
-        belief = localizer.observe(raw, odometry, [Atom(run.atoms[frame - 1])] if frame else [])
+        executed = [Atom(run.atoms[frame - 1])] if frame else []
+        belief = localizer.observe(raw, odometry, executed)
         summary = belief.summary()
         planner.decide(summary)
         if planner.said:
             arrived = min(arrived, frame)
         key = int(summary.keyframes[0])
-        pose = taught.key_poses[key]
-        apart = np.hypot(*(taught.key_poses[summary.keyframes, :2] - pose[:2]).T)
-        near = (taught.key_drives[summary.keyframes] == taught.key_drives[key]) & (
-            apart < taught.correlation_length
-        )
         components = taught.described(model.centering.apply(raw))
         z = over(np.array(belief.cosine), *scale(taught.sample @ components))
-        sure = (1.0 - belief.lost) * float(summary.weights @ near)
-        rows.append(
-            (key, *summary.offsets[0], sure, float(taught.likelihood.of(z)), belief.evidence)
-        )
+        sure = (1.0 - belief.lost) * _share_near(taught, summary, key)
+        log_ratio = float(taught.likelihood.of(z))
+        rows.append((key, *summary.offsets[0], sure, log_ratio, belief.evidence))
     key, ahead, left, turned, sure, says, evidence = np.array(rows).T
     offsets = np.stack([ahead, left, turned], axis=1)
     return Followed(key.astype(np.intp), offsets, sure, says, evidence, arrived)
 
 
-def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
-    """Return the model with further looks where views of runs surprised, at most one a keyframe; it may be the same.
+def _share_near(taught: VisualMap, belief: Belief, key: int) -> float:
+    """Return the weight of the places within a correlation length of a keyframe on its drive."""
+    places = belief.keyframes
+    apart = taught.key_poses[places, :2] - taught.key_poses[key, :2]
+    same_drive = taught.key_drives[places] == taught.key_drives[key]
+    near = same_drive & (np.hypot(*apart.T) < taught.correlation_length)
+    return float(belief.weights @ near)
 
-    Runs of which nobody knows the camera give none.
+
+def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
+    """Return the model with new view variants from unexpected views of runs, at most one a keyframe.
+
+    Without such views it is the same model. Runs without a camera are ignored.
     """
-    nearest: dict[int, tuple[float, Demonstration, int, NDArray[np.float64]]] = {}
-    seen: dict[int, list[NDArray[np.float32]]] = {}
+    nearest: dict[int, tuple[float, Demonstration, int, Floats]] = {}
+    views_of: dict[int, list[Float32s]] = {}
     taught = model.mapped
     usual = _usually_says(model.mapped)
     for run in runs:
@@ -120,96 +132,93 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
         for frame in np.flatnonzero(followed.sure > PLANNER_CONFIG.arrived).tolist():
             key = int(followed.keyframes[frame])
             offset = followed.offsets[frame]
-            seen.setdefault(key, []).append(
-                taught.described(model.centering.apply(run.features[frame]))
-            )
+            view = taught.described(model.centering.apply(run.features[frame]))
+            views_of.setdefault(key, []).append(view)
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
-            if followed.says[frame] < usual / 2.0 and off < nearest.get(key, (_LOOK_FROM,))[0]:
+            nearest_off = nearest[key][0] if key in nearest else _LOOK_FROM
+            if followed.says[frame] < usual / 2.0 and off < nearest_off:
                 nearest[key] = off, run, frame, offset
     if not nearest:
         return model
     looks = in_parallel(lambda key: _look(model, *nearest[key][1:]), sorted(nearest))
     views = np.concatenate([taught.views, np.stack(list(looks))])
-    of = np.append(taught.looks, sorted(nearest))
-    full = np.flatnonzero(np.bincount(of) == taught.config.looks).tolist()
-    rows = [
-        _least(views, np.append(key, len(taught.keyframes) + np.flatnonzero(of == key)), seen[key])
-        for key in full
-    ]
-    grown = replace(
-        taught,
-        views=np.delete(views, rows, axis=0),
-        looks=np.delete(of, np.array(rows, dtype=np.intp) - len(taught.keyframes)).astype(np.int32),
-    )
+    keys = np.append(taught.looks, sorted(nearest))
+    first = len(taught.keyframes)
+    rows = []
+    for key in np.flatnonzero(np.bincount(keys) == taught.config.looks).tolist():
+        variants = np.append(key, first + np.flatnonzero(keys == key))
+        rows.append(_least(views, variants, views_of[key]))
+    kept = np.delete(keys, np.array(rows, dtype=np.intp) - first)
+    grown = replace(taught, views=np.delete(views, rows, axis=0), looks=kept.astype(np.int32))
     return replace(model, mapped=grown)
 
 
 def _usually_says(taught: VisualMap) -> float:
-    """Return the log ratio by which the view of a keyframe speaks for the one before it, the median."""
-    some = np.flatnonzero(np.diff(taught.key_drives) == 0)
-    some = some[evenly(some.size, CALIBRATION.most_frames)]
-    views, after = (unpacked(taught.views[keys, 1, STRAIGHT]) for keys in (some, some + 1))
-    z = [
-        over(one @ other, *scale(taught.sample @ other))
-        for one, other in zip(views, after, strict=True)
-    ]
+    """Return the median log likelihood ratio of the view of a keyframe at the keyframe before it."""
+    keys = np.flatnonzero(np.diff(taught.key_drives) == 0)
+    keys = keys[evenly(keys.size, CALIBRATION.most_frames)]
+    views = unpacked(taught.views[keys, 1, STRAIGHT])
+    after = unpacked(taught.views[keys + 1, 1, STRAIGHT])
+    z = []
+    for view, following in zip(views, after, strict=True):
+        z.append(over(view @ following, *scale(taught.sample @ following)))
     return float(np.median(taught.likelihood.of(np.array(z))))
 
 
-def _look(
-    model: Model, run: Demonstration, frame: int, offset: NDArray[np.float64]
-) -> NDArray[np.int8]:
-    """Return the virtual views (3, turns, r) of a keyframe as a frame shows it that was taken beside it."""
+def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s:
+    """Return the virtual views (3, turns, r) of a keyframe, warped from a frame beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
     scene = Scene(cast("Camera", run.camera), *taught.scene[1:].tolist())
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     raw = np.stack([extract(scene.warp(image, *step), model.feature_settings) for step in steps])
-    return packed(model.centering.apply(raw) @ taught.basis).reshape(taught.views.shape[1:])
+    components = model.centering.apply(raw) @ taught.basis
+    return packed(components).reshape(taught.views.shape[1:])
 
 
-def _least(
-    views: NDArray[np.int8], rows: NDArray[np.intp], seen: Sequence[NDArray[np.float32]]
-) -> int:
-    """Return the row without which these views lose least, of several the oldest; the first, taught one stays."""
+def _least(views: Int8s, rows: Indices, seen: Sequence[Float32s]) -> int:
+    """Return the row with the least loss for these views, the oldest of equal ones; the first, taught row stays."""
     cosines = np.einsum("lptr,fr->flpt", unpacked(views[rows]), np.stack(seen)).max(axis=(2, 3))
-    lost = [
-        float((cosines.max(axis=1) - np.delete(cosines, one, axis=1).max(axis=1)).sum())
-        for one in range(1, len(rows))
-    ]
-    return int(rows[1 + int(np.argmin(lost))])
+    best = cosines.max(axis=1)
+    losses = []
+    for row in range(1, len(rows)):
+        without = np.delete(cosines, row, axis=1).max(axis=1)
+        losses.append(float((best - without).sum()))
+    return int(rows[1 + int(np.argmin(losses))])
 
 
 def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
-    """Compare two maps by how likely they make the views of runs, stretch of way by stretch."""
+    """Compare two maps by the likelihood of the views of runs, stretch by stretch."""
     taught = old.mapped
     gains = []
     false_goals = 0
     for run in runs:
         before = follow(old, run)
         after = follow(new, run)
-        poses = (
-            dead_reckoning(run.atoms, taught.movements) if run.odometry is None else run.odometry
-        )
+        poses = run.odometry
+        if poses is None:
+            poses = dead_reckoning(run.atoms, taught.movements)
         way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
         parts = max(int(way / (taught.config.mended * taught.correlation_length)), 1)
-        gains += [
-            float(part.mean()) for part in np.array_split(after.evidence - before.evidence, parts)
-        ]
-        # Said where the way goes on for longer than twice the way within which a goal is near.
-        too_early = [
-            float(np.hypot(*(poses[min(one.arrived, len(poses) - 1), :2] - poses[-1, :2])))
-            > 2.0 * PLANNER_CONFIG.goal_s * taught.speed
-            for one in (before, after)
-        ]
+        stretches = np.array_split(after.evidence - before.evidence, parts)
+        gains += [float(stretch.mean()) for stretch in stretches]
+        # Too early: the way goes on for longer than twice the distance within which a goal is near.
+        most = 2.0 * PLANNER_CONFIG.goal_s * taught.speed
+        too_early = [_from_end(poses, followed.arrived) > most for followed in (before, after)]
         false_goals += too_early == [False, True]
     count = len(gains)
+    mean = float(np.mean(gains))
     least = -math.inf
     if count > 1:
-        least = float(
-            np.mean(gains) - stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count)
-        )
-    return Verdict(count, float(np.mean(gains)), least, false_goals)
+        margin = stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count)
+        least = float(np.mean(gains) - margin)
+    return Verdict(count, mean, least, false_goals)
+
+
+def _from_end(poses: Floats, frame: int) -> float:
+    """Return the distance of a frame from the end of a run."""
+    apart = poses[min(frame, len(poses) - 1), :2] - poses[-1, :2]
+    return float(np.hypot(*apart))
 
 
 def lived(
@@ -217,10 +226,19 @@ def lived(
     runs: Sequence[Demonstration],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Model, Verdict]:
-    """Learn from every second run (`whole_runs`), compare by the others, and return the model that is better.
+    """Learn from every second run (`whole_runs`), compare on the others, and return the better model.
 
-    `progress` is called with how many runs were followed, and their number. ValueError where there are fewer than two,
-    or their features or goals are not the model's.
+    Parameters
+    ----------
+    model : Model
+    runs : sequence of Demonstration
+    progress : callable
+        Called with the number of finished runs, and the total.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two runs, or their features or goals are not those of the model.
     """
     if len(runs) < 2:
         raise ValueError(
@@ -229,13 +247,13 @@ def lived(
     check_features(runs, model.feature_settings.size)
     numbers = iter(range(len(runs)))
 
-    def each(some: Sequence[Demonstration]) -> Iterator[Demonstration]:
-        for run in some:
+    def counted(part: Sequence[Demonstration]) -> Iterator[Demonstration]:
+        for run in part:
             progress(next(numbers), len(runs))
             yield run
 
-    new = taken_up(model, each(runs[::2]))
+    new = taken_up(model, counted(runs[::2]))
     if new is model:
         return model, Verdict(0, 0.0, 0.0, 0)
-    verdict = compared(model, new, each(runs[1::2]))
+    verdict = compared(model, new, counted(runs[1::2]))
     return (new if verdict.better else model), verdict

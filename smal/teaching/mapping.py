@@ -1,4 +1,4 @@
-"""From drives to the visual map: the way, the camera, how alike views are, keyframes and their virtual views.
+"""From drives to the visual map: the way, the camera, the correlation of views, keyframes and their virtual views.
 
 Read `learn` from top to bottom.
 """
@@ -9,9 +9,9 @@ from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from smal.arrays import Float32s, Floats, Int8s, Int32s
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
@@ -63,23 +63,36 @@ def learn(
     parallel: Parallel = in_parallel,
     config: MapConfig = MAP_CONFIG,
 ) -> Model:
-    """Make a map of those drives of one robot that reached the goal and have images.
+    """Build a map from the drives of one robot that reached the goal and have images.
 
-    If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit long, and an atom of
-    turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
+    If a drive has no odometry, all drives use the usual movements of atoms. A forward atom then has the length 1, and
+    the turn of a turning atom is measured on the views (`turn_of_views`).
 
-    `features` are of colour images alone, `tick_s` is the time between two frames, and `progress` is called with the
-    stage ("frames", "views" of keyframes), done and total. What takes long of each image is done by `parallel`, by
-    threads if not given. The model keeps the `config`.
-    ValueError where there is no such drive, or none that goes anywhere, or features do not fit, or need depth.
+    Parameters
+    ----------
+    demonstrations : sequence of Demonstration
+    features : FeatureSettings, optional
+        Features of colour images.
+    tick_s : float
+        Time between two frames, seconds.
+    progress : callable
+        Called with the stage ("frames", "views" of keyframes), the finished number, and the total.
+    parallel : callable
+        Runs the slow computations on images; by default threads.
+    config : MapConfig
+        Parameters of the map; the model stores them.
+
+    Raises
+    ------
+    ValueError
+        If there is no suitable drive, a robot hardly moves, or the features do not fit or need depth.
     """
     features = FeatureSettings() if features is None else features
     whole = _drives_to_map(demonstrations, features, tick_s)
     taught = [drive for _, drive in whole]
-    rows = (row[None] for one in taught for row in every(one.features, parallel))
-    centering = Centering.fit(
-        _told(progress, "frames", rows, sum(len(one.atoms) for one in taught)), features
-    )
+    total = sum(len(drive.atoms) for drive in taught)
+    rows = (row[None] for drive in taught for row in every(drive.features, parallel))
+    centering = Centering.fit(_told(progress, "frames", rows, total), features)
     frames = _frames(taught, centering, tick_s, config)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
@@ -87,17 +100,18 @@ def learn(
     aside = config.aside * length
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length, config)
-    views, basis = _make_views(
-        frames, keyframes, partial(_views_of, scene, aside, centering), progress, parallel, config
-    )
+    views_of = partial(_views_of, scene, aside, centering)
+    views, basis = _make_views(frames, keyframes, views_of, progress, parallel, config)
     likelihood, correlation = likelihood_of_views(frames, keyframes, views, length, config)
+    grey = np.full_like(frames.images[0], 128)
+    height, width = grey.shape[:2]
     visual_map = VisualMap(
         poses=frames.poses,
         drives=frames.drives,
         keyframes=keyframes,
         basis=basis,
         views=views,
-        blank=unit(frames.describe([np.full_like(frames.images[0], 128)])[0] @ basis),
+        blank=unit(frames.describe([grey])[0] @ basis),
         aside=aside,
         correlation_length=length,
         correlation_rad=correlation_turn(frames, camera, unrelated),
@@ -108,20 +122,21 @@ def learn(
         tick_s=tick_s,
         odometry=frames.odometry,
         scene=np.array([camera.field_deg, scene.height, scene.distance]),
-        goals=tuple(one.goal for one in taught),
+        goals=tuple(drive.goal for drive in taught),
         names=tuple(names for names, _ in whole),
-        size=(frames.images[0].shape[1], frames.images[0].shape[0]),
+        size=(width, height),
         config=config,
     )
-    boxes = [one.box for one in taught]
+    boxes = [drive.box for drive in taught]
     visual_map = stitched(visual_map)
-    return Model(centering, visual_map, *_seen(frames.images, visual_map, boxes, features))
+    sights, words, ground = _seen(frames.images, visual_map, boxes, features)
+    return Model(centering, visual_map, sights, words, ground)
 
 
 def _drives_to_map(
     demonstrations: Sequence[Demonstration], features: FeatureSettings, tick_s: float
 ) -> list[tuple[tuple[str, ...], Demonstration]]:
-    """Return the drives that a map is made of, each with its names; ValueError as `learn`."""
+    """Return the drives for the map, each with the names of its parts; errors are as in `learn`."""
     check_features(demonstrations, features.size)
     if features.needs != {"color"}:
         raise ValueError(
@@ -136,7 +151,7 @@ def _drives_to_map(
 
 
 def _check_extent(frames: TaughtFrames, names: Sequence[str], least: float) -> None:
-    """ValueError for a drive in which the robot moves less far."""
+    """Raise ValueError for a drive in which the robot moves less than `least`."""
     for drive, name in enumerate(names):
         extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
         if np.hypot(*extent) < least:
@@ -151,21 +166,32 @@ def fit(
     tick_s: float = 0.1,
     parallel: Parallel = in_parallel,
 ) -> Model:
-    """Learn from images and what was done at each of them.
+    """Learn a model from images and the movements at each of them.
 
-    `drives` reached the goal: (images, atoms) or (images, atoms, odometry) of each, images (height, width, 3) uint8
-    RGB, an `Atom` for each, and the pose of each by the wheels (x, y, heading in radians). `goals` is where each leads,
-    all to one goal if not given, `tick_s` the time between two images; the camera is estimated from them if not given.
-    `parallel` is `map` of an executor of yours (`concurrent.futures`), for more cores than threads use, or machines.
+    Parameters
+    ----------
+    drives : sequence of tuple
+        (images, atoms) or (images, atoms, odometry) of drives that reached the goal: images (height, width, 3) uint8
+        RGB, an `Atom` for each, and the odometry pose of each (x, y, heading in radians).
+    features : FeatureSettings, optional
+    goals : sequence of str, optional
+        Goal of each drive; by default the same for all.
+    camera : Camera, optional
+        By default estimated from the images.
+    tick_s : float
+        Time between two images, seconds.
+    parallel : callable
+        `map` of an executor (`concurrent.futures`), for more cores or machines.
 
+    Examples
+    --------
     >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
     >>> robot = smal.Robot(model)  # doctest: +SKIP
     >>> linear, angular = robot.step(image)  # doctest: +SKIP
     """
     features = FeatureSettings() if features is None else features
-    return learn(
-        demonstrations_of(drives, features, goals, camera), features, tick_s, parallel=parallel
-    )
+    demonstrations = demonstrations_of(drives, features, goals, camera)
+    return learn(demonstrations, features, tick_s, parallel=parallel)
 
 
 def demonstrations_of(
@@ -174,7 +200,7 @@ def demonstrations_of(
     goals: Sequence[str] | None = None,
     camera: Camera | None = None,
 ) -> list[Demonstration]:
-    """Return drives with what describes their images, made when it is wanted; see `fit`."""
+    """Return drives as demonstrations whose features are computed on access; see `fit`."""
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     return [
         Demonstration(
@@ -190,29 +216,30 @@ def demonstrations_of(
     ]
 
 
-def _described(centering: Centering, views: Iterable[Image]) -> NDArray[np.float32]:
-    return centering.apply(np.stack([extract(view, centering.settings) for view in views]))
+def _described(centering: Centering, views: Iterable[Image]) -> Float32s:
+    described = [extract(view, centering.settings) for view in views]
+    return centering.apply(np.stack(described))
 
 
-def _centred(
-    centering: Centering, features: Sequence[NDArray[np.float32]], some: Iterable[int]
-) -> NDArray[np.float32]:
-    return centering.apply(np.stack([features[frame] for frame in some]))
+def _centred(centering: Centering, features: Sequence[Float32s], some: Iterable[int]) -> Float32s:
+    rows = [features[frame] for frame in some]
+    return centering.apply(np.stack(rows))
 
 
 def _frames(
     taught: Sequence[Demonstration], centering: Centering, tick_s: float, config: MapConfig
 ) -> TaughtFrames:
-    """Put drives one after the other: along the wheels' poses, or by what atoms usually do."""
-    images = chained(list(_known(one.images for one in taught)))
-    features = chained([one.features for one in taught])
-    cameras = list(_known(one.camera for one in taught))
+    """Concatenate drives, with poses by odometry or by the usual movements of atoms."""
+    images = chained(list(_known(drive.images for drive in taught)))
+    features = chained([drive.features for drive in taught])
+    cameras = list(_known(drive.camera for drive in taught))
     camera = cameras[0] if cameras else None
-    atoms = [one.atoms for one in taught]
+    atoms = [drive.atoms for drive in taught]
 
     centred = partial(_centred, centering, features)
     describe = partial(_described, centering)
-    ways = [np.asarray(way, dtype=np.float64) for way in _known(one.odometry for one in taught)]
+    poses = _known(drive.odometry for drive in taught)
+    ways = [np.asarray(way, dtype=np.float64) for way in poses]
     odometry = len(ways) == len(taught)
     if odometry:
         movements = atom_movements(ways, atoms)
@@ -224,30 +251,32 @@ def _frames(
         movements = np.array(
             [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
         )
-        ways = [dead_reckoning(one, movements) for one in atoms]
-    drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
+        ways = [dead_reckoning(drive, movements) for drive in atoms]
+    numbers = np.arange(len(ways), dtype=np.int32)
+    drives = np.repeat(numbers, [len(way) for way in ways])
     return TaughtFrames(
         images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera
     )
 
 
-def _known(each: Iterable[T | None]) -> Iterator[T]:
-    return (one for one in each if one is not None)
+def _known(values: Iterable[T | None]) -> Iterator[T]:
+    return (value for value in values if value is not None)
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
-    """Return how fast the robot usually goes ahead in turning, as a share of its speed straight on.
+    """Return the usual speed ahead in turns, as a share of the speed straight on.
 
-    What is not told is none, but where nothing else would move the robot.
+    Without information it is 0, or 1 if only turns move the robot.
     """
-    told = [
-        one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)]
-        for one in taught
-        if one.ahead is not None
-    ]
-    if any(map(len, told)):
-        return float(np.median(np.concatenate(told)))
-    return 0.0 if any((one.atoms == Atom.FORWARD).any() for one in taught) else 1.0
+    speeds = []
+    for drive in taught:
+        if drive.ahead is not None:
+            turns = (drive.atoms == Atom.LEFT) | (drive.atoms == Atom.RIGHT)
+            speeds.append(drive.ahead[turns])
+    if any(map(len, speeds)):
+        return float(np.median(np.concatenate(speeds)))
+    forward = any((drive.atoms == Atom.FORWARD).any() for drive in taught)
+    return 0.0 if forward else 1.0
 
 
 def _seen(
@@ -256,33 +285,32 @@ def _seen(
     boxes: Sequence[Box | None],
     features: FeatureSettings,
 ) -> tuple[dict[str, Sight], dict[str, Word], Ground]:
-    """Learn what is sought at each goal, of the goals where anything stands out, or is drawn in the last view.
+    """Learn the target of each goal, its detections, and the ground.
 
-    And what detectors find there, if any are among the features; and how the ground looks.
+    A goal has a target if something stands out there, or is drawn in the last view.
     """
     keys = mapped.keyframes
-    of = mapped.key_drives
+    _, ends = mapped.key_range
 
-    def looked(frame: int) -> tuple[Image, list[Detection]]:
+    def inspect(frame: int) -> tuple[Image, list[Detection]]:
         image = images[frame]
         return small(image), detect(image, features)
 
-    pictures, detected = zip(*in_parallel(looked, keys.tolist()), strict=True)
-    ends = np.searchsorted(of, of, side="right") - 1
+    pictures, detected = zip(*in_parallel(inspect, keys.tolist()), strict=True)
     left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
-    drives = [np.flatnonzero(of == drive).tolist() for drive in range(len(mapped.goals))]
+    drives = [np.flatnonzero(mapped.key_drives == drive) for drive in range(len(mapped.goals))]
     sights = {}
     words = {}
     for goal in sorted(set(mapped.goals)):
         taught = [
             Taught(
-                [pictures[k] for k in one],
-                left_s[one],
+                [pictures[k] for k in of_drive],
+                left_s[of_drive],
                 mapped.goals[drive] == goal,
                 boxes[drive],
-                [detected[k] for k in one],
+                [detected[k] for k in of_drive],
             )
-            for drive, one in enumerate(drives)
+            for drive, of_drive in enumerate(drives)
         ]
         if (sight := learn_sight(taught)) is not None:
             sights[goal] = sight
@@ -292,38 +320,34 @@ def _seen(
 
 
 def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
-    """Learn how the ground looks, and from where on it is strange: each keyframe is left out of what explains it."""
-    colours = np.stack([colours_of(one) for one in pictures])
+    """Learn the ground, and the threshold of unexpected ground: each keyframe is compared with its neighbours."""
+    colours = np.stack([colours_of(picture) for picture in pictures])
 
     def strangest(key: int) -> float:
         others = np.setdiff1d(beside(mapped, key, GROUND_CONFIG.keyframes), key)
         way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
-        return float(patches(pictures[key], colours[others], way, mapped.scene)[1].max(initial=0.0))
+        _, score = patches(pictures[key], colours[others], way, mapped.scene)
+        return float(score.max(initial=0.0))
 
-    # Of a drive of one keyframe nothing is left.
-    alone = mapped.key_range[0] == mapped.key_range[1]
-    scores = list(in_parallel(strangest, np.flatnonzero(~alone).tolist()))
+    # A drive of one keyframe has no neighbours.
+    first, last = mapped.key_range
+    scores = list(in_parallel(strangest, np.flatnonzero(first != last).tolist()))
     return Ground(colours, max(extreme(scores), GROUND_CONFIG.least))
 
 
-def _choose_keyframes(
-    poses: NDArray[np.float64], drives: NDArray[np.int32], length: float, config: MapConfig
-) -> NDArray[np.int32]:
-    """Take the first and last frame of each drive, and all that are far or turned from the one before."""
+def _choose_keyframes(poses: Floats, drives: Int32s, length: float, config: MapConfig) -> Int32s:
+    """Return the first and last frame of each drive, and all frames that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
     for frame in np.flatnonzero(leads_on(poses, drives, length, config)):
-        if (
-            ends[frame]
-            or ends[frame + 1]
-            or not shows_same(poses[frame, None], poses[chosen[-1]], length, config)[0]
-        ):
+        is_end = ends[frame] or ends[frame + 1]
+        if is_end or not shows_same(poses[frame, None], poses[chosen[-1]], length, config)[0]:
             chosen.append(int(frame))
     return np.array(chosen, dtype=np.int32)
 
 
 def virtual_poses(aside: float) -> list[tuple[float, float, float]]:
-    """Return from where a keyframe's virtual views are seen: ahead, left, turned left in radians."""
+    """Return the poses of virtual views relative to their keyframe: ahead, left, turned left in radians."""
     return [(0.0, left, math.radians(turn)) for left in (-aside, 0.0, aside) for turn in TURNS_DEG]
 
 
@@ -332,67 +356,62 @@ def _maps_of(scene: Scene, aside: float, shape: tuple[int, ...]) -> list[Maps]:
     return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
 
 
-def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> NDArray[np.float32]:
-    seen = image()
-    return _described(
-        centering, (remapped(seen, one) for one in _maps_of(scene, aside, seen.shape[:2]))
-    )
+def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> Float32s:
+    frame = image()
+    maps = _maps_of(scene, aside, frame.shape[:2])
+    return _described(centering, (remapped(frame, of_pose) for of_pose in maps))
 
 
-def _in_components(
-    basis: NDArray[np.float32], rows_of: Callable[[Any], NDArray[np.float32]], of: object
-) -> NDArray[np.int8]:
-    return packed(rows_of(of) @ basis)
+def _in_components(basis: Float32s, rows_of: Callable[[Any], Float32s], source: object) -> Int8s:
+    return packed(rows_of(source) @ basis)
 
 
 def _told(
-    progress: Progress, stage: str, made: Iterable[T], total: int, done: int = 0
+    progress: Progress, stage: str, items: Iterable[T], total: int, done: int = 0
 ) -> Iterator[T]:
-    """Yield what is made, and tell how much of it is there."""
-    for number, one in enumerate(made, done + 1):
+    """Yield items, and report the progress."""
+    for number, item in enumerate(items, done + 1):
         progress(stage, number, total)
-        yield one
+        yield item
 
 
 def _make_views(
     frames: TaughtFrames,
-    keyframes: NDArray[np.int32],
-    views_of: Callable[[Task], NDArray[np.float32]],
+    keyframes: Int32s,
+    views_of: Callable[[Task], Float32s],
     progress: Progress,
     parallel: Parallel,
     config: MapConfig,
-) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Make the virtual views of keyframes, and the components in which they are kept."""
-    # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
+) -> tuple[Int8s, Float32s]:
+    """Compute the virtual views of keyframes, and the components of the views."""
+    # All views at once take gigabytes for a long drive: components come first, from a sample of keyframes.
     each = len(virtual_poses(0.0))
-    sample = keyframes[evenly(keyframes.size, max(1, config.sampled_views // each))].tolist()
+    count = max(1, config.sampled_views // each)
+    sample = keyframes[evenly(keyframes.size, count)].tolist()
     first = parallel(views_of, tasks_of(frames.images, sample))
-    made = dict(zip(sample, _told(progress, "views", first, keyframes.size), strict=True))
-    basis = _components(np.concatenate(list(made.values())), config)
-    others = [frame for frame in keyframes.tolist() if frame not in made]
+    computed = dict(zip(sample, _told(progress, "views", first, keyframes.size), strict=True))
+    basis = _components(np.concatenate(list(computed.values())), config)
+    others = [frame for frame in keyframes.tolist() if frame not in computed]
     further = parallel(partial(_in_components, basis, views_of), tasks_of(frames.images, others))
-    further = _told(progress, "views", further, keyframes.size, len(made))
-    views = np.empty(
-        (keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1]), dtype=np.int8
-    )
+    further = _told(progress, "views", further, keyframes.size, len(computed))
+    shape = (keyframes.size, each // TURNS_DEG.size, TURNS_DEG.size, basis.shape[1])
+    views = np.empty(shape, dtype=np.int8)
     for key, frame in enumerate(keyframes.tolist()):
-        row = _in_components(basis, made.pop, frame) if frame in made else next(further)
+        row = _in_components(basis, computed.pop, frame) if frame in computed else next(further)
         views[key] = row.reshape(views.shape[1:])
     return views, basis
 
 
-def _components(sample: NDArray[np.float32], config: MapConfig) -> NDArray[np.float32]:
-    """Return the leading principal components of rows (s, m), (m, r), those of much variance made smaller."""
+def _components(sample: Float32s, config: MapConfig) -> Float32s:
+    """Return the leading principal components (m, r) of rows (s, m), with large variances reduced."""
     products = sample @ sample.T
     # All components take three times as long.
-    values, vectors = eigh(
-        products, subset_by_index=[max(0, len(sample) - config.most_components), len(sample) - 1]
-    )
+    last = len(sample) - 1
+    first = max(0, len(sample) - config.most_components)
+    values, vectors = eigh(products, subset_by_index=[first, last])
     kept = values > 1e-6 * values[-1]
     values = values[kept][::-1]
     vectors = vectors[:, kept][:, ::-1]
-    # Of length 1 are the columns of sample.T @ vectors over the square root of their value.
-    basis: NDArray[np.float32] = (sample.T @ vectors / values ** (0.5 + config.whitened)).astype(
-        np.float32
-    )
-    return basis
+    # The columns of sample.T @ vectors have the square root of their value as length.
+    scaled = sample.T @ vectors / values ** (0.5 + config.whitened)
+    return np.asarray(scaled, dtype=np.float32)

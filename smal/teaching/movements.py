@@ -1,15 +1,15 @@
-"""What each atom does between two frames, measured on drives."""
+"""Movement of each atom between two frames, measured on drives."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smal.arrays import Bools, Floats, Int8s
 from smal.movement import Atom, Movement
 
-#: The opposite of each atom, and how the way ahead and the turn of the two compare.
+#: The opposite of each atom, and the factors of its way ahead and its turn.
 _MIRRORED: Final = {
     Atom.LEFT: (Atom.RIGHT, (1.0, -1.0)),
     Atom.RIGHT: (Atom.LEFT, (1.0, -1.0)),
@@ -18,46 +18,70 @@ _MIRRORED: Final = {
 }
 
 
-def atom_movements(
-    poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]
-) -> NDArray[np.float64]:
-    """Measure what each atom does between two frames, float64 (5, 2): its way ahead, and its turn in radians.
+def atom_movements(poses: Sequence[Floats], atoms: Sequence[Int8s]) -> Floats:
+    """Measure the movement of each atom between two frames.
 
-    It is the median over a demonstration's frames, odometry (f, 3) and atoms (f,); of several the one in which it does
-    most: who pauses between keys, or is slow, does not make the robot so. Of turns the later half of the longest
-    counts: in a short one the robot still rolls ahead, which makes no car of it. A robot that turns on the spot in one
-    drive was driven in bends in those where a turn leads ahead. Of an atom that was never made: a turn is
-    that to the other side, backward the opposite of forward, and a car that never drove straight on does so as fast as
-    it turns.
+    Parameters
+    ----------
+    poses : sequence of array (f, 3)
+        Odometry of each drive.
+    atoms : sequence of array (f,)
+
+    Returns
+    -------
+    array (5, 2)
+        Way ahead, and turn in radians.
+
+    Notes
+    -----
+    The movement is the median over the frames of a drive, and the largest over the drives: pauses between keys, or a
+    slow driver, must not make the robot slow. Only the later half of the longest turns counts: at the start the robot
+    still rolls ahead, which does not make it a car. If a robot turns on the spot in one drive, the bends of other
+    drives are ignored. A missing turn mirrors the opposite turn, and a missing BACKWARD the opposite of FORWARD. A car
+    without straight ways goes ahead as fast as it turns.
     """
-    each = np.array([_movements_of(*drive) for drive in zip(poses, atoms, strict=True)])
-    most = np.hypot(*np.moveaxis(each, -1, 0)) * np.where(
-        np.arange(len(Atom)) == Atom.STOP, -1.0, 1.0
-    )
+    drives = zip(poses, atoms, strict=True)
+    movements = np.array([_movements_of(way, executed) for way, executed in drives])
+    size = np.hypot(movements[..., 0], movements[..., 1])
+    size[:, Atom.STOP] *= -1.0
     turns = [Atom.LEFT, Atom.RIGHT]
-    spot = (np.abs(each[:, turns, 0]) < 0.1 * np.abs(each[:, [Atom.FORWARD], 0])) & (
-        each[:, turns, 1] != 0.0
-    )
-    most[:, turns] -= np.where(spot.any(axis=0) & ~spot, np.inf, 0.0)
-    return np.asarray(each[most.argmax(axis=0), np.arange(len(Atom))])
+    ahead = np.abs(movements[..., 0])
+    rolls = ahead[:, turns] >= 0.1 * ahead[:, [Atom.FORWARD]]
+    on_spot = ~rolls & (movements[:, turns, 1] != 0.0)
+    bends = on_spot.any(axis=0) & ~on_spot
+    size[:, turns] -= np.where(bends, np.inf, 0.0)
+    return np.asarray(movements[size.argmax(axis=0), np.arange(len(Atom))])
 
 
-def _movements_of(way: NDArray[np.float64], atoms: NDArray[np.int8]) -> NDArray[np.float64]:
-    """Measure what each atom did in one drive."""
-    made = atoms[:-1]
+def _movements_of(way: Floats, atoms: Int8s) -> Floats:
+    """Measure the movements of the atoms in one drive."""
+    executed = atoms[:-1]
     steps = [Movement.between(*pair) for pair in pairwise(way)]
-    told = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
-    starts = np.append(True, made[1:] != made[:-1])
-    since = np.arange(made.size) - np.maximum.accumulate(np.where(starts, np.arange(made.size), 0))
-    longest = {atom: since[made == atom].max(initial=0) for atom in (Atom.LEFT, Atom.RIGHT)}
-    found = {atom: told[(made == atom) & (2 * since >= longest.get(atom, 0))] for atom in Atom}
-    table = np.array(
-        [np.median(each, axis=0) if len(each) else (0.0, 0.0) for each in found.values()]
-    )
-    if not len(found[Atom.FORWARD]) and not len(found[Atom.BACKWARD]):
-        found[Atom.FORWARD] = bends = told[(made == Atom.LEFT) | (made == Atom.RIGHT)]
+    moved = np.array([(step.ahead, step.turn_rad) for step in steps]).reshape(-1, 2)
+    settled = _settled(executed)
+    samples = {atom: moved[(executed == atom) & settled] for atom in Atom}
+    table = np.zeros((len(Atom), 2))
+    for atom, sample in samples.items():
+        if len(sample):
+            table[atom] = np.median(sample, axis=0)
+    if not len(samples[Atom.FORWARD]) and not len(samples[Atom.BACKWARD]):
+        bends = moved[(executed == Atom.LEFT) | (executed == Atom.RIGHT)]
+        samples[Atom.FORWARD] = bends
         table[Atom.FORWARD, 0] = np.median(bends[:, 0]) if len(bends) else 0.0
-    for this, (opposite, mirror) in _MIRRORED.items():
-        if not len(found[this]) and len(found[opposite]):
-            table[this] = table[opposite] * mirror
+    for atom, (opposite, mirror) in _MIRRORED.items():
+        if not len(samples[atom]) and len(samples[opposite]):
+            table[atom] = table[opposite] * mirror
     return table
+
+
+def _settled(atoms: Int8s) -> Bools:
+    """Return which frames (f,) count: all but the beginnings of turns, up to half of the longest turn."""
+    frames = np.arange(atoms.size)
+    starts = np.append(True, atoms[1:] != atoms[:-1])
+    since = frames - np.maximum.accumulate(np.where(starts, frames, 0))
+    settled = np.ones(atoms.size, dtype=np.bool_)
+    for atom in (Atom.LEFT, Atom.RIGHT):
+        turning = atoms == atom
+        longest = since[turning].max(initial=0)
+        settled &= ~turning | (2 * since >= longest)
+    return settled

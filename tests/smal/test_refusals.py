@@ -102,7 +102,7 @@ def taught(**setting: object) -> object:
         (lambda: Centering.fit(np.zeros((0, USUAL.size), np.float32), USUAL), "n >= 1"),
         (
             lambda: Ground(np.zeros((3, 5, 2), np.uint8), 0.1),
-            "the ground looks like do not fit together",
+            "the ground do not fit together",
         ),
         (lambda: check_features(FEATURES, FEATURES[:, :2]), r"\(4, 3\) and \(4, 2\)"),
         (lambda: check_features(FEATURES, FEATURES[0]), r"\(4, 3\) and \(3,\)"),

@@ -142,5 +142,5 @@ def test_file_is_refused_when_its_target_does_not_fit(tmp_path: Path) -> None:
         harmed.save(tmp_path / "way.smal")
     finally:
         sight.cache_clear()
-    with pytest.raises(ModelError, match="what is sought do not fit together: far"):
+    with pytest.raises(ModelError, match="the target do not fit together: far"):
         Model.load(tmp_path / "way.smal")

@@ -173,5 +173,7 @@ def test_file_is_refused_when_its_detector_does_not_fit(tmp_path: Path) -> None:
     harmed = replace(model().words["victim"])
     vars(harmed)["size"] = -1.0
     replace(model(), words={"victim": harmed}).save(tmp_path / "way.smal")
-    with pytest.raises(ModelError, match="what a detector says do not fit together: 'apriltag 7'"):
+    with pytest.raises(
+        ModelError, match="the detector's calibration do not fit together: 'apriltag 7'"
+    ):
         Model.load(tmp_path / "way.smal")
