@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The main job, end to end, on this machine: set up, demonstrate, learn, run; ends with a page of results.
-#   bash deploy/demo.sh          a 320x240 camera image and 5 runs: some minutes on two cores without a GPU
-#   bash deploy/demo.sh --full   the whole thing: 20 runs, all at 1024x768
+# Runs the whole job on this machine: set up, demonstrate, learn, run. Ends with a page of results.
+#   bash deploy/demo.sh          camera image of 320x240 and 5 runs: some minutes on two cores without a GPU
+#   bash deploy/demo.sh --full   camera image of 1024x768 and 20 runs
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -18,8 +18,8 @@ out=${SMAL_DEMO_OUT:-out/demo-$(date +%Y%m%d-%H%M%S)}
 bash deploy/setup.sh
 smal=.venv/bin/smal
 echo
-echo "This demo teaches with $drives drive(s) at $camera and then lets the robot search $runs times."
-[ "${1:-}" = --full ] || echo "The camera image is smaller than the robot's 1024x768 so that it ends soon; --full does it all at full size."
+echo "This demo teaches with $drives drive(s) at $camera. The robot then searches $runs times."
+[ "${1:-}" = --full ] || echo "The camera image is smaller than the robot's 1024x768 to save time; --full uses the full size."
 echo
 echo "1/3 The expert demonstrates; the recorder writes $out/drives"
 "$smal" demonstrate --world "$world" --episodes "$drives" --seed "$seed" --camera "$camera" --out "$out/drives"
@@ -27,7 +27,7 @@ echo
 echo "2/3 Learning a map of views from the recordings"
 "$smal" learn "$out/drives" --out "$out/model.smal"
 echo
-echo "3/3 The robot searches by itself, from starts that it was not taught from"
+echo "3/3 The robot searches by itself, from other starts than the taught start"
 "$smal" run --model "$out/model.smal" --world "$world" --episodes "$runs" --seed "$seed" --camera "$camera" --json "$out/runs.json" --report "$out/report"
 echo
 echo "Open this page: $(realpath "$out")/report/index.html"

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Builds the images from a clean clone and checks, on a running stack, what docker-compose.yml promises.
-#   bash deploy/test-docker.sh                 of the last commit
-#   bash deploy/test-docker.sh --working-tree  of the files as they are, uncommitted ones too
-#   bash deploy/test-docker.sh --tests         also runs every test of the project in its container
-# Needs a Docker engine that this user may use, with Compose 2.20 or newer. Prints one line a check, with its figure;
-# exit status 1 where one failed. Leaves nothing running; images and the build cache stay.
+# Builds the images from a clean clone and checks a running stack of docker-compose.yml.
+#   bash deploy/test-docker.sh                 the last commit
+#   bash deploy/test-docker.sh --working-tree  the working tree with uncommitted files
+#   bash deploy/test-docker.sh --tests         also every test of the project in its container
+# Needs permission to use a Docker engine, and Compose 2.20 or newer. Prints one line with a figure per check.
+# Exits with status 1 if a check failed. Stops all containers; images and the build cache stay.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 checkout=$PWD
@@ -18,11 +18,11 @@ for option in "$@"; do
 done
 
 fail() { printf 'test-docker: %s\n' "$*" >&2; exit 1; }
-docker info >/dev/null 2>&1 || fail "no Docker engine, or no permission to use it"
-docker compose version >/dev/null 2>&1 || fail "docker compose is missing"
+docker info >/dev/null 2>&1 || fail "Docker engine not found or permission denied; start it, or add this user to its group"
+docker compose version >/dev/null 2>&1 || fail "docker compose not found; install Compose 2.20 or newer"
 
 failures=0
-check() { # check TEXT FIGURE COMMAND...: one line, ok or FAILED
+check() { # check TEXT FIGURE COMMAND...: prints one line, ok or FAILED
   local text=$1 figure=$2
   shift 2
   if "$@"; then printf 'ok      %-52s %s\n' "$text" "$figure"; else
@@ -30,7 +30,7 @@ check() { # check TEXT FIGURE COMMAND...: one line, ok or FAILED
     failures=$((failures + 1))
   fi
 }
-timed() { # timed COMMAND...: sets `took`; what it prints is shown where it fails
+timed() { # timed COMMAND...: sets `took`; prints the output of a command that fails
   local began=$SECONDS
   if ! "$@" >"$work/log" 2>&1; then
     tail -n 40 "$work/log" >&2
@@ -40,13 +40,13 @@ timed() { # timed COMMAND...: sets `took`; what it prints is shown where it fail
 }
 
 work=$(mktemp -d)
-# A project and a port of its own: a stack that runs on this machine already goes on running.
+# A separate project and free ports keep a running stack of this machine untouched.
 export COMPOSE_PROJECT_NAME=smal-test COMPOSE_PROFILES=demo SMAL_OUT=$work/out SMAL_UID SMAL_GID
 SMAL_UID=$(id -u) SMAL_GID=$(id -g)
-# Run by root, the containers still are not.
+# The containers never run as root.
 [ "$SMAL_UID" != 0 ] || SMAL_UID=4321 SMAL_GID=4321
 export SMAL_ROUTER_PORT=0 SMAL_CONSOLE_PORT=0
-# The smallest job that is still the whole job.
+# The smallest complete job.
 export SMAL_WORLD=yard SMAL_CAMERA_WIDTH=160 SMAL_CAMERA_HEIGHT=120
 export SMAL_DEMO_DRIVES=1 SMAL_DEMO_RUNS=2
 SERVICES=(router robot tracker features recognition policy recorder console)
@@ -73,17 +73,17 @@ if [ -n "$working_tree" ]; then
 fi
 cd "$work/clone"
 
-# -- what can be checked without running anything
+# -- checks without a running stack
 
 for profile in demo gpu zenohd zenohd-gpu; do
-  # A router and a simulator, whichever they are, and the rest.
+  # Each profile has one router and one simulator.
   check "profile $profile is valid" "$(docker compose --profile "$profile" config --services | wc -l) services" \
     test "$(docker compose --profile "$profile" config --services | grep -cE '^(router|zenohd|robot|robot-gpu)$')" = 2
 done
-# Without the conditions under which a package is needed: those of a longer list are laxer.
+# Compare without environment markers, which are wider in longer lists.
 pins() { grep -o '^[a-z0-9._-]*==[^ ;]*' "$1" | sort; }
 for list in services recognition robot simulator; do
-  # Every pin of a small list is the one that the tests run with.
+  # The tests must run with every pin of the small lists.
   check "requirements/$list.txt agrees with dev.txt" "$(grep -c '==' "deploy/requirements/$list.txt") packages" \
     test -z "$(comm -23 <(pins "deploy/requirements/$list.txt") <(pins deploy/requirements/dev.txt))"
 done
@@ -107,7 +107,7 @@ check "docker compose up: all healthy" "$took s" true
 container() { docker compose ps -aq "$1"; }
 inspect() { docker inspect -f "$2" "$(container "$1")"; }
 health() { inspect "$1" '{{.State.Health.Status}}'; }
-becomes() { # becomes SERVICE HEALTH SECONDS: waits for it; sets `took`
+becomes() { # becomes SERVICE HEALTH SECONDS: waits for the health; sets `took`
   local began=$SECONDS
   while [ "$(health "$1")" != "$2" ]; do
     took=$((SECONDS - began))
@@ -133,10 +133,10 @@ done
 check "policy cannot reach the internet" "" \
   sh -c "! docker compose exec -T policy python -c 'import socket; socket.create_connection((\"1.1.1.1\", 53), 2)' 2>/dev/null"
 port=$(docker compose port router 7447)
-check "this machine reaches the router, and only it" "$port" \
+check "only this machine reaches the router" "$port" \
   bash -c "[[ $port = 127.0.0.1:* ]] && exec 3<>/dev/tcp/127.0.0.1/${port##*:}"
 page=$(docker compose port console 8080)
-check "this machine, and only it, is shown the page" "$page" \
+check "only this machine reaches the page" "$page" \
   bash -c "[[ $page = 127.0.0.1:* ]] && python3 -c \"import urllib.request as u; assert b'<title>' in u.urlopen('http://$page').read()\""
 
 # -- the main job
@@ -157,33 +157,33 @@ for service in "${SERVICES[@]}"; do
     test "$(inspect "$service" '{{.RestartCount}}') $(health "$service")" = "0 healthy"
 done
 
-# -- several of a service
+# -- several instances of a service
 
-# Compose starts every service again where --scale is not repeated, and leaves what runs already.
+# Without --no-recreate, Compose restarts services whose --scale is not repeated.
 scaled() { timed docker compose up -d --wait --no-recreate --scale features="$1" --scale recognition="$2" "${SERVICES[@]}"; }
 scaled 2 3
-check "2 of features and 3 of recognition are healthy" "$took s" \
+check "2 instances of features and 3 of recognition are healthy" "$took s" \
   test "$(docker compose ps --format '{{.Health}}' features recognition | xargs)" = "healthy healthy healthy healthy healthy"
 docker compose run --rm --no-deps -T demo smal run --connect tcp/router:7447 --model "/out/${folder##*/}/model.smal" \
   --world "$SMAL_WORLD" --episodes 2 --seed 1 --json /out/scaled.json >"$work/scaled.log" 2>&1 &
 runs=$!
-# Whose the robot is says the log of who got it last; it is killed while the robot drives, and does not come back.
+# The last instance that logs "serves" has the robot. It is killed while the robot drives, and stays down.
 begun() { docker compose logs --no-log-prefix robot | grep -c 'frame 0: started' || true; }
 before=$(begun) began=$SECONDS
 while [ "$(begun)" = "$before" ] && [ $((SECONDS - began)) -lt 60 ]; do sleep 0.2; done
-served() { for one in $(container recognition); do docker logs -t "$one" 2>&1 | sed -n "/ serves /s/ .*/ $one/p"; done | sort | tail -n 1; }
+served() { for instance in $(container recognition); do docker logs -t "$instance" 2>&1 | sed -n "/ serves /s/ .*/ $instance/p"; done | sort | tail -n 1; }
 killed=$(served | cut -d ' ' -f 2)
 docker kill "$killed" >/dev/null
 status=0
 wait "$runs" || status=$?
 found=$(grep -c '"outcome": "found"' "$SMAL_OUT/scaled.json" || true)
-check "one of recognition is killed, and the runs go on" "exit status $status, $found of 2 found, another serves" \
+check "runs continue after a kill of recognition" "exit status $status, $found of 2 found" \
   test "$status $found" = "0 2" -a "$(served | cut -d ' ' -f 2)" != "$killed"
 scaled 1 1
 
-# -- when something goes wrong
+# -- failures
 
-# The only child of init is the service; what `exec` starts has no parent in the container.
+# The service is the only child of init; processes of `exec` have no parent in the container.
 signal() { docker compose exec -T "$1" sh -c "kill -$2 \$(cat /proc/1/task/1/children)"; }
 reached=true
 signal features STOP
@@ -212,9 +212,9 @@ for service in "${SERVICES[@]}"; do
   status=$(inspect "$service" '{{.State.ExitCode}}')
   check "$service stopped gracefully" "exit status $status" test "$status" = 0 -o "$status" = 143
 done
-# Each has 15 s, and the router is stopped after the others.
+# Each service has 15 s, and the router stops last.
 check "all stopped" "$took s" test "$took" -lt 30
-check "no recording was left unfinished" "" test -z "$(find "$SMAL_OUT" -name '*.partial')"
+check "all recordings are complete" "" test -z "$(find "$SMAL_OUT" -name '*.partial')"
 
 # -- with certificates
 
@@ -226,18 +226,18 @@ check "with certificates: all healthy" "$took s" true
 timed docker compose up --no-log-prefix --exit-code-from demo demo
 check "and the demo ends with exit status 0" "$took s" true
 listens() { docker compose run --rm --no-deps -T demo env "$@" smal topic hz --seconds 1; }
-check "who has a certificate listens" "" sh -c "$(declare -f listens); listens >/dev/null 2>&1"
+check "a client with a certificate can subscribe" "" sh -c "$(declare -f listens); listens >/dev/null 2>&1"
 message=$(listens -u SMAL_TLS_CA -u SMAL_TLS_CERT -u SMAL_TLS_KEY SMAL_ROUTER=tcp/router:7447 2>&1) && status=0 || status=$?
-check "who has none is told so in one line" "exit status $status" \
+check "a client without a certificate is rejected in one line" "exit status $status" \
   test "$status" != 0 -a "$(grep -c 'takes nobody in without a certificate' <<<"$message")" = 1
 seen=$(docker compose exec -T policy ls /run/secrets | xargs)
-check "a container sees its own key alone" "$seen" test "$seen" = "ca.pem cert.pem key.pem"
+check "a container sees only its own key" "$seen" test "$seen" = "ca.pem cert.pem key.pem"
 timed docker compose stop
 unset COMPOSE_FILE
 
-# Somebody else's folder is not taken over.
+# The folder of another user keeps its owner.
 message=$(SMAL_UID=$((SMAL_UID + 1)) docker compose run --rm --no-deps -T prepare 2>&1) && status=0 || status=$?
-check "another user's folder is left alone, in one line" "exit status $status" \
+check "another user's folder is rejected in one line" "exit status $status" \
   test "$status" = 1 -a "$(grep -c 'start with SMAL_UID=' <<<"$message")" = 1
 
 if [ -n "$with_tests" ]; then

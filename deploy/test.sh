@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets everything up and runs every check of the project: style, types, import rules, tests.
+# Sets up the project and runs every check: style, types, complexity, import rules, tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bash deploy/setup.sh --tests
@@ -9,11 +9,11 @@ ruff format --check .
 mypy
 complexipy
 lint-imports
-# In three processes on two cores: one in three waits for a robot, a browser or a deadline. `tests/sharing.py` shares out.
+# Three processes on two cores, because one in three tests waits for a robot, a browser or a deadline.
 status=0
 python -m pytest -rsf -n 3 "$@" || status=$?
 if [ "$status" = 1 ]; then
-  echo "once more, alone: what failed beside others, on a machine that may have been too busy; above is why"
+  echo "running the failed tests again, one at a time: the machine may have been too busy; the errors are above"
   python -m pytest -rsf --last-failed --last-failed-no-failures none "$@"
 else
   exit "$status"
