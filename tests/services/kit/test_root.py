@@ -130,7 +130,7 @@ def test_names_that_are_none_are_refused_before_anything_is_looked_at(
 ) -> None:
     lines = {refusal(lambda name=name: load(client, service, name)) for name in MALFORMED}
     assert lines == {
-        "model: must be a path below the root of the service, relative, and no part may begin with a dot",
+        "model: must be a relative path below the root of the service; no part may begin with a dot",
         f"model: '{'x' * 40}' must have at most 1023 characters",
         "model: '' must have at least 1 character",
     }
