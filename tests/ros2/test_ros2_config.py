@@ -59,7 +59,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         (BASE + "namespace: robot1\n", "namespace: 'robot1' must match pattern"),
         (
             BASE + "router: robot.local\n",
-            "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>",
+            "mine.yaml: invalid router address 'robot.local': expected tcp/<host>:<port>",
         ),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
         (

@@ -112,7 +112,7 @@ def test_an_impossible_calibration_is_one_line_and_no_pose(
     status = eventually(lambda: (now := status_of(client, "tracker")) and now.failed and now)
     assert status.published["pose/tracked"] == status.received["camera/overhead"] - 1
     (line,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert line.startswith("handling camera/overhead failed (1 failures so far): a camera 0.4 m")
+    assert line.startswith("handling camera/overhead failed (1 failures in total): a camera 0.4 m")
 
 
 def test_the_defaults_are_the_tag_that_the_simulator_puts_on_its_robot() -> None:
