@@ -258,8 +258,8 @@ class CommandGate:
     def resume(self, episode: str | None, tick: int, session: str) -> str | None:
         """Return control to the driver after a person took over, or return why not.
 
-        Earlier commands expire. Episode and tick belong to the newest frame that the person received; the episode is None
-        between episodes.
+        Earlier commands expire. Episode and tick belong to the newest frame that the person
+        received; the episode is None between episodes.
         """
         with self._lock:
             mine = self._latest.get("teleop")

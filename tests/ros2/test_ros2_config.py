@@ -49,7 +49,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ),
         (
             "preset: generic\nwatchdog_s: 0.5\n",
-            "base: after the silence of this process it would move for 0.70 s",
+            "base: stopping time after the silence of this process is too large (0.70 s",
         ),
         (BASE + "speed_m_s: fast\n", "speed_m_s: 'fast' must be a valid number"),
         (BASE + "speed_m_s: .nan\n", "speed_m_s: nan must be"),

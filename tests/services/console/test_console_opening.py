@@ -107,10 +107,10 @@ def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
     eventually(lambda: page.robot(waiting=True))
     page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
     assert (
-        "robot reset: cancelled by who asked for it; the robot is in line, without an episode"
+        "robot reset: cancelled by its requester; the robot is in line, without an episode"
         in page.news()
     )
     page.say(do="withdraw")
-    eventually(lambda: "there is nothing to cancel: no episode is being begun" in page.news())
+    eventually(lambda: "no episode is beginning; nothing to cancel" in page.news())
     monkeypatch.undo()
     page.insist(lambda: page.state["robot"]["episode"] is not None, do="drive", goal="dock")

@@ -210,7 +210,7 @@ def test_a_stop_from_elsewhere_that_comes_after_the_key_is_not_released(
     console.wait_for("its body has failed")
     robot.before_arm = robot.gate.stop
     console.type(key)
-    console.wait_for("robot arm: another stop was latched meanwhile")
+    console.wait_for("robot arm: another stop was latched since")
     assert robot.arms == [1, 2]
     assert robot.gate.emergency_stop == 3
     assert len(robot.resets) == 1
@@ -233,7 +233,7 @@ def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
     )
     console.type(b"n")
     console.wait_for(
-        "robot arm: another stop was latched meanwhile|robot reset: an emergency stop is latched"
+        "robot arm: another stop was latched since|robot reset: an emergency stop is latched"
     )
     console.wait_for(r"EMERGENCY STOP  \|  robot: emergency stop")
     assert (robot.arms, robot.resets) == ([1], [])
