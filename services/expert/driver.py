@@ -1,4 +1,4 @@
-"""The scripted expert: which of the four keys to hold, given where the robot is and where it should go."""
+"""Scripted expert: chooses one of the four keys by the robot's pose and route."""
 
 import math
 from collections.abc import Sequence
@@ -14,21 +14,23 @@ from schemas.observation import Observation
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 
-RECOVERY_TICKS: Final = 80  # A recovery drive is over after this many frames (8 s at 10 Hz).
-DRIVE_TICKS: Final = 20_000  # Frames after which a full drive is given up: four times as many as 1 km takes at 2 m/s.
-LOOKAHEAD_S: Final = 1.25  # How far ahead on the route the driver looks, as seconds of driving.
-#: A person corrects the heading when it is off by this much, and then until it is this close, radians.
+# Duration of a recovery drive in frames (8 s at 10 Hz).
+RECOVERY_TICKS: Final = 80
+# Timeout of a full drive in frames: four times as many as 1 km takes at 2 m/s.
+DRIVE_TICKS: Final = 20_000
+LOOKAHEAD_S: Final = 1.25  # Lookahead distance on the route, as seconds of driving.
+#: Heading errors at which a person starts and stops a correction, radians.
 START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)
-#: The driver has arrived at this fraction of the distance from the victim where it counts as found.
+#: Share of the found distance from the victim at which the driver has arrived.
 ARRIVED_FRACTION: Final = 0.5
 
 
 class RouteDriver:
-    """Follows a route (way points in metres, at least two) with the keys forward, left and right.
+    """Follows a route (at least two way points, metres) with the keys forward, left and right.
 
-    `speed_m_s` is the robot's nominal speed; `found_m` is how near the route's end, the victim, counts as found. A
-    `car` goes on ahead in turning.
+    `speed_m_s` is the robot's nominal speed; `found_m` is the distance from the route's end, the
+    victim, that counts as found. A `car` keeps driving ahead while it turns.
     """
 
     def __init__(
@@ -51,11 +53,11 @@ class RouteDriver:
         self._car = car
 
     def arrived(self, x: float, y: float) -> bool:
-        """Whether the robot has come close enough to the route's end."""
+        """Return whether the robot is close enough to the route's end."""
         return math.dist((x, y), self._points[-1]) <= self._arrived_m
 
     def velocity(self, x: float, y: float, heading: float) -> Velocity:
-        """Return what the key is at a pose."""
+        """Return the velocity of the key at a pose."""
         key = KEYS[self.key(x, y, heading)]
         return key._replace(linear=1.0) if self._car else key
 
@@ -74,7 +76,7 @@ class RouteDriver:
         return self._turning or "forward"
 
     def _project(self, position: NDArray[np.float64]) -> float:
-        """Return how far along the route the nearest point is, of the stretch that can have been reached."""
+        """Return the distance along the route of the nearest point within reach."""
         near = self._progress_m
         far = self._progress_m + 2 * self._lookahead_m
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
@@ -82,19 +84,18 @@ class RouteDriver:
         return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])
 
     def _point_at(self, along_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the point so far along the route, shape (2,); of many, shape (..., 2)."""
+        """Return the points at distances along the route, shape (..., 2)."""
         return np.stack(
             [np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)], axis=-1
         )
 
 
 class ExpertService:
-    """Commands once for every frame, after that frame has been through the features service.
+    """Commands once for every frame, after that frame has passed the features service.
 
-    Having arrived it commands nothing more: the client ends the episode, and with a last command under way at the
-    same time chance would decide how many frames the episode has.
-
-    Waiting for the observation keeps a lockstep demonstration from outrunning what it is meant to record.
+    After its arrival it sends no command: the client ends the episode, and a concurrent command
+    makes the number of its frames random. Waiting for the observation keeps a lockstep
+    demonstration from outrunning its recording.
     """
 
     def __init__(self) -> None:
@@ -106,10 +107,10 @@ class ExpertService:
         self.arrived = False
 
     def begin(self, reset: ResetReply) -> None:
-        """Take up the route of an episode that begins. Raises JobError where nobody knows the way."""
+        """Start the route of an episode; JobError if the way is unknown."""
         if reset.found_m is None or len(reset.route) < 2:
             raise JobError(
-                f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop"
+                f"{reset.world}: unknown way to the goal; demonstrate it by hand with smal teleop"
             )
         self._episode = reset.episode
         self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m, car=reset.car)
@@ -118,12 +119,12 @@ class ExpertService:
         self.arrived = False
 
     def see(self, pose: Pose) -> Command | None:
-        """Take the pose of a frame; the two topics of a frame may arrive in either order."""
+        """Take the pose of a frame; its two topics can arrive in either order."""
         self._pose = pose
         return self._answer()
 
     def handle(self, observation: Observation) -> Command | None:
-        """Take the observation of a frame, and return the key to hold once its pose is known too."""
+        """Take the observation of a frame; return the command once its pose is known."""
         self._observation = observation
         return self._answer()
 
@@ -138,7 +139,7 @@ class ExpertService:
         ) or pose.episode != self._episode:
             return None
         if self._last is None or self._last.tick != pose.tick:
-            # Otherwise the simulator asked again, because the command was lost on the way: the same answer.
+            # Otherwise the simulator asked again after a lost command: repeat the answer.
             self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
             if self.arrived:
                 return None

@@ -7,11 +7,11 @@ from services.kit.process import run_group
 
 
 def serve(node: Node, settings: FeaturesSettings) -> None:
-    """Turn frames into observations until stopped."""
+    """Compute observations of frames until stopped."""
     service = FeaturesService(settings.features)
     node.detail = service.detail
     if service.needs_depth:
-        # Two, so that the depth image of a frame that waits does not give way to that of the next.
+        # Two, so that the next depth image does not replace that of a waiting frame.
         node.subscribe(topics.DEPTH, service.handle_depth, depth=2)
     node.subscribe(topics.JPEG, service.handle, depth=1)
     node.log.info("extracting %s", settings.modalities)

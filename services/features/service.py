@@ -1,4 +1,4 @@
-"""One frame in, one observation out."""
+"""Features service: computes one observation per frame."""
 
 import logging
 
@@ -18,7 +18,7 @@ _log = logging.getLogger("features")
 
 
 class FeaturesSettings(FleetSettings):
-    """Which features to make."""
+    """Settings of the features."""
 
     modalities: str = ",".join(FeatureSettings().modalities)
     """Feature modalities, separated by commas, in their order in the observation."""
@@ -36,35 +36,35 @@ class FeaturesSettings(FleetSettings):
 
 
 class FeaturesService:
-    """Extracts each frame's features; for depth the newest colour and depth image of a frame are joined."""
+    """Extracts features, from a frame's newest colour and depth image if depth is used."""
 
     def __init__(self, features: FeatureSettings) -> None:
         self.needs_depth = "depth" in features.needs
         self.without_depth = 0
         self._features = features
-        # A message has the names of our own only; which network it is stands in the fingerprint.
+        # A message names only built-in modalities; the fingerprint identifies networks.
         self._names = features.modalities if MODALITIES.keys() >= set(features.modalities) else ()
         self._throttle = Throttle()
         self._image: CompressedImage | None = None
         self._depth: DepthImage | None = None
 
     def handle(self, image: CompressedImage) -> Observation | None:
-        """Return the observation of one frame, or None while its depth is to come."""
+        """Return the observation of a frame, or None while its depth image is missing."""
         if not self.needs_depth:
             return self._observation(image, None)
         waiting = self._image
         self._image = image
         if waiting is not None and not _same_frame(waiting, image):
-            self._give_up(waiting)
+            self._skip(waiting)
         return self._joined()
 
     def handle_depth(self, depth: DepthImage) -> Observation | None:
-        """Return the observation of one frame, or None while its colour image is to come."""
+        """Return the observation of a frame, or None while its colour image is missing."""
         self._depth = depth
         return self._joined()
 
     def detail(self) -> Detail:
-        """Tell what is extracted, and how many frames had no depth."""
+        """Return the modalities, and the number of frames without depth."""
         detail: Detail = {
             "modalities": " ".join(self._features.modalities),
             "fingerprint": self._features.fingerprint,
@@ -76,7 +76,7 @@ class FeaturesService:
         depth = self._depth
         if image is None or depth is None or not _same_frame(image, depth):
             return None
-        # The depth stays: a colour image that is sent again, because an answer was lost, finds it.
+        # The depth image stays for a colour image that is resent after a lost answer.
         self._image = None
         return self._observation(image, depth)
 
@@ -95,11 +95,11 @@ class FeaturesService:
             detected=tuple(Detected(**one._asdict()) for one in percept.detected[:MOST_DETECTED]),
         )
 
-    def _give_up(self, image: CompressedImage) -> None:
+    def _skip(self, image: CompressedImage) -> None:
         self.without_depth += 1
         if self._throttle.due():
             _log.warning(
-                "episode %s, frame %d: no depth image came; %d frames were left out so far",
+                "episode %s, frame %d: no depth image received; %d frames skipped in total",
                 image.episode, image.tick, self.without_depth,
             )  # fmt: skip
 

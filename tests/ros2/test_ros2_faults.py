@@ -210,6 +210,6 @@ def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands
     wanted = "TwistStamped" if driven.place.robot.humble else "Twist"
     assert detail["velocity_type"] == f"geometry_msgs/msg/{wanted}"
     log = (driven.place.robot.folder / "robot.log").read_text()
-    assert f"/cmd_vel takes geometry_msgs/msg/{wanted}: that is what is sent" in log
+    assert f"/cmd_vel: sending geometry_msgs/msg/{wanted}" in log
     assert abs(float(str(detail["robot_clock_ahead_s"])) - AHEAD_S) < 0.5
     assert detail["lacks"] is None

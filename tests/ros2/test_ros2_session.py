@@ -130,7 +130,7 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(
 
 
 def unheard(senses: Senses) -> bool:
-    return senses.silent() == f"nothing has come from {BUTTON}"
+    return senses.silent() == f"no message received from {BUTTON}"
 
 
 def pressed(senses: Senses) -> bool:
@@ -165,7 +165,7 @@ def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
     eventually(lambda: (say(False), released(senses))[1])
     assert place.robot is not None
     place.robot.session.close()
-    eventually(lambda: place.session.lacks() == f"nobody publishes {BUTTON}")
+    eventually(lambda: place.session.lacks() == f"{BUTTON} has no publisher")
     say = place.start_robot()
     eventually(lambda: place.session.lacks() is None)
     assert unheard(senses)

@@ -39,7 +39,10 @@ MODELS = [
     ("mapped.smal --modalities color", "--modalities color: the model was learned on"),
     ("paper.smal --scheme filter", "scheme 'paper' of the model is not 'filter'"),
     ("paper.smal --stride 4", f"stride must be 1 to the sequence length {LENGTH}, got 4"),
-    ("paper.smal --goal victim", "goal 'victim': the paper's scheme always goes to the nearest goal"),
+    (
+        "paper.smal --goal victim",
+        "goal 'victim': the paper's scheme always goes to the nearest goal",
+    ),
 ]
 #: Arguments separated by single spaces, exit status, and a pattern for the line.
 MISTAKES = [

@@ -457,6 +457,9 @@ def test_an_encrypted_address_without_a_certificate_is_one_line(
         Bus(ROBOT, endpoint)
     with pytest.raises(BusError, match="is not encrypted"):
         Bus(ROBOT, free_endpoint, credentials=certificate_in(keys, "operator"))
-    with secured_router(endpoint, keys), pytest.raises(BusError, match="requires a certificate") as error:
+    with (
+        secured_router(endpoint, keys),
+        pytest.raises(BusError, match="requires a certificate") as error,
+    ):
         Bus(ROBOT, free_endpoint, patience_s=0.0)
     assert "\n" not in str(error.value)

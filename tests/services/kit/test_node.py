@@ -172,9 +172,7 @@ def test_calls(
     assert client.call("sample", "end", EndRequest(episode="quiet"), Nothing) == Nothing()
     with pytest.raises(RpcError, match=r"^sample end: episode gone is not running$"):
         client.call("sample", "end", EndRequest(episode="gone"), Nothing)
-    with pytest.raises(
-        RpcError, match=r"^sample end: internal error; see the log of sample$"
-    ):
+    with pytest.raises(RpcError, match=r"^sample end: internal error; see the log of sample$"):
         client.call("sample", "end", EndRequest(episode="bug"), Nothing)
     with pytest.raises(RpcError, match=r"^sample end: episode: Field required$"):
         client.call("sample", "end", Nothing(), Nothing)
@@ -366,7 +364,11 @@ def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
     ("flags", "status", "line"),
     [
         (("--robot", "Bad Robot"), 2, "sample: robot: 'Bad Robot' must match pattern"),
-        (("--router", "nonsense"), 1, "invalid router address 'nonsense': expected tcp/<host>:<port>"),
+        (
+            ("--router", "nonsense"),
+            1,
+            "invalid router address 'nonsense': expected tcp/<host>:<port>",
+        ),
     ],
 )
 def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:

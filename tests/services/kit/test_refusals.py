@@ -285,7 +285,8 @@ def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node
     ready(client, "sample")
     for episode in ("fails", "e"):
         with pytest.raises(
-            RpcError, match=r"^sample end: invalid reply: too large \(2000012 bytes > maximum 1000000\)$"
+            RpcError,
+            match=r"^sample end: invalid reply: too large \(2000012 bytes > maximum 1000000\)$",
         ):
             client.call("sample", "end", EndRequest(episode=episode), Failure)
 

@@ -12,7 +12,7 @@ from services.robot.gate import MAX_AGE_S, OPERATOR_S, SILENCE_S, Applied, Comma
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
-THEIRS = "only the operator (at desk) may do that"
+THEIRS = "permission denied: only the operator (at desk) may do that"
 
 
 def hear(
@@ -150,7 +150,7 @@ def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) ->
     for tick in (1, 2):
         gate.captured(tick, 10.0)
         gate.offer(command(tick, source="teleop", atom="stop"), 10.0)
-    said = "another episode has begun, or the person has commanded since"
+    said = "another episode has begun, or the person has commanded since; resume again"
     assert gate.resume("e", 1, "") == said
     for episode in ("another", "other"):
         assert gate.resume(episode, 2, "") == said
@@ -210,14 +210,14 @@ def test_no_stop_from_before_a_restart_is_released_after_it() -> None:
 def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: int) -> None:
     gate.stop()
     gate.stop()
-    assert gate.arm(number, "") == "another stop was latched meanwhile"
+    assert gate.arm(number, "") == "another stop was latched since; arm again"
     assert gate.emergency_stop == 3
     assert gate.arm(3, "") is None
     assert gate.emergency_stop == 0
     assert gate.arm(number, "") == "no stop is latched"
     # Released once: the number is not good for the next one.
     gate.stop()
-    assert gate.arm(3, "") == "another stop was latched meanwhile"
+    assert gate.arm(3, "") == "another stop was latched since; arm again"
     assert gate.emergency_stop == 4
 
 

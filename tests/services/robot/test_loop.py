@@ -67,9 +67,7 @@ def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(
         ActuatorLoop(gate, body, told.append, body.clock).step()
     assert gate.stop_cause == "fault"
     assert "the body has failed" in caplog.text
-    assert (
-        "the body does not take the order to stand; its own watchdog has to stop it" in caplog.text
-    )
+    assert "the body failed to stand; its watchdog must stop it" in caplog.text
     assert not told
 
 
@@ -181,13 +179,13 @@ def test_all_delays_together_are_checked() -> None:
     body.braking_s = 0.24
     with pytest.raises(
         ServiceError,
-        match=r"line: after the silence of the driver it would move for 0\.51 s, more than",
+        match=r"line: stopping time after the silence of the driver is too large \(0\.51 s > maximum 0\.5 s",
     ):
         check_stopping(body)
     body.braking_s = 0.0
     body.watchdog_s = 0.6
     with pytest.raises(
-        ServiceError, match=r"of this process it would move for 0.60 s.*its watchdog 0.60 s"
+        ServiceError, match=r"of this process is too large \(0\.60 s.*its watchdog 0.60 s"
     ):
         check_stopping(body)
     body.watchdog_s = float("nan")

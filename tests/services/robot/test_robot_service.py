@@ -204,16 +204,17 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
         assert wheels.opens.wait(100.0)
         return thread
 
-    assert cancel("a") == "robot cancel: there is nothing to cancel: no episode is being begun"
+    assert cancel("a") == "robot cancel: no episode is beginning; nothing to cancel"
     opening = open_for("a")
     assert (
         cancel("b")
-        == "robot cancel: only who asked for this episode, or the operator, may cancel it"
+        == "robot cancel: permission denied: only the requester of this episode or the operator "
+        "may cancel it"
     )
     assert cancel("a") == "cancelled"
     opening.join(100.0)
     assert told == [
-        "robot reset: cancelled by who asked for it; the robot is in line, without an episode"
+        "robot reset: cancelled by its requester; the robot is in line, without an episode"
     ]
     assert runner.running is None
     operates = threading.Event()

@@ -42,7 +42,7 @@ def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(
     with pytest.raises(ServiceError, match=r"smal teleop \(n\)"):
         reset(runner, driver=driver)
     assert runner.running is episode, "a refused reset ends nothing"
-    with pytest.raises(ServiceError, match="another stop was latched meanwhile"):
+    with pytest.raises(ServiceError, match="another stop was latched since"):
         runner.arm(ArmRequest(stop=runner.gate.emergency_stop + 1))
     runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
     reset(runner, driver="teleop")
@@ -98,7 +98,7 @@ def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
         beat(runner, "a", k)
         beat(runner, "b", k)
         for session in ("b", ""):
-            with pytest.raises(ServiceError, match="is another client's"):
+            with pytest.raises(ServiceError, match="belongs to another client"):
                 reset(runner, session=session)
     assert runner.running is run
     assert runner.gate.stop_cause is None
@@ -115,7 +115,7 @@ def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
 
 def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
     runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
-    with pytest.raises(ServiceError, match="is another client's"):
+    with pytest.raises(ServiceError, match="belongs to another client"):
         reset(runner, session="o", driver="teleop")
     answer(runner, "stop", source="teleop")
     reset(runner, session="o", driver="teleop")
@@ -182,7 +182,7 @@ def test_nobody_ends_what_an_operator_drives_to_begin_something_else() -> None:
         runner.end_by(EndRequest(episode=run.id, session="b"))
     with pytest.raises(ServiceError, match=HELD):
         reset(runner, session="b", driver="teleop")
-    with pytest.raises(ServiceError, match="is another client's"):
+    with pytest.raises(ServiceError, match="belongs to another client"):
         reset(runner, session="b")
     runner.end_by(EndRequest(episode=run.id, session="o", found=True))
     reset(runner, session="b")

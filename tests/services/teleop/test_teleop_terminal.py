@@ -114,7 +114,7 @@ def told(router_endpoint: str) -> Iterator[Console]:
 
 def begin(console: Console, robot: Robot) -> None:
     console.wait_for(r"robot: not armed  \|")
-    console.press_until(b"n", r"frame \d+  \|  robot: stop \(nobody drives\)", unless=REFUSED)
+    console.press_until(b"n", r"frame \d+  \|  robot: stop \(no driver\)", unless=REFUSED)
     assert len(robot.resets) == 1
 
 

@@ -91,9 +91,9 @@ def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
         assert heard[tick] == TrackedPose.after(frame(tick), visible=False)
     assert child.stderr is not None
     log = child.stderr.read()
-    assert log.count("lost the tag") == log.count("seen again") == 1
+    assert log.count("lost the tag") == log.count("visible again") == 1
     assert "lost the tag at frame 4 of episode e: no markers with number 7 are in the image" in log
-    assert "the tag is seen again at frame 7 of episode e" in log
+    assert "the tag is visible again at frame 7 of episode e" in log
 
 
 def test_an_impossible_calibration_is_one_line_and_no_pose(
