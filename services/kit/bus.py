@@ -92,13 +92,25 @@ class Bus:
     stop. After an outage the connection is restored in the background (`connection`), by the next
     of several routers. Echoes prove that every lane carries both ways (`echo`).
 
-    Parameters ---------- robot Id of the robot, part of every key. endpoint Address of the router,
-    or addresses separated by commas. patience_s Timeout of the first connection, seconds.
-    credentials Certificate; None for an open bus. role Role of the credentials. of Bus whose
-    connection is shared.
+    Parameters
+    ----------
+    robot
+        Id of the robot, part of every key.
+    endpoint
+        Address of the router, or addresses separated by commas.
+    patience_s
+        Timeout of the first connection, seconds.
+    credentials
+        Certificate; None for an open bus.
+    role
+        Role of the credentials.
+    of
+        Bus whose connection is shared.
 
-    Raises ------ BusError If an address is malformed, or no router accepts the connection within
-    ``patience_s``.
+    Raises
+    ------
+    BusError
+        If an address is malformed, or no router accepts the connection within ``patience_s``.
     """
 
     def __init__(
@@ -254,11 +266,18 @@ class Bus:
     ) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread.
 
-        Parameters ---------- topic Topic to subscribe to. take Called with payload, encoding and
-        transit time in seconds by the clocks of both machines, or None. It must return at once.
-        refused Called with the reason for each invalid sample, and its sender. replay Whether to
-        receive, in order, the messages of the last ``topics.KEPT_S`` and those lost on the way. For
-        records only: a robot must not move by old commands.
+        Parameters
+        ----------
+        topic
+            Topic to subscribe to.
+        take
+            Called with payload, encoding and transit time in seconds by the clocks of both
+            machines, or None. It must return at once.
+        refused
+            Called with the reason for each invalid sample, and its sender.
+        replay
+            Whether to receive, in order, the messages of the last ``topics.KEPT_S`` and those lost
+            on the way. For records only: a robot must not move by old commands.
         """
         key = topic.key(self.robot)
 
@@ -434,13 +453,24 @@ class Bus:
     ) -> R:  # fmt: skip
         """Call a service and return its validated reply.
 
-        Parameters ---------- service, verb Name of the queryable. request Request, sent as JSON.
-        reply_type Class of the reply. timeout_s Time limit of one attempt, seconds. patience_s How
-        long to retry while no instance serves the robot; by default the time that a move between
-        instances takes.
+        Parameters
+        ----------
+        service, verb
+            Name of the queryable.
+        request
+            Request, sent as JSON.
+        reply_type
+            Class of the reply.
+        timeout_s
+            Time limit of one attempt, seconds.
+        patience_s
+            How long to retry while no instance serves the robot; by default the time that a move
+            between instances takes.
 
-        Raises ------ RpcError If the service refuses, does not answer in time, or sends an invalid
-        reply.
+        Raises
+        ------
+        RpcError
+            If the service refuses, does not answer in time, or sends an invalid reply.
         """
         key = rpc_key(self.robot, service, verb)
         began_s = time.monotonic()

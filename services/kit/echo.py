@@ -39,8 +39,13 @@ _WAYS: Final[tuple[Way, ...]] = tuple(permutations(LANES, 2))
 class LaneEcho:
     """Thread that measures the age of each lane's last echo, until it is closed.
 
-    Parameters ---------- role Role of the process; the router lets no other role publish on these
-    keys or subscribe to them. connections The sessions of the process, by lane.
+    Parameters
+    ----------
+    role
+        Role of the process; the router lets no other role publish on these keys or subscribe to
+        them.
+    connections
+        The sessions of the process, by lane.
     """
 
     def __init__(self, role: str, connections: Mapping[Lane, Connection]) -> None:

@@ -1,24 +1,29 @@
 """Assign the robots of a fleet to the instances of a service, without a coordinator.
 
-- The names of the robots are known beforehand (`FleetSettings`). A name from the network is never served.
-- An instance declares a liveliness token of Zenoh at ``smal/<fleet>/@group/<service>/<instance>``. For each robot that
-  it serves, it declares another token, at that key with the robot's id behind it. The tokens of a killed process vanish
-  at once, those of a frozen or disconnected process after `zenoh_session.LEASE_MS`.
-- Rendezvous hashing over the announced instances assigns each robot to one of them: when an instance leaves, only its
-  robots move. The name of an instance ends with the number of robots that it serves, so a fleet can grow while it
-  drives, instance by instance.
-- An instance that loses a robot first closes its node and then withdraws the token. An instance that gains a robot
-  first declares its token, queries again, and opens a node if there is no other token. Of two instances that query, at
-  least one sees the other, so no frame is answered twice. Frames that arrive in between are lost.
-- An instance queries all tokens every `LOOK_S` instead of subscribing to them: this bounds the load by a flood of
-  tokens.
-- A token alone proves nothing: it stands while its process is frozen, and any holder of the role's key can declare it.
-  So every instance queries all instances, itself included, every `ASK_S`. An instance counts while its last answer is
-  not older than `ANSWER_S`, and it answers while its main loop runs.
+- The names of the robots are known beforehand (`FleetSettings`). A name from the network is never
+  served.
+- An instance declares a liveliness token of Zenoh at ``smal/<fleet>/@group/<service>/<instance>``.
+  For each robot that it serves, it declares another token, at that key with the robot's id behind
+  it. The tokens of a killed process vanish at once, those of a frozen or disconnected process after
+  `zenoh_session.LEASE_MS`.
+- Rendezvous hashing over the announced instances assigns each robot to one of them: when an
+  instance leaves, only its robots move. The name of an instance ends with the number of robots that
+  it serves, so a fleet can grow while it drives, instance by instance.
+- An instance that loses a robot first closes its node and then withdraws the token. An instance
+  that gains a robot first declares its token, queries again, and opens a node if there is no other
+  token. Of two instances that query, at least one sees the other, so no frame is answered twice.
+  Frames that arrive in between are lost.
+- An instance queries all tokens every `LOOK_S` instead of subscribing to them: this bounds the load
+  by a flood of tokens.
+- A token alone proves nothing: it stands while its process is frozen, and any holder of the role's
+  key can declare it. So every instance queries all instances, itself included, every `ASK_S`. An
+  instance counts while its last answer is not older than `ANSWER_S`, and it answers while its main
+  loop runs.
 - An instance without an answer of its own releases the robots that others might take.
-- An answer names the robots that the instance serves. A robot that no answer names is reported by `/healthz`.
-- A service with a state publishes it (`schemas.snapshot`). Every instance keeps the newest snapshot of each robot, and
-  the node that gains the robot begins with it.
+- An answer names the robots that the instance serves. A robot that no answer names is reported by
+  `/healthz`.
+- A service with a state publishes it (`schemas.snapshot`). Every instance keeps the newest snapshot
+  of each robot, and the node that gains the robot begins with it.
 """
 
 import logging
@@ -175,7 +180,12 @@ class _Served:
 class Group(Generic[S]):
     """Instance of a service that runs a node for each of its robots, by ``serve``, until stopped.
 
-    Raises ------ BusError Without a router, or if a lane stays deaf. JobError If a node fails.
+    Raises
+    ------
+    BusError
+        Without a router, or if a lane stays deaf.
+    JobError
+        If a node fails.
     """
 
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:

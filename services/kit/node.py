@@ -84,8 +84,12 @@ class Node:
     on the thread that calls ``spin``. An exception in a handler is logged and counted; the node
     continues. Nodes of several robots in one process share its ``bus``.
 
-    Raises ------ BusError If no router accepts the connection within ``patience_s``. JobError If
-    ``settings.http`` is unavailable.
+    Raises
+    ------
+    BusError
+        If no router accepts the connection within ``patience_s``.
+    JobError
+        If ``settings.http`` is unavailable.
     """
 
     def __init__(
@@ -156,9 +160,16 @@ class Node:
     ) -> None:
         """Handle every message of a topic.
 
-        Parameters ---------- topic Topic to subscribe to. handler Called with each message; returns
-        the messages to publish. depth Length of the queue; the topic's by default. replay See
-        `Bus.subscribe`.
+        Parameters
+        ----------
+        topic
+            Topic to subscribe to.
+        handler
+            Called with each message; returns the messages to publish.
+        depth
+            Length of the queue; the topic's by default.
+        replay
+            See `Bus.subscribe`.
         """
         self._inbox.open(topic.name, depth or topic.queue)
         refuse = partial(self._refuse, topic.name)
@@ -317,8 +328,12 @@ class Node:
     ) -> bool:
         """Handle what arrives until ``until()`` holds (True), or until a timeout or stop (False).
 
-        Raises ------ BusError If a lane of the bus stays deaf. MemoryError, OSError If memory is
-        exhausted.
+        Raises
+        ------
+        BusError
+            If a lane of the bus stays deaf.
+        MemoryError, OSError
+            If memory is exhausted.
         """
         with ends_soon():
             return self._spin(until, timeout_s)

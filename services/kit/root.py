@@ -38,7 +38,12 @@ def below(root: Path, name: str) -> Path:
 
     `schemas.rpc` has checked the name: relative, without a way up, and empty for the root itself.
 
-    Raises ------ OutsideError If a link leads out of the root. OSError If there is a loop of links.
+    Raises
+    ------
+    OutsideError
+        If a link leads out of the root.
+    OSError
+        If there is a loop of links.
     """
     path = Path(os.path.realpath(root / name))
     if not path.is_relative_to(root):

@@ -1,19 +1,20 @@
 """Guarantees of the ``Bus``.
 
-- Messages of one bus arrive in the order in which they were sent, over all topics with the same urgency and
-  reliability. There is no other order, and any sample can be lost.
-- Key, kind, encoding and size are checked before a sample is copied: see ``flaw``. Refused samples, and samples with a
-  wrong checksum, are reported to the subscriber, with their sender if known. An invalid request is answered with a
-  ``Failure``.
-- Handlers run on the bus's threads: one for urgent lanes, one for the ordinary lane and one for the calls of each key.
-  Each delays what follows on its thread. A publisher never waits for a handler of another process. Exceptions of
-  handlers are logged.
+- Messages of one bus arrive in the order in which they were sent, over all topics with the same
+  urgency and reliability. There is no other order, and any sample can be lost.
+- Key, kind, encoding and size are checked before a sample is copied: see ``flaw``. Refused samples,
+  and samples with a wrong checksum, are reported to the subscriber, with their sender if known. An
+  invalid request is answered with a ``Failure``.
+- Handlers run on the bus's threads: one for urgent lanes, one for the ordinary lane and one for the
+  calls of each key. Each delays what follows on its thread. A publisher never waits for a handler
+  of another process. Exceptions of handlers are logged.
 - A handler that blocks its lane makes it deaf: after 12 s its process ends (`echo`).
-- Calls wait if they arrive faster than they are answered, or need more than a tenth of a processor. The oldest calls
-  beyond the queue are dropped.
+- Calls wait if they arrive faster than they are answered, or need more than a tenth of a processor.
+  The oldest calls beyond the queue are dropped.
 - A handler must not call on its own bus: the answer arrives on the thread that waits for it.
 - Other processes learn of a subscription, a service, or their end with a delay.
-- ``close`` withdraws every declaration; pending calls end without an answer. A closed bus is unusable.
+- ``close`` withdraws every declaration; pending calls end without an answer. A closed bus is
+  unusable.
 """
 
 import zlib
@@ -55,10 +56,16 @@ def flaw(
 ) -> str | None:
     """Return in one line why a sample or request is refused, before its bytes are copied, or None.
 
-    Parameters ---------- wanted The only valid key: a wildcard ``**`` reaches every subscriber.
-    message Class of the sample; None for requests and replies, whose JSON needs no other check.
-    key, size, encoding Key, bytes and encoding of the sample. put False if the sample deletes the
-    key.
+    Parameters
+    ----------
+    wanted
+        The only valid key: a wildcard ``**`` reaches every subscriber.
+    message
+        Class of the sample; None for requests and replies, whose JSON needs no other check.
+    key, size, encoding
+        Key, bytes and encoding of the sample.
+    put
+        False if the sample deletes the key.
     """
     if key != wanted:
         return f"its key is {printable(key)}, not {wanted}"

@@ -380,12 +380,24 @@ def reset(fd: int) -> None:
 class Router:
     """Zenoh router in this process.
 
-    Parameters ---------- endpoint Address to listen on. credentials Certificate. Clients then need
-    one as well and have the rights of their role. Without it everyone has all rights. robots Ids of
-    the robots. insecure Whether to listen without credentials where other machines can connect.
-    peers Addresses of other routers, whose clients share the bus.
+    Parameters
+    ----------
+    endpoint
+        Address to listen on.
+    credentials
+        Certificate. Clients then need one as well and have the rights of their role. Without it
+        everyone has all rights.
+    robots
+        Ids of the robots.
+    insecure
+        Whether to listen without credentials where other machines can connect.
+    peers
+        Addresses of other routers, whose clients share the bus.
 
-    Raises ------ BusError If an address is malformed, its port is taken, or access is insecure.
+    Raises
+    ------
+    BusError
+        If an address is malformed, its port is taken, or access is insecure.
     """
 
     def __init__(
@@ -424,7 +436,10 @@ class Router:
         Data that the router has not read yet are dropped. Ids are random: a client whose id has
         another client's prefix is an imitation, and is the newer one.
 
-        Returns ------- bool Whether there is such a connection.
+        Returns
+        -------
+        bool
+            Whether there is such a connection.
         """
         remote = {
             link.dst.partition("/")[2]

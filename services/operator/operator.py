@@ -241,12 +241,22 @@ class Operator:
     ) -> bool:
         """Arm the robot if necessary, and request an episode of this operator.
 
-        Parameters ---------- request The episode. prepare Called first, on another thread; if it
-        raises an error, no episode begins. there Whether the person is still present; both steps
-        can take long, and no episode begins without them. begun Called with the reply on the node's
-        thread.
+        Parameters
+        ----------
+        request
+            The episode.
+        prepare
+            Called first, on another thread; if it raises an error, no episode begins.
+        there
+            Whether the person is still present; both steps can take long, and no episode begins
+            without them.
+        begun
+            Called with the reply on the node's thread.
 
-        Returns ------- bool Whether the request was sent.
+        Returns
+        -------
+        bool
+            Whether the request was sent.
         """
         request = request.model_copy(update={"session": self._node.session})
         arm = self._arming()

@@ -130,7 +130,10 @@ class RecognitionService:
 
         Without a due decision the status is ``collecting``.
 
-        Raises ------ ServiceError If the observation has other features than the model.
+        Raises
+        ------
+        ServiceError
+            If the observation has other features than the model.
         """
         if self._loaded is None or self._localizer is None:
             return State.after(observation, status="idle")

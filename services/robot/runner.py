@@ -109,8 +109,11 @@ class EpisodeRunner(Generic[V]):
     def check_reset(self, request: ResetRequest) -> None:
         """Refuse an episode that must not begin.
 
-        Raises ------ ServiceError While a stop is latched, a person has taken over, another
-        client's episode runs, or an operator denies it; or if the mode is unsupported.
+        Raises
+        ------
+        ServiceError
+            While a stop is latched, a person has taken over, another client's episode runs, or an
+            operator denies it; or if the mode is unsupported.
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name}: unsupported mode {request.mode}; use realtime")

@@ -49,9 +49,15 @@ class StampedClock:
     def made_s(self, stamp_s: float, arrived_s: float, link_s: float) -> float | None:
         """Return when a message was made, by our clock; None unless it is newer than the last one.
 
-        Parameters ---------- stamp_s Stamp of the message by the other clock, seconds. arrived_s
-        Arrival of the message by our clock, seconds. link_s Upper bound of the delay of the link
-        for this message, seconds; infinity if it is unknown.
+        Parameters
+        ----------
+        stamp_s
+            Stamp of the message by the other clock, seconds.
+        arrived_s
+            Arrival of the message by our clock, seconds.
+        link_s
+            Upper bound of the delay of the link for this message, seconds; infinity if it is
+            unknown.
         """
         sample_s = arrived_s - stamp_s
         if self._most_s is None:

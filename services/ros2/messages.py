@@ -89,10 +89,16 @@ class Messages:
     ) -> bytes:
         """Return a Twist, TwistStamped, AckermannDrive or AckermannDriveStamped as bytes.
 
-        Parameters ---------- ahead_m_s, turn_rad_s Speed ahead, and turn rate counter-clockwise.
-        stamp_ns Stamp by the robot's clock, nanoseconds since 1970, clipped to its range; 0 if
-        unknown, None for a type without a stamp. wheelbase_m From axle to axle, for AckermannDrive:
-        its steering angle to the left gives the turn rate, and is 0 in standing.
+        Parameters
+        ----------
+        ahead_m_s, turn_rad_s
+            Speed ahead, and turn rate counter-clockwise.
+        stamp_ns
+            Stamp by the robot's clock, nanoseconds since 1970, clipped to its range; 0 if unknown,
+            None for a type without a stamp.
+        wheelbase_m
+            From axle to axle, for AckermannDrive: its steering angle to the left gives the turn
+            rate, and is 0 in standing.
         """
         plain, stamped = VELOCITIES[wheelbase_m is not None]
         part = "twist"

@@ -30,8 +30,10 @@ def ways(message: RosMessage, scan: ScanTopic) -> tuple[Way, Way]:
     Blocked is -inf or a range, even below the scanner's minimum; free is +inf or a valid range (REP
     117). NaN, 0 (unless `zero_is_free`), and parts of the robot are unknown.
 
-    Raises ------ MessageError If angles or limits are invalid, or the scanner cannot measure at
-    `ScanTopic.stop_m`.
+    Raises
+    ------
+    MessageError
+        If angles or limits are invalid, or the scanner cannot measure at `ScanTopic.stop_m`.
     """
     ranges = np.asarray(message.ranges, dtype=np.float64)
     _check(message, ranges.size, scan)

@@ -63,7 +63,10 @@ def _settings(config: Ros2Config) -> zenoh.Config:
 class Ros2Session:
     """Link to a base: receives its messages, and sends velocities.
 
-    Raises ------ ServiceError If its router does not answer.
+    Raises
+    ------
+    ServiceError
+        If its router does not answer.
     """
 
     def __init__(self, config: Ros2Config, senses: Senses) -> None:

@@ -67,9 +67,15 @@ class TokenBucket:
 class Declarations:
     """Counts the declarations of every session.
 
-    Parameters ---------- robots Number of robots of the fleet, which one session can serve. linked
-    Whether other routers pass on the declarations of their sessions, which are not limited here.
-    disconnect Called with the beginning of a session's id when the session exceeds its allowance.
+    Parameters
+    ----------
+    robots
+        Number of robots of the fleet, which one session can serve.
+    linked
+        Whether other routers pass on the declarations of their sessions, which are not limited
+        here.
+    disconnect
+        Called with the beginning of a session's id when the session exceeds its allowance.
     """
 
     def __init__(self, robots: int, *, linked: bool, disconnect: Callable[[str], None]) -> None:

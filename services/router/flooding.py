@@ -34,7 +34,10 @@ def take_log() -> socket.socket:
     the socket is full, the thread that handles the declaration waits until the log is read, which
     limits a flood to the speed of its count.
 
-    Returns ------- socket.socket The socket to read the log from.
+    Returns
+    -------
+    socket.socket
+        The socket to read the log from.
     """
     read, write = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM_BYTES)  # The system can grant less.

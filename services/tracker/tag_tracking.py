@@ -50,8 +50,12 @@ class TagPose(NamedTuple):
 def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
     """Return the pose of a tag in an RGB image (height, width, 3).
 
-    Raises ------ ValueError If the camera is not above the tag. TagNotSeen If the tag is missing,
-    not unique, or not a square of its size.
+    Raises
+    ------
+    ValueError
+        If the camera is not above the tag.
+    TagNotSeen
+        If the tag is missing, not unique, or not a square of its size.
     """
     if camera.height_m <= tag.height_m:
         above = f"a camera {camera.height_m:g} m above the floor"
@@ -94,11 +98,18 @@ def _onto_plane(
 def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:
     """Fit a square of known side to four points by least squares, in closed form (Kabsch).
 
-    Parameters ---------- corners Points (4, 2), seen from above, clockwise from the one ahead on
-    the left. side Side of the square, in the same unit.
+    Parameters
+    ----------
+    corners
+        Points (4, 2), seen from above, clockwise from the one ahead on the left.
+    side
+        Side of the square, in the same unit.
 
-    Returns ------- tuple of float x and y of the square's centre, its direction in [-pi, pi], and
-    the root mean square distance of the corners.
+    Returns
+    -------
+    tuple of float
+        x and y of the square's centre, its direction in [-pi, pi], and the root mean square
+        distance of the corners.
     """
     ahead_left = side / 2 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
     middle = corners.mean(axis=0)

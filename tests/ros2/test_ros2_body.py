@@ -248,7 +248,7 @@ def test_reads_raw_pixels(encoding: str) -> None:
         ({"encoding": "bayer_rggb8"}, "unsupported encoding 'bayer_rggb8'; supported are rgb8"),
         ({"height": 4096}, "pixels in 9216 bytes"),
         ({"width": 0}, "0x48 pixels"),
-        ({"step": 3}, "3 a row"),
+        ({"step": 3}, "3 per row"),
         ({"width": 2**31, "height": 2**31}, "invalid image"),
     ],
 )
@@ -275,9 +275,9 @@ def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:
     rig.passes(0.01)
     wishes = (
         ({"kidnap_tick": 3}, "kidnap_tick is unsupported"),
-        ({"world": "campus"}, "no world and no variation"),
+        ({"world": "campus"}, "world and variation are unsupported"),
     )
-    for wish, said in (*wishes, ({"variation": "evening"}, "no world and no variation")):
+    for wish, said in (*wishes, ({"variation": "evening"}, "world and variation are unsupported")):
         with pytest.raises(ServiceError, match=said):
             rig.body.begin(BEGIN.model_copy(update=wish))
     rig.clock.now_s += 1
