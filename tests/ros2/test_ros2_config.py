@@ -76,7 +76,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ),
         (
             BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n",
-            "velocity: wheelbase_m belongs to an",
+            "velocity: wheelbase_m is required for AckermannDrive",
         ),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
