@@ -140,19 +140,19 @@ def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) ->
             [TAG],
             CAMERA,
             replace(TAG, side_m=0.23),
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
         (
             [TAG],
             CAMERA,
             replace(TAG, height_m=0.0),
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
         (
             [TAG],
             changed(CAMERA, focal_px=640.0),
             TAG,
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
     ],
 )
