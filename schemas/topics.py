@@ -1,4 +1,4 @@
-"""Table of topics: the one source of recorder, health, ``smal topic`` and README.
+"""Table of topics, the source of recorder, health, ``smal topic`` and README.
 
 For the services see `services.table`.
 """

@@ -1,4 +1,4 @@
-"""Table of services: the one source of ``smal up``, ``smal doctor``, ``smal topic`` and the graph.
+"""Table of services, the source of ``smal up``, ``smal doctor``, ``smal topic`` and the graph.
 
 A new service needs a folder and a row. `tests/system` checks the rows while all services run.
 """
@@ -217,7 +217,7 @@ def roles() -> dict[str, Role]:
     """Return the roles by name: one for each service of a stack, and the roles of people.
 
     An operator drives and may call every service. The console has the same rights, on behalf of its
-    users. A watcher only subscribes.
+    users. A watcher subscribes, and calls ``status``.
     """
     named = {one.name: _role(one) for one in SERVICES.values() if one.image is not None}
     everything = tuple(TOPICS.values())

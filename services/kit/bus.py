@@ -158,8 +158,7 @@ class Bus:
         self._declared.append((self._lanes[lane], declared))
         return declared
 
-    # -- the lanes
-    # --------------------------------------------------------------------------------------------------
+    # -- the lanes ---------------------------------------------------------------------------------
 
     def echo_every(self, period_s: float) -> None:
         """Set the period of the echoes between the lanes, seconds."""
@@ -198,8 +197,7 @@ class Bus:
                 raise BusError(f"no router at {self.endpoint}; start the stack with `smal up`")
             time.sleep(0.02)
 
-    # -- messages
-    # -------------------------------------------------------------------------------------------------
+    # -- messages ----------------------------------------------------------------------------------
 
     def publish(self, message: Message) -> None:
         """Publish a message on its topic.
@@ -324,8 +322,7 @@ class Bus:
                 str(error).partition(" at /")[0]
             ) from None  # Without the location in Zenoh's source.
 
-    # -- liveliness
-    # -----------------------------------------------------------------------------------------------
+    # -- liveliness --------------------------------------------------------------------------------
 
     def stand(self, key: str) -> Callable[[], None]:
         """Declare a liveliness token and return the function that withdraws it.
@@ -382,8 +379,7 @@ class Bus:
             priority=_CALL_PRIORITY,
         )
 
-    # -- calls
-    # ----------------------------------------------------------------------------------------------------
+    # -- calls -------------------------------------------------------------------------------------
 
     def serve(
         self,

@@ -282,8 +282,7 @@ class Group(Generic[S]):
         if self._looking.ident is not None:
             self._looking.join()
 
-    # -- proof of life
-    # ------------------------------------------------------------------------------------------------
+    # -- proof of life -----------------------------------------------------------------------------
 
     def _tell(self) -> Answer | None:
         """Answer another instance, while the main loop runs or the nodes end."""
@@ -396,8 +395,7 @@ class Group(Generic[S]):
         since_s = time.monotonic() - self._elsewhere_s.get(robot, -math.inf)
         return self._name not in SNAPSHOTS or robot in self._kept or since_s > 2.0 * SNAPSHOT_S
 
-    # -- snapshots
-    # ----------------------------------------------------------------------------------------------------
+    # -- snapshots ---------------------------------------------------------------------------------
 
     def _keep_snapshots(self, until: ExitStack) -> None:
         topics = [SNAPSHOTS[self._name]] if self._name in SNAPSHOTS else []
@@ -426,8 +424,7 @@ class Group(Generic[S]):
         old = time.monotonic() - kept.arrived_s > OLD_S
         return snapshot.model_copy(update={"state": None}) if old else snapshot
 
-    # -- health
-    # -------------------------------------------------------------------------------------------------------
+    # -- health ------------------------------------------------------------------------------------
 
     def _nodes(self) -> list[Node]:
         return [

@@ -147,8 +147,7 @@ class Node:
             partial(self._refuse, "rpc/status"),
         )
 
-    # -- wiring
-    # ---------------------------------------------------------------------------------------------------
+    # -- wiring ------------------------------------------------------------------------------------
 
     def subscribe(
         self,
@@ -308,8 +307,7 @@ class Node:
         self._apart.append(thread)
         thread.start()
 
-    # -- work
-    # -----------------------------------------------------------------------------------------------------
+    # -- work --------------------------------------------------------------------------------------
 
     def publish(self, messages: Message | Iterable[Message] | None) -> None:
         """Publish the messages."""
@@ -425,8 +423,7 @@ class Node:
         if due:
             self.log.warning("dropped an invalid message on %s (%d in total): %s", name, count, why)
 
-    # -- health
-    # ---------------------------------------------------------------------------------------------------
+    # -- health ------------------------------------------------------------------------------------
 
     def status(self) -> Status:
         """Return the state of this node; thread-safe."""

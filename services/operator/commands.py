@@ -25,7 +25,7 @@ class Commands:
     the release one ``stop`` is sent, and then nothing, so that another driver can continue. An
     emergency stop repeats until the robot reports it, and ends when the robot is armed; a later
     emergency stop stays. A robot that reports that it cannot turn so sharply is a car: from then on
-    a turn key also drives it ahead slowly, unless another key follows at once. A person who has
+    a turn key alone also drives it ahead slowly. A person who has
     seen the robot stand before an obstacle and holds again insists: the robot continues slowly.
 
     ``robot`` is the robot's id, for commands before its first report. ``clock`` returns seconds.

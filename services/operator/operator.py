@@ -129,8 +129,7 @@ class Operator:
         node.every(LOOK_S, self._look)
         node.every(REPEAT_S, lambda: node.publish(self.commands.repeat_stop()))
 
-    # -- received
-    # -------------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def _on_applied(self, applied: CommandApplied) -> None:
         """Answer a report of the robot."""
@@ -200,8 +199,7 @@ class Operator:
                 self._answers.get_nowait()()
         self._note(emergency=self.commands.emergency)
 
-    # -- actions
-    # --------------------------------------------------------------------------------------------------
+    # -- actions -----------------------------------------------------------------------------------
 
     def beat(self, as_of_s: float = math.inf, *, present: bool = True) -> None:
         """Send a heartbeat that the operator is present, or leaves, as of a time.
@@ -354,8 +352,7 @@ class Operator:
             request = EndRequest(episode=self.mine, said=said, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
-    # -- requests
-    # -------------------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------
 
     def ask(self, question: Callable[[], Callable[[], None] | None]) -> None:
         """Run a request on a thread; its result, or its error, is handled on the node's thread."""

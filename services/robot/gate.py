@@ -1,10 +1,10 @@
 """The last check before the wheels: the choice of the command that the actuator obeys.
 
 All times are on the actuator's own clock. A command names the frame (tick) that it descends from,
-and the gate stores when it captured that frame. Therefore an old command never becomes fresh:
-neither by a wrong clock in another process, nor by a clock that jumps, nor by a process that was
-frozen and wakes with old plans. A heartbeat names the pulse that it answers, and is as old as that
-pulse, so a slow link cannot make an absent operator seem present.
+and the gate stores when it captured that frame. Therefore an old command never becomes fresh. A
+wrong or jumping clock in another process cannot make it so, nor can a process that was frozen and
+wakes with old plans. A heartbeat names the pulse that it answers, and is as old as that pulse, so a
+slow link cannot make an absent operator seem present.
 """
 
 import math
@@ -135,8 +135,7 @@ class CommandGate:
         self._pulsed_s: dict[int | None, float] = {}
         self._begin("", "policy")
 
-    # -- stops
-    # ----------------------------------------------------------------------------------------------------
+    # -- stops -------------------------------------------------------------------------------------
 
     @property
     def emergency_stop(self) -> int:
@@ -180,8 +179,7 @@ class CommandGate:
             self._released = stop
             return None
 
-    # -- the operator
-    # ---------------------------------------------------------------------------------------------
+    # -- the operator ------------------------------------------------------------------------------
 
     @property
     def operator(self) -> str | None:
@@ -234,8 +232,7 @@ class CommandGate:
             return f"permission denied: only the operator (at {operator.name}) may do that"
         return None
 
-    # -- episodes
-    # -------------------------------------------------------------------------------------------------
+    # -- episodes ----------------------------------------------------------------------------------
 
     @property
     def taken_over(self) -> bool:
@@ -287,8 +284,7 @@ class CommandGate:
             }
             self._captured_s[tick] = now_s
 
-    # -- commands
-    # -------------------------------------------------------------------------------------------------
+    # -- commands ----------------------------------------------------------------------------------
 
     def offer(self, command: Command, now_s: float) -> Refusal | None:
         """Accept a command, or return why it is refused.
@@ -368,7 +364,7 @@ class CommandGate:
     def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
         """Return the motion of the actuator: the fresh command of the current driver, or standing.
 
-        While a stop might not reach the robot (``deaf``) it stands, without a latched stop: the
+        While a stop might not reach the robot (``deaf``) it stands, without a latched stop. The
         loss of an operator is latched separately, and an operator repeats a stop until the robot
         reports it. The guard runs without the lock, so that no stop waits for it. Changes during
         that time count: a stop, another command, or another episode.

@@ -92,8 +92,7 @@ class EpisodeRunner(Generic[V]):
         self._count = 0
         self.running: Running[V] | None = None  # The running episode, if any.
 
-    # -- requests
-    # ------------------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------
 
     def arm(self, request: ArmRequest) -> None:
         """Release a latched stop; ServiceError if denied, or for another stop."""
@@ -212,8 +211,7 @@ class EpisodeRunner(Generic[V]):
         run.pace.end()
         return [self._event(run, "ended", ended or run.episode.end())]
 
-    # -- events
-    # ---------------------------------------------------------------------------------------------------
+    # -- events ------------------------------------------------------------------------------------
 
     def offer(self, command: Command) -> None:
         """Offer a command to the gate."""

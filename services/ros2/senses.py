@@ -133,8 +133,7 @@ class Senses:
             inputs[full(stop.topic)] = Heard(str(stop.type), take, clock, silence_s)
         return inputs
 
-    # -- received
-    # -------------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def echoed(self, asked_s: float) -> None:
         """Store the sending time, by our clock, of an echo that the robot's router returned.
@@ -234,8 +233,7 @@ class Senses:
         touched, self._forbidden[topic] = _STOPS[type_name](message)
         self.touched |= touched
 
-    # -- evaluation
-    # -----------------------------------------------------------------------------------------------
+    # -- evaluation --------------------------------------------------------------------------------
 
     def forbids(self, atom: Atom) -> str | None:
         """Return why the base must not make a movement, or None."""

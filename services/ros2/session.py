@@ -125,8 +125,7 @@ class Ros2Session:
         self._declare(token)
         return token or ""
 
-    # -- received
-    # ----------------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def _listener(self, topic: str) -> Callable[[zenoh.Sample], None]:
         def on_sample(sample: zenoh.Sample) -> None:
@@ -175,8 +174,7 @@ class Ros2Session:
         self._heard[topic] = attached.gid, attached.sequence
         return True
 
-    # -- endpoints
-    # ---------------------------------------------------------------------------------------------------
+    # -- endpoints ---------------------------------------------------------------------------------
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr)
@@ -234,8 +232,7 @@ class Ros2Session:
                 self._type,
             )
 
-    # -- sent
-    # --------------------------------------------------------------------------------------------------------
+    # -- sent --------------------------------------------------------------------------------------
 
     def lacks(self) -> str | None:
         """Return which endpoint the base lacks to accept velocities or to forbid them, or None."""

@@ -1,4 +1,4 @@
-"""The router's part of the limit on declarations: passes its log to `declarations` and ends floods."""
+"""Router's part of the limit on declarations: pass its log to `declarations` and end floods."""
 
 import logging
 import os

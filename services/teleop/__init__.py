@@ -1,1 +1,1 @@
-"""Driving by keyboard: ``keys`` parses input, ``terminal`` draws, ``session`` connects an operator."""
+"""Driving by keyboard: ``keys`` parses, ``terminal`` draws, ``session`` connects an operator."""
