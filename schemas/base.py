@@ -72,7 +72,6 @@ class Velocity(NamedTuple):
 
 
 STANDING: Final = Velocity(0.0, 0.0)
-#: The keys as velocities.
 KEYS: Final[dict[Atom, Velocity]] = {
     "forward": Velocity(1.0, 0.0), "backward": Velocity(-1.0, 0.0), "left": Velocity(0.0, 1.0),
     "right": Velocity(0.0, -1.0), "stop": STANDING,

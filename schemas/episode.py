@@ -29,7 +29,6 @@ def _names_a_place(goal: str) -> str:
     return goal
 
 
-#: Name of a place that drives lead to.
 GoalName = Annotated[
     str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})
 ]

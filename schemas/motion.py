@@ -64,7 +64,6 @@ class Odometry(Message):
     """Mean turn rate since the previous frame, counter-clockwise."""
 
 
-# Maximum number of readings kept between two frames.
 MAX_SAMPLES: Final = 100
 Rate = Annotated[float, Field(ge=-100, le=100)]
 Acceleration = Annotated[float, Field(ge=-1000, le=1000)]

@@ -11,7 +11,6 @@ from schemas.base import Message, Strict
 
 ModalityName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
-# Maximum number of detections in a frame's message.
 MOST_DETECTED = 1000
 Share = Annotated[float, Field(ge=-0.5, le=1.5)]
 

@@ -12,9 +12,8 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-Start = Literal[
-    "start", "anywhere"
-]  # About the world's start, or anywhere beside the way from there to the victim.
+# About the world's start, or anywhere beside the way from there to the victim.
+Start = Literal["start", "anywhere"]
 #: Localisation by a filter over the map of views, or by the paper's Eq. 7 to 9 with a decision every
 #: l frames.
 Scheme = Literal["filter", "paper"]
@@ -42,9 +41,8 @@ FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_belo
 #: File below the root of a service.
 FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
-EpisodeName = Annotated[
-    str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")
-]  # Name that a person gives to an episode.
+# Name that a person gives to an episode.
+EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
 #: Maximum bytes of a world's name: a file name has 255, and its suffix and temporary name need some.
 _MAX_WORLD_NAME: Final = 200
 
@@ -72,17 +70,15 @@ class Nothing(Strict):
 class Failure(Strict):
     """Reply to a request that failed."""
 
-    # Reason, in one line.
     error: str
 
 
 class Status(Strict):
     """State of a service; the reply to every service's ``status``."""
 
-    # Name of the service.
     service: str
     state: Literal["starting", "ready", "stopping"]  # Whether the service takes work.
-    pid: int  # Process id.
+    pid: int
     connected: bool  # Whether every lane has a router that echoes.
     silent: tuple[str, ...] = ()  # Lanes without a router, or without its echo.
     uptime_s: float  # Seconds since the start.
@@ -128,7 +124,7 @@ class ResetRequest(Strict):
     variation: WorldName | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)]  # Seed of start pose and actuation noise.
     purpose: Purpose = "run"  # Set of starts to draw from.
-    driver: Driver = "policy"  # Driver of the episode.
+    driver: Driver = "policy"
     #: Start of a run; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40
     #: degrees.
     start: Start = "start"
@@ -152,10 +148,9 @@ class ResetRequest(Strict):
 class ResetReply(Strict):
     """The episode that began."""
 
-    # Its id.
     episode: EpisodeId
     world: str  # Name of the world; for a real robot without a world, name of its body.
-    speed_m_s: Annotated[float, Field(gt=0)]  # The robot's nominal speed.
+    speed_m_s: Annotated[float, Field(gt=0)]
     car: bool = False  # Whether the robot cannot turn on the spot.
     #: Way points from the start to the victim, metres, for the scripted expert; empty if unknown.
     route: tuple[tuple[float, float], ...] = ()
@@ -224,7 +219,6 @@ class LoadRequest(Strict):
 class LoadReply(Strict):
     """The model that was loaded."""
 
-    # Scheme of the model.
     scheme: Scheme
     keyframes: int = 0  # Size of its map of views; 0 in the paper's scheme.
     states: int = 0  # Number of learned states; 0 except in the paper's scheme.

@@ -32,7 +32,6 @@ def _check_places(places: Float32Array) -> Float32Array:
     return places
 
 
-#: A belief without a place.
 NO_PLACES = Float32Array(shape=(0, 5), data=b"")
 
 

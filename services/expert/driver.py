@@ -18,7 +18,7 @@ from services.kit.errors import JobError
 RECOVERY_TICKS: Final = 80
 # Timeout of a full drive in frames: four times as many as 1 km takes at 2 m/s.
 DRIVE_TICKS: Final = 20_000
-LOOKAHEAD_S: Final = 1.25  # Lookahead distance on the route, as seconds of driving.
+LOOKAHEAD_S: Final = 1.25
 #: Heading errors at which a person starts and stops a correction, radians.
 START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)

@@ -16,7 +16,6 @@ Rule = dict[str, object]
 KEPT_KEYS: Final = "@adv/pub/**"
 #: The router's own state: its connections and declarations. It is read-only.
 ADMINISTRATION: Final = "@/**"
-#: Between two routers.
 _PASSED_ON: Final[Rule] = {
     "id": "router: all",
     "permission": "allow",
@@ -93,7 +92,6 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
     #: Instances of the same service see, query and answer each other.
     seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()
-    #: A process echoes to itself.
     echo = {echo_key(role.name, "*", "*", "*")}
     asked = calls | replayed | ({ADMINISTRATION} if role.name == "operator" else set())
     yield "put", gives | kept | echo, takes | replayed | echo

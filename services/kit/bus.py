@@ -69,9 +69,8 @@ WAITING_CALLS: Final = 32
 CALLS_SHARE: Final = 0.1  # Maximum share of a processor for answering the calls of one key.
 MOVE_S: Final = 2.0  # Maximum time without an instance when one of several leaves.
 _AGAIN_S: Final = 0.05  # Pause between two attempts of an unanswered call.
-_CALL_PRIORITY: Final = (
-    zenoh.Priority.INTERACTIVE_LOW
-)  # Calls go ahead of images and replayed samples.
+# Calls go ahead of images and replayed samples.
+_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 _LAST_ANSWER_S: Final = 1.0  # How long closing waits for a call that is being answered.
 _PUT: Final = zenoh.SampleKind.PUT
 _MOST_TOKENS: Final = 1 << 16  # More than all sessions may declare at a router.
@@ -318,9 +317,8 @@ class Bus:
                 lane, lambda session: session.declare_subscriber(keys, in_order(on_sample))
             )
         except zenoh.ZError as error:
-            raise BusError(
-                str(error).partition(" at /")[0]
-            ) from None  # Without the location in Zenoh's source.
+            # Without the location in Zenoh's source.
+            raise BusError(str(error).partition(" at /")[0]) from None
 
     # -- liveliness --------------------------------------------------------------------------------
 

@@ -158,7 +158,7 @@ class _Served:
     """Robot that is assigned to this instance: first its token, later a thread with its node."""
 
     def __init__(self, go: Callable[[], None]) -> None:
-        self.go = go  # Withdraws the token.
+        self.go = go
         self.since_s = time.monotonic()
         self.node: Node | None = None
         self.thread: threading.Thread | None = None
@@ -207,9 +207,8 @@ class Group(Generic[S]):
         self._answering: frozenset[str] = frozenset()
         self._answered = threading.Lock()  # Held to store an answer and to read all answers.
         self._looked_s = self._asked_s = -math.inf
-        self._served_s = dict.fromkeys(
-            self.robots, math.inf
-        )  # Time at which each robot was last served by an instance.
+        # Time at which each robot was last served by an instance.
+        self._served_s = dict.fromkeys(self.robots, math.inf)
         # Time at which another instance last served each robot.
         self._elsewhere_s: dict[str, float] = {}
         self._news = threading.Event()

@@ -51,7 +51,6 @@ def _ask(
             again.daemon = True
             again.start()
 
-    # The session was closed meanwhile.
     with suppress(zenoh.ZError):
         connection.session.get(
             zenoh.Selector(keys, f"_time=[now(-{KEPT_S:g}s)..]"),

@@ -16,7 +16,6 @@ MOST_BYTES: Final = 256 << 20
 class Item(NamedTuple):
     """Item taken from an inbox."""
 
-    # Its queue.
     name: str
     content: object
     waited_s: float  # Its time in the queue, seconds.

@@ -35,7 +35,7 @@ Wheels = tuple[float, float, float]  # A pose by odometry: metres, metres and ra
 LEAST_TICKS = 3000
 PATIENCE = 3
 _log = logging.getLogger("models")
-AnyModel = Model | PaperModel  # Of either scheme.
+AnyModel = Model | PaperModel
 _MODELS: Final[WeakValueDictionary[tuple[int, ...], AnyModel]] = WeakValueDictionary()
 _READING: Final = threading.Lock()
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
@@ -111,9 +111,8 @@ def _read(file: IO[bytes], name: str) -> AnyModel:
         stat = os.fstat(file.fileno())
         identity = stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
         if (model := _MODELS.get(identity)) is None:
-            model = _MODELS[identity] = cast(
-                "AnyModel", Stored.read(file, name)
-            )  # The two schemes are the only ones.
+            # The two schemes are the only ones.
+            model = _MODELS[identity] = cast("AnyModel", Stored.read(file, name))
         return model
 
 
@@ -263,9 +262,8 @@ def serve_model(
     def publish_snapshot() -> None:
         node.publish(_snapshot(node, service))
 
-    serve_loads(
-        node, service, settings.root, publish_snapshot
-    )  # At once, so that the next instance uses a model that was confirmed as loaded.
+    # At once, so that the next instance uses a model that was confirmed as loaded.
+    serve_loads(node, service, settings.root, publish_snapshot)
     node.subscribe(topic, service.handle)
     node.every(SNAPSHOT_S, publish_snapshot)
     name = None if service.loaded is None else service.loaded.name

@@ -116,9 +116,8 @@ class Node:
         self.inherited: Snapshot | None = None
         self.detail: Callable[[], Detail] = dict
         robots = settings.robots if isinstance(settings, FleetSettings) else 1
-        self._inbox = Inbox(
-            most_bytes=MOST_BYTES // robots
-        )  # The messages of one robot cannot displace those of another.
+        # The messages of one robot cannot displace those of another.
+        self._inbox = Inbox(most_bytes=MOST_BYTES // robots)
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
         self._apart: list[threading.Thread] = []

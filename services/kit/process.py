@@ -85,9 +85,8 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
         # A panic of Zenoh during the cleanup hides the first error.
         if any(map(out_of_memory, _with_causes(error))):
             _end(name, NO_MEMORY)
-        if (
-            type(error).__name__ == "PanicException"
-        ):  # Zenoh has printed the location, and cannot be closed.
+        # Zenoh has printed the location, and cannot be closed.
+        if type(error).__name__ == "PanicException":
             _end(name, f"{error}; this process ends and must be started again")
         raise
 

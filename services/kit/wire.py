@@ -31,14 +31,12 @@ from services.kit.errors import JobError
 
 # Maximum size of a request and of a reply, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
-LARGEST_BYTES: Final = max(
-    topic.message.max_bytes for topic in TOPICS.values()
-)  # Maximum size of a message of any topic, bytes.
+# Maximum size of a message of any topic, bytes.
+LARGEST_BYTES: Final = max(topic.message.max_bytes for topic in TOPICS.values())
 #: Handler of a subscriber: payload, encoding, seconds in transit.
 Take = Callable[[bytes, str, float | None], None]
-Refused = Callable[
-    [str], None
-]  # Called with the reason for refusing a sample or a request, in one line.
+# Called with the reason for refusing a sample or a request, in one line.
+Refused = Callable[[str], None]
 
 
 class BusError(JobError):

@@ -55,9 +55,8 @@ CLIENT_THREADS: Final = len(LANES) + 1
 NET_THREADS: Final = 16
 #: Maximum frequency of one call per session; a client that waits for answers is slower.
 MOST_CALLS_HZ: Final = 10_000
-_CALL_BYTES: Final = (
-    2 * MAX_RPC_BYTES
-)  # Maximum size of a call that a router passes on, so that the service can refuse it by name.
+# Maximum size of a call that a router passes on, so that the service can refuse it by name.
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 # Queries between instances; ``**`` does not match them.
 _GROUPS: Final = f"{group_key('*', '*')}/**"
 # Zenoh's variable for the numbers of its threads.

@@ -40,6 +40,7 @@ ANSWER_S: Final = 5.0
 #: Period of the reports about a robot without an episode, whose pulses arrive more often.
 LOOK_S: Final = 0.5
 SILENCE_S: Final = 1.0  # Silence after which the robot is reported as silent; twenty pulses.
+# Fields of the report.
 _APPLIED: Final = (
     "episode",
     "tick",
@@ -49,7 +50,7 @@ _APPLIED: Final = (
     "source",
     "reason",
     "refused",
-)  # Fields of the report.
+)
 # Number of pulses that can still be answered, with some reserve; they arrive every 0.05 s.
 _PULSES: Final = 16
 #: Period of a repeated emergency stop until the robot reports it; equal to the robot's report
@@ -68,7 +69,7 @@ class Report:
     # An emergency stop was requested here, and the robot was not armed since.
     emergency: bool = False
     cause: StopCause | None = None  # Why the robot stands until it is armed.
-    episode: str | None = None  # The running episode, if any.
+    episode: str | None = None
     # Newest frame and motion of the running episode, or of the last one.
     tick: int = 0
     atom: Atom | None = None
@@ -81,7 +82,7 @@ class Report:
     driver: Source | None = None
     goal: str | None = None
     world: str | None = None
-    outcome: Outcome | None = None  # How it ended.
+    outcome: Outcome | None = None
     right: bool | None = None  # Whether the report "not here" is right; None if unknown.
 
 
@@ -113,9 +114,8 @@ class Operator:
         self.mine: str | None = None
         self.request: ResetRequest | None = None
         self._beats = count()
-        self._heard_s = (
-            self._applied_s
-        ) = -math.inf  # Time of the last message of the robot, and of its episode.
+        # Time of the last message of the robot, and of its episode.
+        self._heard_s = self._applied_s = -math.inf
         self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
         # One request at a time, on a separate thread: an emergency stop must not wait for its
         # answer.

@@ -94,9 +94,8 @@ class Beginning:
     found_m: float | None = None
     # Position of the victim, metres; None if unknown or absent.
     victim: tuple[float, float] | None = None
-    things: tuple[
-        tuple[tuple[float, float], ...], ...
-    ] = ()  # Outlines of untaught obstacles, metres, if known.
+    # Outlines of untaught obstacles, metres, if known.
+    things: tuple[tuple[tuple[float, float], ...], ...] = ()
 
 
 V_co = TypeVar("V_co", bound=View, covariant=True)

@@ -76,9 +76,8 @@ class Applied:
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
-    age_s: float = field(
-        default=0.0, compare=False
-    )  # Age of the command, since the capture of its frame.
+    # Age of the command, since the capture of its frame.
+    age_s: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -311,9 +310,8 @@ class CommandGate:
         refusal = self._check_sender(command, now_s)
         if refusal is not None:
             return refusal
-        if not all(
-            -1.0 <= share <= 1.0 for share in command.velocity
-        ):  # NaN fails both comparisons.
+        # NaN fails both comparisons.
+        if not all(-1.0 <= share <= 1.0 for share in command.velocity):
             return "not finite"
         last = self._latest.get(command.source)
         if (

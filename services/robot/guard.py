@@ -65,9 +65,8 @@ class Guard:
         self._braking_s = braking_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
         self._capture_time = CaptureTime(mount)
-        self._lock = (
-            threading.Lock()
-        )  # Held for the few lines that grant a share, or replace the result.
+        # Held for the few lines that grant a share, or replace the result.
+        self._lock = threading.Lock()
         self._known = self._before = _Known(None, -math.inf)  # The last result, and the one before.
 
     def look(

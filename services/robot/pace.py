@@ -59,7 +59,7 @@ class Teller(Protocol[V]):
     """Part of the runner that a pace uses."""
 
     gate: CommandGate
-    running: Running[V] | None  # The running episode, if any.
+    running: Running[V] | None
 
     def next_frame(self, run: Running[V]) -> Iterator[Message]:
         """Take the next frame, and end the episode if it ends with it."""
@@ -100,9 +100,8 @@ class Pace(Protocol[V]):
         """Leave the robot standing."""
 
 
-Paces = Mapping[
-    Mode, Callable[[], Pace[V]]
-]  # Factories by mode; each episode has a pace of its own.
+# Factories by mode; each episode has a pace of its own.
+Paces = Mapping[Mode, Callable[[], Pace[V]]]
 
 
 class RealTime(Generic[V]):

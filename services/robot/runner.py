@@ -71,9 +71,8 @@ class EpisodeRunner(Generic[V]):
         self.body = body
         self.gate = gate
         self.wake: Callable[[], None] = lambda: None  # Requests a ``poll``; must return at once.
-        self.deaf: Callable[[], bool] = lambda: (
-            False
-        )  # Whether stops or commands might not reach the robot.
+        # Whether stops or commands might not reach the robot.
+        self.deaf: Callable[[], bool] = lambda: False
         self.frame_s = TICK_S  # Minimum time between two frames in real time.
         self.task = task
         self.radio = False  # Whether the driver is reached by radio; see `services.robot.radio`.
@@ -90,7 +89,7 @@ class EpisodeRunner(Generic[V]):
         self._clocks = clocks
         self._cancelling = Cancelling()
         self._count = 0
-        self.running: Running[V] | None = None  # The running episode, if any.
+        self.running: Running[V] | None = None
 
     # -- requests ----------------------------------------------------------------------------------
 

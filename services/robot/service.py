@@ -41,10 +41,11 @@ ROBOT: Final = "robot"
 # Maximum width of the image between episodes, so that it fits into a reply.
 PEEK_COLUMNS: Final = 640
 ANSWER_S: Final = 1.0  # Timeout for the answer of another robot with this id.
+# Lanes that are needed to move the robot and to stop it.
 MOVING: Final[tuple[Lane, ...]] = (
     "urgent",
     "stop",
-)  # Lanes that are needed to move the robot and to stop it.
+)
 V = TypeVar("V", bound=View)
 
 

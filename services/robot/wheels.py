@@ -57,7 +57,7 @@ class WheelCheck:
         if not all(map(math.isfinite, pose)):
             return f"the odometry is not finite: {tuple(pose)}"
         if self._read is not None and at_s <= self._read[0]:
-            return None  # The same reading, or an older one.
+            return None
         before = self._read
         self._read = (at_s, tuple(pose))
         if before is None or at_s - before[0] > self._silent_s:

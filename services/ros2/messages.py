@@ -28,9 +28,8 @@ BOOL: Final = "std_msgs/msg/Bool"
 HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
-_LAST_NS: Final = (
-    2**31 - 1
-) * 1_000_000_000  # The last moment that a stamp, which has 32 bits of seconds, can hold.
+# The last moment that a stamp, which has 32 bits of seconds, can hold.
+_LAST_NS: Final = (2**31 - 1) * 1_000_000_000
 # Of bases whose messages are not part of the distributions.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",

@@ -8,9 +8,8 @@ import numpy as np
 from services.ros2.config import ScanTopic
 from services.ros2.messages import MessageError, RosMessage
 
-_TURN_RAD: Final = (
-    1.01 * math.tau
-)  # A whole turn; drivers round it, by far less than one in a hundred.
+# A whole turn; drivers round it, by far less than one in a hundred.
+_TURN_RAD: Final = 1.01 * math.tau
 
 
 class Way(NamedTuple):

@@ -98,13 +98,12 @@ class Senses:
         self._forbidden: dict[str, tuple[Ban, ...]] = {}
         self._unseen: dict[Atom, str] = {}
         self._complaints = Throttle()
-        self.frame: Frame | None = None  # The newest frame.
+        self.frame: Frame | None = None
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = WheelTrack(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self.touched = False  # Whether the bumper was pressed since this was last reset.
-        self.refused: Counter[str] = (
-            Counter()
-        )  # Messages that were invalid or not newer than the one before, by topic.
+        # Messages that were invalid or not newer than the one before, by topic.
+        self.refused: Counter[str] = Counter()
         self.camera_clock = StampedClock()
         self.inputs = self._plan(config)
 
@@ -284,9 +283,8 @@ class Senses:
         return readings
 
 
-Said = tuple[
-    bool, tuple[Ban, ...]
-]  # Evaluation of a stop topic: whether a bumper was touched, and the prohibitions.
+# Evaluation of a stop topic: whether a bumper was touched, and the prohibitions.
+Said = tuple[bool, tuple[Ban, ...]]
 
 
 def _hazards(message: RosMessage) -> Said:

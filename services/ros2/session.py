@@ -186,9 +186,8 @@ class Ros2Session:
             if not (changes or (endpoint.kind == "MS" and endpoint.topic == self._topic)):
                 return
             if changes:
-                self._ask(
-                    endpoint.topic
-                )  # First, so that messages of an earlier publisher are discarded.
+                # First, so that messages of an earlier publisher are discarded.
+                self._ask(endpoint.topic)
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(token, None)
             else:

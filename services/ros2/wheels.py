@@ -39,7 +39,7 @@ class WheelTrack:
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
         self._now = Wheels(0.0)
-        self.leaps = 0  # Number of leaps.
+        self.leaps = 0
 
     def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
         """Add the next pose."""

@@ -83,9 +83,8 @@ class Declarations:
         self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        self._allowances: dict[
-            bytes, tuple[TokenBucket, TokenBucket]
-        ] = {}  # Of all declarations, and of group keys.
+        # Of all declarations, and of group keys.
+        self._allowances: dict[bytes, tuple[TokenBucket, TokenBucket]] = {}
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
@@ -96,7 +95,7 @@ class Declarations:
         if mode == b"router" and self._linked:
             return
         if face not in self._allowances:
-            if len(self._allowances) >= MOST_SESSIONS:  # The oldest session has ended.
+            if len(self._allowances) >= MOST_SESSIONS:
                 del self._allowances[next(iter(self._allowances))]
             all_keys = TokenBucket(self._burst, RATE_HZ, now_s)
             self._allowances[face] = all_keys, TokenBucket(self._group_burst, GROUP_RATE_HZ, now_s)

@@ -184,7 +184,7 @@ class TeleopSession:
                 "recorder", "status", Nothing(), Status, _DISK_ANSWER_S
             ).detail.get("disk")
         except JobError:
-            told = None  # There is no recorder.
+            told = None
         if told not in (None, self._disk):
             self._terminal.say(f"RECORDING: {printable(str(told))}")
         self._disk = None if told is None else str(told)

@@ -39,7 +39,7 @@ def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float
     """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     quads, numbers, _ = _detector().detectMarkers(grey)
-    if not quads:  # In this case `numbers` is None.
+    if not quads:
         return []
     # OpenCV's origin is the centre of the first pixel.
     found = [
