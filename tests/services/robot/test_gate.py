@@ -365,7 +365,10 @@ def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
 
 def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate = CommandGate(attended=True, first_stop=1)
-    assert gate.arm(1, "o") == "no operator answers in time; this robot moves only with a present operator"
+    assert (
+        gate.arm(1, "o")
+        == "no operator answers in time; this robot moves only with a present operator"
+    )
     hear(gate, "o", 0, 10.0)
     assert gate.arm(1, "x") == THEIRS
     assert gate.arm(1, "o") is None
